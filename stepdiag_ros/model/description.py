@@ -1,0 +1,205 @@
+"""The cell description of the wire contract: which machine, which plan, which setups.
+
+It travels in every log as YAML on ``cell_description`` (schema 1) and is all
+that an evaluation knows about the cell besides the measurements.
+"""
+
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+import yaml
+
+from stepdiag_ros.errors import StepdiagError
+
+SCHEMA = 1
+DIAGONALS = ('ppp', 'npp', 'pnp', 'nnp')
+LINEAR = ('lin_x', 'lin_y', 'lin_z')
+
+
+
+@dataclass(frozen=True)
+class Machine:
+    """A three-axis machine: name, kinematic chain, working volume [m], tool vector [m]."""
+
+    name: str
+    chain: str
+    volume: tuple[float, float, float]
+    tool: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A calibration plan: steps an axis, order of the axes in one step, repeats."""
+
+    steps: int
+    order: str
+    repeats: int
+
+
+@dataclass(frozen=True)
+class Setup:
+    """One setup of base unit and mirror.
+
+    ``standoff`` [m] from the base unit to the mirror's reference point at stop 0;
+    ``psd_offset`` [m] of the PSD's beam and ``beams`` [m] of the interferometer's,
+    each along (u, v).  ``length`` [m] and ``stops`` belong to linear setups only.
+    """
+
+    name: str
+    standoff: float
+    psd_offset: tuple[float, float]
+    beams: tuple[tuple[float, float], ...]
+    length: float | None = None
+    stops: int | None = None
+
+    @property
+    def is_linear(self) -> bool:
+        return self.name in LINEAR
+
+
+@dataclass(frozen=True)
+class Noise:
+    """What the maker of a log believes of its noise, one standard deviation [m, m, m, rad]."""
+
+    displacement: float = 5.0e-9
+    spot: float = 2.0e-7
+    position_repeatability: float = 3.0e-7
+    angle_repeatability: float = 2.0e-7
+
+
+@dataclass(frozen=True)
+class Description:
+    """A whole cell description."""
+
+    machine: Machine
+    plan: Plan
+    setups: dict[str, Setup]
+    noise: Noise = field(default_factory=Noise)
+
+    @classmethod
+    def from_yaml(cls, text: str, source: str = 'cell_description') -> 'Description':
+        """Parse and check; ``source`` names the file in errors (:class:`StepdiagError`)."""
+        try:
+            data = yaml.safe_load(text)
+        except yaml.YAMLError as error:
+            where = getattr(error, 'problem_mark', None)
+            at = f' line {where.line + 1}' if where else ''
+            raise StepdiagError(
+                f'{source}:{at} cell_description is not valid YAML: '
+                f'{getattr(error, "problem", error)}; write it as the contract shows') from None
+        return cls.from_dict(data, source)
+
+    @classmethod
+    def from_dict(cls, data: Any, source: str = 'cell_description') -> 'Description':
+        """Build from a parsed mapping; every complaint names the key."""
+        get = _Getter(source)
+        get.mapping(data, 'cell_description')
+        schema = data.get('schema')
+        if schema != SCHEMA:
+            raise StepdiagError(f'{source}: cell_description schema is {schema!r}; '
+                                f'this version reads schema {SCHEMA}')
+        m = get.mapping(data.get('machine'), 'machine')
+        chain = str(m.get('chain', 'FXYZ')).upper()
+        if sorted(chain) != sorted('FXYZ'):
+            raise StepdiagError(f'{source}: machine.chain is {chain!r}; '
+                                "write the letters F, X, Y, Z once each, e.g. 'FXYZ'")
+        machine = Machine(str(m.get('name', 'machine')), chain,
+                          get.vector(m, 'machine.volume', 3, positive=True),
+                          get.vector(m, 'machine.tool', 3, default=(0.0, 0.0, 0.0)))
+        p = get.mapping(data.get('plan'), 'plan')
+        order = str(p.get('order', 'XYZ')).upper()
+        if sorted(order) != ['X', 'Y', 'Z']:
+            raise StepdiagError(f'{source}: plan.order is {order!r}; name X, Y and Z once each')
+        plan = Plan(get.count(p, 'plan.steps', 1), order, get.count(p, 'plan.repeats', 1, default=1))
+        raw = get.mapping(data.get('setups'), 'setups')
+        if not raw:
+            raise StepdiagError(f'{source}: setups is empty; name at least one of '
+                                f'{", ".join(DIAGONALS + LINEAR)}')
+        setups = {}
+        for name, body in raw.items():
+            if name not in DIAGONALS + LINEAR:
+                raise StepdiagError(f'{source}: unknown setup {name!r} in setups; known are '
+                                    f'{", ".join(DIAGONALS + LINEAR)}')
+            setups[name] = _setup(get, name, get.mapping(body, f'setups.{name}'), machine)
+        n = data.get('noise') or {}
+        get.mapping(n, 'noise')
+        noise = Noise(*(get.number(n, f'noise.{key}', default=value, minimum=0.0)
+                        for key, value in vars(Noise()).items()))
+        return cls(machine, plan, setups, noise)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The mapping of the contract, plain lists and floats."""
+        setups = {}
+        for name, s in self.setups.items():
+            setups[name] = {'standoff': s.standoff, 'psd_offset': list(s.psd_offset),
+                            'beams': [list(b) for b in s.beams]}
+            if s.is_linear:
+                setups[name] |= {'length': s.length, 'stops': s.stops}
+        return {'schema': SCHEMA,
+                'machine': {'name': self.machine.name, 'chain': self.machine.chain,
+                            'volume': list(self.machine.volume), 'tool': list(self.machine.tool)},
+                'plan': {'steps': self.plan.steps, 'order': self.plan.order,
+                         'repeats': self.plan.repeats},
+                'setups': setups,
+                'noise': dict(vars(self.noise))}
+
+    def to_yaml(self) -> str:
+        return yaml.safe_dump(self.to_dict(), sort_keys=False, default_flow_style=None)
+
+
+def _setup(get: '_Getter', name: str, body: dict, machine: Machine) -> Setup:
+    path = f'setups.{name}'
+    standoff = get.number(body, f'{path}.standoff', default=0.0, minimum=0.0)
+    offset = get.vector(body, f'{path}.psd_offset', 2, default=(0.0, 0.0))
+    raw = body.get('beams', [[0.0, 0.0]])
+    if not isinstance(raw, list) or not raw:
+        raise StepdiagError(f'{get.source}: {path}.beams must be a list of [u, v] offsets in metres')
+    beams = tuple(get.vector({'beams': b}, f'{path}.beams', 2) for b in raw)
+    if name not in LINEAR:
+        return Setup(name, standoff, offset, beams)
+    length = get.number(body, f'{path}.length', minimum=0.0,
+                        default=machine.volume['xyz'.index(name[-1])])
+    return Setup(name, standoff, offset, beams, length, get.count(body, f'{path}.stops', 2, default=2))
+
+
+class _Getter:
+    """Reads checked values out of a mapping; complaints carry source and key path."""
+
+    def __init__(self, source: str):
+        self.source = source
+
+    def mapping(self, value: Any, path: str) -> dict:
+        if not isinstance(value, dict):
+            raise StepdiagError(f'{self.source}: {path} is missing or not a mapping')
+        return value
+
+    def number(self, body: dict, path: str, default: float | None = None,
+               minimum: float | None = None) -> float:
+        value = body.get(path.rsplit('.', 1)[-1], default)
+        try:
+            number = float(value)
+        except (TypeError, ValueError):
+            number = math.nan
+        if isinstance(value, bool) or not math.isfinite(number) or \
+                (minimum is not None and number < minimum):
+            bound = '' if minimum is None else f' of at least {minimum:g}'
+            raise StepdiagError(f'{self.source}: {path} is {value!r}; give a finite number{bound}')
+        return number
+
+    def count(self, body: dict, path: str, minimum: int, default: int | None = None) -> int:
+        value = body.get(path.rsplit('.', 1)[-1], default)
+        if isinstance(value, bool) or not isinstance(value, int) or value < minimum:
+            raise StepdiagError(f'{self.source}: {path} is {value!r}; '
+                                f'give a whole number of at least {minimum}')
+        return value
+
+    def vector(self, body: dict, path: str, size: int, positive: bool = False,
+               default: tuple[float, ...] | None = None) -> tuple[float, ...]:
+        value = body.get(path.rsplit('.', 1)[-1], default)
+        if not isinstance(value, list | tuple) or len(value) != size:
+            raise StepdiagError(f'{self.source}: {path} is {value!r}; give {size} numbers in metres')
+        numbers = tuple(self.number({'_': v}, f'{path}._') for v in value)
+        if positive and min(numbers) <= 0.0:
+            raise StepdiagError(f'{self.source}: {path} is {value!r}; each must be above zero')
+        return numbers

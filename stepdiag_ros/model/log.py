@@ -1,0 +1,96 @@
+"""A whole calibration log as arrays: what a bag holds, freed from files and messages.
+
+Readers in :mod:`stepdiag_ros.bag` and the solver node fill it; estimation and
+gap diagnosis read it.  Times are integer nanoseconds since the epoch, so that
+nothing is lost to rounding and replay is bit-identical.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from stepdiag_ros.model.description import Description
+
+MOVE, DWELL, DONE, NONE = 0, 1, 2, 255
+
+
+@dataclass(frozen=True)
+class StepEvents:
+    """``sequencer/step`` in order of time; ``m`` events.
+
+    ``time_ns`` (m,) int64; ``run`` (m,) index into ``run_ids``; ``setup`` (m,) index
+    into ``setup_names``; ``repeat``, ``direction``, ``index``, ``axis``, ``phase`` (m,);
+    ``commanded`` (m, 3) [m].
+    """
+
+    time_ns: np.ndarray
+    run_ids: tuple[str, ...]
+    run: np.ndarray
+    setup_names: tuple[str, ...]
+    setup: np.ndarray
+    repeat: np.ndarray
+    direction: np.ndarray
+    index: np.ndarray
+    axis: np.ndarray
+    commanded: np.ndarray
+    phase: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.time_ns)
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Samples of one sensor, blocks laid end to end in order of time; ``n`` samples.
+
+    ``time_ns`` (n,) int64: stamp of the block plus index times sample period.
+    ``values`` (n, k): displacement [m] of each beam, or spot x, y [m].
+    ``health`` (n,): signal quality 0..100 of the interferometer, or sum signal [V] of the PSD.
+    ``refractive_index`` (n,): what the interferometer divided out (1.0: none); ones for a PSD.
+    ``setup`` (n,) index into ``setup_names`` (the blocks' frame_id).
+    ``block`` (n,): number of the block that a sample came in.
+    """
+
+    time_ns: np.ndarray
+    values: np.ndarray
+    health: np.ndarray
+    refractive_index: np.ndarray
+    setup_names: tuple[str, ...]
+    setup: np.ndarray
+    block: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.time_ns)
+
+    @classmethod
+    def empty(cls, columns: int) -> 'Samples':
+        return cls(np.zeros(0, np.int64), np.zeros((0, columns)), np.zeros(0), np.zeros(0), (),
+                   np.zeros(0, np.intp), np.zeros(0, np.intp))
+
+
+@dataclass(frozen=True)
+class ScalarSeries:
+    """One environment quantity: ``time_ns`` (n,), ``value`` (n,) [°C, Pa or 0..1], ``variance`` (n,)."""
+
+    time_ns: np.ndarray
+    value: np.ndarray
+    variance: np.ndarray
+
+
+@dataclass(frozen=True)
+class CalibrationLog:
+    """A log.
+
+    ``environment`` maps ``air_temperature``, ``air_pressure``, ``humidity``,
+    ``scale_temperature/x`` (``/y``, ``/z``) to series; absent keys were not logged.
+    ``warnings`` say what the reader repaired or left out; ``namespace`` is the machine's.
+    """
+
+    description: Description
+    steps: StepEvents
+    displacement: Samples
+    spot: Samples
+    environment: dict[str, ScalarSeries] = field(default_factory=dict)
+    source: str = 'log'
+    namespace: str = ''
+    warnings: tuple[str, ...] = ()

@@ -1,0 +1,89 @@
+"""What interferometer and PSD see of a flat mirror: the contract's closed forms.
+
+For a beam from ``O`` along the unit vector ``b`` and a mirror through ``p`` with
+normal ``m`` the distance along the beam is ``L = ((p − O)·m)/(b·m)``; ``m`` need not
+be of unit length.  The PSD's beam strikes at its own ``L``, leaves along
+``b − 2 (b·m) m/|m|²`` and meets the detector's plane, through its start and normal
+to ``d``.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from stepdiag_ros.model.description import Machine, Setup
+from stepdiag_ros.model.path import local_triad, setup_direction, start_corner
+
+
+@dataclass(frozen=True)
+class Misalignment:
+    """Small turns of one setup about its (u, v) [rad]: of the laser's beams and of the mirror's mount."""
+
+    laser: tuple[float, float] = (0.0, 0.0)
+    mirror: tuple[float, float] = (0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Station:
+    """A base unit in the machine frame, nominal.
+
+    ``triad`` (3, 3) rows u, v, d; ``origin`` (3,) [m] of the beams' reference.
+    """
+
+    triad: np.ndarray
+    origin: np.ndarray
+
+    def beam_origins(self, offsets: np.ndarray) -> np.ndarray:
+        """Start points (k, 3) [m] of beams with ``offsets`` (k, 2) [m] along u and v."""
+        return self.origin + np.atleast_2d(offsets) @ self.triad[:2]
+
+
+def station(machine: Machine, setup: Setup) -> Station:
+    """The nominal base unit of a setup: ``O = S + τ − standoff·d``."""
+    d = setup_direction(machine, setup.name)
+    origin = start_corner(machine, setup.name) + np.array(machine.tool) - setup.standoff * d
+    return Station(local_triad(d), origin)
+
+
+def turned(triad: np.ndarray, angles: np.ndarray) -> np.ndarray:
+    """Direction ``d`` turned by small angles about u and v, of unit length.
+
+    ``angles`` (…, 2) [rad] → (…, 3).  ``d + (α u + β v)×d = d − α v + β u``, then normalised.
+    """
+    angles = np.asarray(angles, float)
+    vector = triad[2] - angles[..., :1] * triad[1] + angles[..., 1:] * triad[0]
+    return vector / np.linalg.norm(vector, axis=-1, keepdims=True)
+
+
+def distance(point: np.ndarray, normal: np.ndarray, origin: np.ndarray,
+             beam: np.ndarray) -> np.ndarray:
+    """Distance along ``beam`` from ``origin`` to the plane: broadcast (…, 3) → (…) [m]."""
+    return np.sum((point - origin) * normal, -1) / np.sum(beam * normal, -1)
+
+
+def spot(point: np.ndarray, normal: np.ndarray, origin: np.ndarray, beam: np.ndarray,
+         triad: np.ndarray) -> np.ndarray:
+    """Where the beam returns to the plane of its start: (n, 2) [m] along u and v."""
+    cosine = np.sum(beam * normal, -1)
+    out = np.sum((point - origin) * normal, -1) / cosine
+    back = beam - (2.0 * cosine / np.sum(normal * normal, -1))[..., None] * normal
+    d = triad[2]
+    home = -out * (beam @ d) / (back @ d)
+    path = out[..., None] * beam + home[..., None] * back
+    return path @ triad[:2].T
+
+
+def measure(machine: Machine, setup: Setup, misalignment: Misalignment,
+            point: np.ndarray, attitude: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Distances and spots of one setup for mirror poses.
+
+    ``point`` (n, 3) [m], ``attitude`` (n, 3, 3) from :func:`~stepdiag_ros.model.machine.tool_pose`.
+    Returns absolute distances (n, beams) [m] (no reset taken off) and spots (n, 2) [m].
+    """
+    base = station(machine, setup)
+    beam = turned(base.triad, misalignment.laser)
+    normal = attitude @ -turned(base.triad, misalignment.mirror)
+    lengths = np.stack([distance(point, normal, start, beam)
+                        for start in base.beam_origins(np.array(setup.beams))], axis=-1)
+    start = base.beam_origins(np.array(setup.psd_offset))[0]
+    return lengths, spot(point, normal, start, np.broadcast_to(beam, point.shape), base.triad)
