@@ -1,0 +1,119 @@
+"""What every estimator gives back: values, covariance, status, and what it could not see."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from stepdiag_ros.model.machine import CURVES, SQUARENESS, Curve, GeometricErrors
+from stepdiag_ros.model.sensor import Misalignment
+
+
+@dataclass(frozen=True)
+class Unidentifiable:
+    """A direction the data say nothing about: the names that trade against each other, and why."""
+
+    names: tuple[str, ...]
+    why: str
+
+
+@dataclass(frozen=True)
+class Residuals:
+    """What the fit leaves at each stop visited, one row a stop of a run.
+
+    ``run``, ``setup``, ``repeat``, ``direction``, ``index``, ``axis``, ``time_s`` (n,) identify the
+    visit (``time_s`` from the log's first event); ``displacement_m`` (n, beams), ``spot_m`` (n, 2),
+    NaN where a reading is missing.
+    """
+
+    run: np.ndarray
+    setup: np.ndarray
+    repeat: np.ndarray
+    direction: np.ndarray
+    index: np.ndarray
+    axis: np.ndarray
+    time_s: np.ndarray
+    displacement_m: np.ndarray
+    spot_m: np.ndarray
+
+
+@dataclass(frozen=True)
+class Solution:
+    """The estimate of a machine's errors by one method.
+
+    ``positions`` maps a curve's name to its positions (k,) [m].  ``names`` orders the
+    parameters: ``('EXX', i)`` for the curve's value at its i-th position, ``('EC0Y', -1)`` for a
+    squareness error; ``value`` (p,) [m or rad] and ``covariance`` (p, p) follow it.  Curves are
+    zero at position 0 with zero variance.  Straightness and squareness refer to the reference
+    lines of ISO 230-1 (:mod:`stepdiag_ros.estimate.gauge`).  A method that cannot give an error
+    leaves its name out.
+    """
+
+    method: str
+    positions: Mapping[str, np.ndarray]
+    names: tuple[tuple[str, int], ...]
+    value: np.ndarray
+    covariance: np.ndarray
+    status: str = 'ok'
+    reduced_chi2: float | None = None
+    dof: int | None = None
+    unidentifiable: tuple[Unidentifiable, ...] = ()
+    gauge: str = ''
+    misalignments: Mapping[str, Misalignment] = field(default_factory=dict)
+    noise: Mapping[str, float] = field(default_factory=dict)
+    residuals: Residuals | None = None
+    warnings: tuple[str, ...] = ()
+    extra: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def sigma(self) -> np.ndarray:
+        """One standard deviation of every parameter (p,)."""
+        return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+
+    def curve(self, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Positions, values and standard deviations of a curve, each (k,)."""
+        rows = [i for i, (n, _) in enumerate(self.names) if n == name]
+        return np.asarray(self.positions[name]), self.value[rows], self.sigma[rows]
+
+    def squareness(self, name: str) -> tuple[float, float]:
+        """Value and standard deviation [rad] of ``EC0Y``, ``EB0Z`` or ``EA0Z``."""
+        row = self.names.index((name, -1))
+        return float(self.value[row]), float(self.sigma[row])
+
+    def has(self, name: str) -> bool:
+        return any(n == name for n, _ in self.names)
+
+    @property
+    def errors(self) -> GeometricErrors:
+        """The estimate as a machine that can be simulated or predicted with."""
+        curves = {}
+        for name in CURVES:
+            if self.has(name):
+                position, value, _ = self.curve(name)
+                curves[name] = Curve(position, value)
+        return GeometricErrors(curves, {n: self.squareness(n)[0] for n in SQUARENESS if self.has(n)})
+
+    def to_json_dict(self) -> dict[str, Any]:
+        """The contract's answer of ``stepdiag evaluate --json``."""
+        errors: dict[str, Any] = {}
+        for name in CURVES:
+            if self.has(name):
+                position, value, sigma = self.curve(name)
+                errors[name] = {'position_m': _list(position), 'value': _list(value),
+                                'sigma': _list(sigma)}
+        for name in SQUARENESS:
+            if self.has(name):
+                value, sigma = self.squareness(name)
+                errors[name] = {'value': value, 'sigma': sigma}
+        return {'method': self.method, 'status': self.status, 'errors': errors,
+                'unidentifiable': [{'names': list(u.names), 'why': u.why}
+                                   for u in self.unidentifiable],
+                'gauge': self.gauge, 'reduced_chi2': self.reduced_chi2, 'dof': self.dof,
+                'misalignments': {name: {'laser_rad': list(m.laser), 'mirror_rad': list(m.mirror)}
+                                  for name, m in self.misalignments.items()},
+                'noise': dict(self.noise), 'warnings': list(self.warnings), **self.extra}
+
+
+def _list(values: np.ndarray) -> list[float]:
+    return [float(v) for v in values]
