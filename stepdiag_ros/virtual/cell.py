@@ -1,0 +1,336 @@
+"""A cell in one YAML file: the machine that does not exist, its instruments, its air.
+
+:func:`load_cell` reads and checks a file such as ``cells/demo.yaml``; every complaint
+names the file, the line and the key.  What is *drawn* (geometry, misalignments) is
+drawn here, from the seed alone, so that a cell is the same machine wherever it is
+loaded.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+
+from stepdiag_ros.model.description import (
+    DIAGONALS,
+    LINEAR,
+    Description,
+    Machine,
+    Noise,
+    Plan,
+    Setup,
+)
+from stepdiag_ros.model.machine import GeometricErrors
+from stepdiag_ros.model.sensor import Misalignment
+from stepdiag_ros.virtual import drawn
+from stepdiag_ros.virtual.yamlreader import Reader, parse_yaml, read_yaml
+
+SCHEMA = 1
+
+
+@dataclass(frozen=True)
+class Air:
+    """Ambient air at the start and how it drifts; ``period`` [s] of the environment's readings.
+
+    ``compensated``: the interferometer divides the present index of air out of its
+    readings (and says so); otherwise it reports vacuum lengths.  ``sensors`` names the
+    quantities that are measured.  ``scale_temperature`` [°C] of X, Y, Z, ``None``: no sensors.
+    """
+
+    temperature: float = 20.0
+    pressure: float = 101325.0
+    humidity: float = 0.5
+    temperature_drift: float = 0.0   # °C/h
+    pressure_drift: float = 0.0      # Pa/h
+    humidity_drift: float = 0.0      # 1/h
+    compensated: bool = True
+    sensors: tuple[str, ...] = ('temperature', 'pressure', 'humidity')
+    scale_temperature: tuple[float, float, float] | None = None
+    period: float = 2.0
+
+
+@dataclass(frozen=True)
+class Motion:
+    """How the control moves: limits [m/s, m/s², m/s³], window [m], servo time constant, times [s].
+
+    ``dwell`` is how long a stop is measured, ``mount`` how long a change of setup takes
+    on the virtual clock (offline only; the operator's time is his own).
+    """
+
+    feed: float = 0.1
+    acceleration: float = 1.0
+    jerk: float = 20.0
+    in_position: float = 5.0e-8
+    settling: float = 0.004
+    dwell: float = 0.5
+    mount: float = 60.0
+
+
+@dataclass(frozen=True)
+class Endpoint:
+    """Where an instrument listens; port 0: the virtual cell picks a free one."""
+
+    host: str = '127.0.0.1'
+    port: int = 0
+
+
+@dataclass(frozen=True)
+class Detector:
+    """The PSD behind its analogue inputs: edge length [m], sum signal [V], inputs, mounting.
+
+    ``channels``: inputs of I1…I4; ``rotation`` [rad] from the detector's x to u, ``gain``
+    along its x and y, ``zero`` [m] as the driver is told to take them off.
+    """
+
+    length: float = 0.010
+    sum_voltage: float = 8.0
+    channels: tuple[int, int, int, int] = (0, 1, 2, 3)
+    rotation: float = 0.0
+    gain: tuple[float, float] = (1.0, 1.0)
+    zero: tuple[float, float] = (0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Instruments:
+    """Addresses and settings of the three instruments.
+
+    ``namespace`` is the firmware's (``ids`` before 1.9, ``sen`` since); ``newline`` whether it ends
+    an answer with one; ``multiplexer`` names the machines that share the interferometer's host.
+    """
+
+    interferometer: Endpoint = Endpoint()
+    psd: Endpoint = Endpoint()
+    psd_stream: Endpoint = Endpoint()
+    cnc: Endpoint = Endpoint()
+    namespace: str = 'sen'
+    newline: bool = True
+    multiplexer: tuple[str, ...] = ()
+    detector: Detector = Detector()
+
+
+@dataclass(frozen=True)
+class Sampling:
+    """Sample rates [Hz] and length of a block [s]; ``in_motion``: sample while the axes move too."""
+
+    interferometer: float = 1000.0
+    psd: float = 1000.0
+    block: float = 0.1
+    in_motion: bool = True
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A virtual cell, everything drawn.
+
+    ``description`` is what the log will say; the rest is the truth behind it.
+    ``misalignments`` and ``psd_zero`` [m] are by setup; ``effects`` maps the contract's
+    names to parameters; ``faults`` are injected by the servers (tests).
+    """
+
+    source: str
+    seed: int
+    description: Description
+    geometry: GeometricErrors
+    misalignments: Mapping[str, Misalignment]
+    psd_zero: Mapping[str, tuple[float, float]]
+    air: Air = Air()
+    motion: Motion = Motion()
+    effects: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    instruments: Instruments = Instruments()
+    sampling: Sampling = Sampling()
+    faults: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+
+    @property
+    def setup_names(self) -> tuple[str, ...]:
+        return tuple(self.description.setups)
+
+
+def load_cell(path: str | Path) -> Cell:
+    """Read a cell file; :class:`~stepdiag_ros.errors.StepdiagError` names file, line and key."""
+    return _cell(read_yaml(path))
+
+
+def parse_cell(text: str, source: str = 'cell') -> Cell:
+    """As :func:`load_cell`, from text."""
+    return _cell(parse_yaml(text, source))
+
+
+def _cell(top: Reader) -> Cell:
+    keys = top.mapping(('schema', 'seed', 'machine', 'plan', 'setups', 'noise', 'geometry',
+                        'misalignments', 'air', 'motion', 'effects', 'instruments', 'sampling',
+                        'faults'))
+    if 'schema' in keys and keys['schema'].count() != SCHEMA:
+        raise keys['schema'].fail(f'must be {SCHEMA} for this version')
+    for needed in ('machine', 'plan', 'setups'):
+        if needed not in keys:
+            raise top.fail(f'the key {needed!r} is missing; see cells/demo.yaml')
+    seed = keys['seed'].count() if 'seed' in keys else 0
+    machine = _machine(keys['machine'])
+    setups = _setups(keys['setups'], machine)
+    description = Description(machine, _plan(keys['plan']), setups, _noise(keys.get('noise')))
+    misalignments, zero = drawn.misalignments(keys.get('misalignments'), seed, tuple(setups))
+    motion = _fill(Motion, keys.get('motion'), {
+        'feed': {'above': 0.0, 'unit': 'm/s'}, 'acceleration': {'above': 0.0, 'unit': 'm/s²'},
+        'jerk': {'above': 0.0, 'unit': 'm/s³'}, 'in_position': {'above': 0.0, 'unit': 'm'},
+        'settling': {'minimum': 0.0, 'unit': 's'}, 'dwell': {'above': 0.0, 'unit': 's'},
+        'mount': {'minimum': 0.0, 'unit': 's'}})
+    return Cell(source=top.source, seed=seed, description=description,
+                geometry=drawn.geometry(keys.get('geometry'), seed, description),
+                misalignments=misalignments, psd_zero=zero, air=_air(keys.get('air')),
+                motion=motion, effects=_named_mappings(keys.get('effects')),
+                instruments=_instruments(keys.get('instruments')),
+                sampling=_sampling(keys.get('sampling')),
+                faults=_named_mappings(keys.get('faults')))
+
+
+def _machine(node: Reader) -> Machine:
+    keys = node.mapping(('name', 'chain', 'volume', 'tool'))
+    if 'volume' not in keys:
+        raise node.fail("the key 'volume' is missing; give the travels of X, Y, Z [m]")
+    chain = keys['chain'].text().upper() if 'chain' in keys else 'FXYZ'
+    if sorted(chain) != sorted('FXYZ'):
+        raise keys['chain'].fail(f"is {chain!r}; write F, X, Y and Z once each, e.g. 'FXYZ'")
+    tool = keys['tool'].vector(3) if 'tool' in keys else (0.0, 0.0, 0.0)
+    name = keys['name'].text() if 'name' in keys else 'machine'
+    return Machine(name, chain, keys['volume'].vector(3, above=0.0), tool)
+
+
+def _plan(node: Reader) -> Plan:
+    keys = node.mapping(('steps', 'order', 'repeats'))
+    if 'steps' not in keys:
+        raise node.fail("the key 'steps' is missing; give the number of steps an axis")
+    order = keys['order'].text().upper() if 'order' in keys else 'XYZ'
+    if sorted(order) != ['X', 'Y', 'Z']:
+        raise keys['order'].fail(f'is {order!r}; name X, Y and Z once each')
+    repeats = keys['repeats'].count(1) if 'repeats' in keys else 1
+    return Plan(keys['steps'].count(1), order, repeats)
+
+
+def _setups(node: Reader, machine: Machine) -> dict[str, Setup]:
+    setups = {}
+    for name, child in node.mapping(DIAGONALS + LINEAR).items():
+        linear = name in LINEAR
+        keys = child.mapping(('standoff', 'psd_offset', 'beams')
+                             + (('length', 'stops') if linear else ()))
+        standoff = keys['standoff'].number(minimum=0.0, unit='m') if 'standoff' in keys else 0.0
+        offset = keys['psd_offset'].vector(2) if 'psd_offset' in keys else (0.0, 0.0)
+        beams = tuple(b.vector(2) for b in keys['beams'].items()) if 'beams' in keys \
+            else ((0.0, 0.0),)
+        if not 1 <= len(beams) <= 3:
+            raise keys['beams'].fail(f'has {len(beams)} beams; an interferometer has 1 to 3')
+        length = stops = None
+        if linear:
+            travel = machine.volume['xyz'.index(name[-1])]
+            length = keys['length'].number(above=0.0, maximum=travel, unit='m') \
+                if 'length' in keys else travel
+            stops = keys['stops'].count(2) if 'stops' in keys else 2
+        setups[name] = Setup(name, standoff, offset, beams, length, stops)
+    if not setups:
+        raise node.fail(f'is empty; name at least one of {", ".join(DIAGONALS + LINEAR)}')
+    return setups
+
+
+def _noise(node: Reader | None) -> Noise:
+    return _fill(Noise, node, {key: {'minimum': 0.0} for key in vars(Noise())})
+
+
+def _fill(kind: type, node: Reader | None, rules: dict[str, dict]) -> Any:
+    """A dataclass of numbers from a mapping with the same keys."""
+    if node is None or node.is_null:
+        return kind()
+    return kind(**{key: child.number(**rules[key])
+                   for key, child in node.mapping(tuple(rules)).items()})
+
+
+def _air(node: Reader | None) -> Air:
+    if node is None or node.is_null:
+        return Air()
+    keys = node.mapping(('temperature', 'pressure', 'humidity', 'drift', 'compensated', 'sensors',
+                         'scale_temperature', 'period'))
+    given: dict[str, Any] = {}
+    for key, rule in {'temperature': {'minimum': -20.0, 'maximum': 60.0, 'unit': '°C'},
+                      'pressure': {'minimum': 5.0e4, 'maximum': 1.2e5, 'unit': 'Pa'},
+                      'humidity': {'minimum': 0.0, 'maximum': 1.0},
+                      'period': {'above': 0.0, 'unit': 's'}}.items():
+        if key in keys:
+            given[key] = keys[key].number(**rule)
+    if 'drift' in keys:
+        for key, child in keys['drift'].mapping(('temperature', 'pressure', 'humidity')).items():
+            given[f'{key}_drift'] = child.number()
+    if 'compensated' in keys:
+        given['compensated'] = keys['compensated'].boolean()
+    if 'sensors' in keys:
+        given['sensors'] = tuple(item.text(('temperature', 'pressure', 'humidity'))
+                                 for item in keys['sensors'].items())
+    if 'scale_temperature' in keys and not keys['scale_temperature'].is_null:
+        given['scale_temperature'] = keys['scale_temperature'].vector(3, unit='°C')
+    return Air(**given)
+
+
+def _endpoint(keys: dict[str, Reader], port: str = 'port') -> Endpoint:
+    host = keys['host'].text() if 'host' in keys else Endpoint.host
+    return Endpoint(host, keys[port].count(0, 65535) if port in keys else 0)
+
+
+def _instruments(node: Reader | None) -> Instruments:
+    if node is None or node.is_null:
+        return Instruments()
+    given: dict[str, Any] = {}
+    top = node.mapping(('interferometer', 'psd', 'cnc'))
+    if 'interferometer' in top:
+        keys = top['interferometer'].mapping(('host', 'port', 'namespace', 'newline', 'multiplexer'))
+        given['interferometer'] = _endpoint(keys)
+        if 'namespace' in keys:
+            given['namespace'] = keys['namespace'].text(('ids', 'sen'))
+        if 'newline' in keys:
+            given['newline'] = keys['newline'].boolean()
+        if 'multiplexer' in keys:
+            given['multiplexer'] = tuple(item.text() for item in keys['multiplexer'].items())
+    if 'psd' in top:
+        keys = top['psd'].mapping(('host', 'port', 'stream_port', 'length', 'sum_voltage',
+                                   'channels', 'rotation', 'gain', 'zero'))
+        given['psd'], given['psd_stream'] = _endpoint(keys), _endpoint(keys, 'stream_port')
+        detector: dict[str, Any] = {}
+        for key, unit in (('length', 'm'), ('sum_voltage', 'V')):
+            if key in keys:
+                detector[key] = keys[key].number(above=0.0, unit=unit)
+        if 'rotation' in keys:
+            detector['rotation'] = keys['rotation'].number(unit='rad')
+        for key, unit in (('gain', '1'), ('zero', 'm')):
+            if key in keys:
+                detector[key] = keys[key].vector(2, unit=unit)
+        if 'channels' in keys:
+            channels = tuple(item.count(0, 13) for item in keys['channels'].items())
+            if len(channels) != 4 or len(set(channels)) != 4:
+                raise keys['channels'].fail('must name four different analogue inputs')
+            detector['channels'] = channels
+        given['detector'] = Detector(**detector)
+    if 'cnc' in top:
+        given['cnc'] = _endpoint(top['cnc'].mapping(('host', 'port')))
+    return Instruments(**given)
+
+
+def _sampling(node: Reader | None) -> Sampling:
+    if node is None or node.is_null:
+        return Sampling()
+    keys = node.mapping(('interferometer', 'psd', 'block', 'in_motion'))
+    given: dict[str, Any] = {}
+    for key in ('interferometer', 'psd'):
+        if key in keys:
+            given[key] = keys[key].number(above=0.0, maximum=50_000.0, unit='Hz')
+    if 'block' in keys:
+        given['block'] = keys['block'].number(above=0.0, unit='s')
+    if 'in_motion' in keys:
+        given['in_motion'] = keys['in_motion'].boolean()
+    return Sampling(**given)
+
+
+def _named_mappings(node: Reader | None) -> dict[str, dict[str, Any]]:
+    """``{name: {parameter: value}}``; a name without parameters gets an empty mapping."""
+    if node is None or node.is_null:
+        return {}
+    return {name: {} if child.is_null else {k: v.plain() for k, v in child.mapping().items()}
+            for name, child in node.mapping().items()}
+
+
