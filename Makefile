@@ -1,0 +1,40 @@
+# make demo: from nothing to a calibrated virtual machine.  make test: from nothing to passed tests.
+# PYTHON=/path/to/python3.12 names a Python, VENV=/path another place for the environment.
+
+VENV ?= .venv
+WORKERS ?= 2
+BIN := $(VENV)/bin
+SETUP = python=$$(PYTHON="$(PYTHON)" sh tools/find_python.sh) && "$$python" tools/setup_env.py --venv "$(VENV)"
+
+.PHONY: setup setup-tests demo test lint bench linuxcnc-test browser-test clean
+
+setup:
+	@$(SETUP)
+
+setup-tests:
+	@$(SETUP) --tests
+
+demo: setup
+	@$(BIN)/stepdiag demo
+
+test: setup-tests
+	$(BIN)/python -m pytest -n $(WORKERS) $(ARGS)
+
+lint: setup-tests
+	$(BIN)/ruff check .
+	$(BIN)/lint-imports
+
+bench: setup-tests
+	@for bench in bench/bench_*.py; do echo "== $$bench"; $(BIN)/python $$bench || exit 1; done
+
+# The optional parts.  What they need besides: sudo apt-get install linuxcnc-uspace / chromium
+linuxcnc-test: setup-tests
+	$(BIN)/python -m pytest -rs -m linuxcnc $(ARGS)
+
+browser-test: setup-tests
+	$(BIN)/python -m pytest -rs -m browser $(ARGS)
+
+clean:
+	rm -rf "$(VENV)" "$(VENV).lock" build install log .pytest_cache .ruff_cache .import_linter_cache
+	find . -name __pycache__ -prune -exec rm -rf {} +
+	rm -rf *.egg-info

@@ -1,0 +1,49 @@
+"""Installs stepdiag_ros, by colcon as an ament_python package and by pip alike.
+
+The version stands in package.xml, which ROS tools read, and nowhere else here.
+"""
+
+from glob import glob
+from pathlib import Path
+from xml.etree import ElementTree
+
+from setuptools import find_packages, setup
+
+NAME = 'stepdiag_ros'
+NODES = (
+    'interferometer_driver',
+    'psd_driver',
+    'step_sequencer',
+    'evaluation_solver',
+    'recorder',
+    'gap_monitor',
+    'bringup',
+)
+
+manifest = ElementTree.parse(Path(__file__).with_name('package.xml')).getroot()
+
+setup(
+    name=NAME,
+    version=manifest.findtext('version'),
+    description=manifest.findtext('description'),
+    license=manifest.findtext('license'),
+    maintainer=manifest.findtext('maintainer'),
+    maintainer_email=manifest.find('maintainer').get('email'),
+    packages=find_packages(include=[NAME, f'{NAME}.*']),
+    package_data={NAME: ['**/*.yaml', '**/*.html', '**/*.css', '**/*.js', '**/*.svg']},
+    python_requires='>=3.11',
+    install_requires=['setuptools', 'numpy', 'scipy', 'PyYAML', 'mcap', 'matplotlib', 'pymodbus'],
+    zip_safe=False,
+    data_files=[
+        ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
+        (f'share/{NAME}', ['package.xml']),
+        (f'share/{NAME}/launch', sorted(glob('launch/*.launch.py'))),
+        (f'share/{NAME}/cells', sorted(glob('cells/*.yaml'))),
+    ],
+    entry_points={
+        'console_scripts': [
+            f'stepdiag = {NAME}.cli.main:main',
+            *(f'{node} = {NAME}.nodes.{node}:main' for node in NODES),
+        ],
+    },
+)
