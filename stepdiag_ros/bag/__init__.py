@@ -1,0 +1,1 @@
+"""Logs in and out: rosbag2 and MCAP files, without ROS."""

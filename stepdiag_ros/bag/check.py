@@ -1,0 +1,135 @@
+"""Is the log whole?  Lost messages, stops planned and seen, dwells and their samples."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from stepdiag_ros.bag.tables import TopicTable
+from stepdiag_ros.model.description import Description
+from stepdiag_ros.model.log import DONE, DWELL, Samples, StepEvents
+
+
+def lost_messages(table: TopicTable) -> int | None:
+    """Messages missing between the first and the last, by sequence number.
+
+    ``None`` where the writer set no numbers (all alike).  A fall is a publisher
+    that began anew, not a loss; a number seen twice is not one either.
+    """
+    if not table.sequences:
+        return None
+    sequence = np.concatenate(table.sequences).astype(np.int64)
+    if len(sequence) < 2 or (sequence == sequence[0]).all():
+        return None
+    return int(np.maximum(np.diff(sequence) - 1, 0).sum())
+
+
+def planned_stops(description: Description, setup: str) -> int:
+    """Stops of one traverse: 3N + 1 on a diagonal, a linear setup's own number."""
+    own = description.setups[setup].stops
+    return own if own is not None else 3 * description.plan.steps + 1
+
+
+@dataclass(frozen=True)
+class Traverse:
+    """One run in one direction and repeat, as seen: ``dwells`` by stop, ``missing`` stops."""
+
+    run_id: str
+    setup: str
+    repeat: int
+    direction: int
+    planned: int
+    seen: tuple[int, ...]
+    missing: tuple[int, ...]
+    double: tuple[int, ...]
+    outside: tuple[int, ...]
+
+
+def traverses(description: Description, steps: StepEvents) -> list[Traverse]:
+    """Every traverse of the log in order of its first event."""
+    keys = np.stack([steps.run, steps.setup, steps.repeat, steps.direction], axis=1) \
+        if len(steps) else np.zeros((0, 4), np.int64)
+    unique, first, inverse = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+    found = []
+    for k in np.argsort(first, kind='stable'):
+        run, setup, repeat, direction = (int(v) for v in unique[k])
+        name = steps.setup_names[setup]
+        planned = planned_stops(description, name)
+        dwell = (inverse.ravel() == k) & (steps.phase == DWELL)
+        seen, counts = np.unique(steps.index[dwell], return_counts=True)
+        inside = seen < planned
+        found.append(Traverse(
+            steps.run_ids[run], name, repeat, direction, planned,
+            tuple(int(i) for i in seen[inside]),
+            tuple(int(i) for i in np.setdiff1d(np.arange(planned), seen)),
+            tuple(int(i) for i in seen[counts > 1]), tuple(int(i) for i in seen[~inside])))
+    return found
+
+
+def dwell_spans(steps: StepEvents) -> np.ndarray:
+    """Rows (m, 3): event number of each dwell, its begin and end [ns].
+
+    A dwell ends with ``DONE`` or, where that is missing, with the next event.
+    """
+    begin = np.flatnonzero(steps.phase == DWELL)
+    if not len(begin):
+        return np.zeros((0, 3), np.int64)
+    end_event = np.minimum(begin + 1, len(steps) - 1)
+    end = steps.time_ns[end_event].copy()
+    end[begin == len(steps) - 1] = np.iinfo(np.int64).max
+    return np.stack([begin, steps.time_ns[begin], end], axis=1)
+
+
+def samples_in_dwells(steps: StepEvents, samples: Samples) -> np.ndarray:
+    """Samples of the dwell's own setup within each dwell, (m,)."""
+    spans = dwell_spans(steps)
+    counts = np.zeros(len(spans), np.int64)
+    for setup in np.unique(steps.setup[spans[:, 0]]) if len(spans) else ():
+        mine = steps.setup[spans[:, 0]] == setup
+        time = samples.time_ns[samples.setup == setup] if len(samples) else np.zeros(0, np.int64)
+        counts[mine] = np.searchsorted(time, spans[mine, 2]) - np.searchsorted(time, spans[mine, 1])
+    return counts
+
+
+def listed(numbers: tuple[int, ...] | list[int], most: int = 6) -> str:
+    """``1, 2, 3`` with the tail cut."""
+    shown = ', '.join(str(n) for n in numbers[:most])
+    return shown + (f' and {len(numbers) - most} more' if len(numbers) > most else '')
+
+
+def stop_warnings(description: Description, steps: StepEvents, displacement: Samples,
+                  spot: Samples) -> list[str]:
+    """What of the plan is missing, doubled or empty, a line each."""
+    warnings = []
+    found = traverses(description, steps)
+    for t in found:
+        where = f'run {t.run_id} ({t.setup}, repeat {t.repeat}, direction {t.direction:+d})'
+        if t.missing:
+            warnings.append(f'{where}: {len(t.missing)} of {t.planned} stops missing: '
+                            f'{listed(t.missing)}')
+        if t.double:
+            warnings.append(f'{where}: stop(s) {listed(t.double)} visited more than once')
+        if t.outside:
+            warnings.append(f'{where}: stop(s) {listed(t.outside)} beyond the '
+                            f'{t.planned} of the plan')
+    for name in description.setups:
+        repeats = {t.repeat for t in found if t.setup == name}
+        if not repeats:
+            warnings.append(f'setup {name} is described but has no run')
+        elif len(repeats) < description.plan.repeats:
+            warnings.append(f'setup {name}: {len(repeats)} of {description.plan.repeats} '
+                            'planned repeats are there')
+    ends = int((steps.phase == DONE).sum())
+    begins = int((steps.phase == DWELL).sum())
+    if begins != ends:
+        warnings.append(f'{begins} dwells began and {ends} ended; '
+                        'a dwell without an end lasts to the next event')
+    for samples, label in ((displacement, 'displacement'), (spot, 'spot')):
+        if len(samples):
+            counts = samples_in_dwells(steps, samples)
+            empty = int((counts == 0).sum())
+            if empty:
+                spans = dwell_spans(steps)[counts == 0, 0]
+                where = [f'{steps.run_ids[steps.run[e]]} stop {steps.index[e]}' for e in spans]
+                warnings.append(f'{empty} of {len(counts)} dwells hold no {label} sample: '
+                                f'{listed(where, 3)}')
+    return warnings

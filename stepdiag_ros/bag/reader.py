@@ -1,0 +1,257 @@
+"""A calibration log from a bag: :func:`read_log`.
+
+Reads what the wire contract fixes and nothing else; knows no ROS.  Damage stops
+the reading with one line and the remedy; what a lab can get wrong in a sound file
+is left out and kept in ``CalibrationLog.warnings``.
+"""
+
+from pathlib import Path
+
+import numpy as np
+
+from stepdiag_ros.bag.blocks import backwards, displacement_samples, order_of, spot_samples, stamps_ns, text
+from stepdiag_ros.bag.check import lost_messages, stop_warnings
+from stepdiag_ros.bag.schemas import (
+    DESCRIPTION,
+    DISPLACEMENT,
+    SCALAR_FIELD,
+    SCALE,
+    SPOT,
+    STEP,
+    TOPICS,
+    split_topic,
+)
+from stepdiag_ros.bag.source import BagSource, open_bag
+from stepdiag_ros.bag.tables import Tables, TopicTable, collect
+from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.model.description import Description
+from stepdiag_ros.model.log import CalibrationLog, Samples, ScalarSeries, StepEvents
+
+_MAIN = (DESCRIPTION, STEP, DISPLACEMENT)
+
+
+def read_log(path: str | Path, namespace: str | None = None,
+             description: Description | None = None) -> CalibrationLog:
+    """Read the log of one machine from a rosbag2 directory or a bare ``.mcap``.
+
+    ``namespace`` chooses the machine where a bag holds several; ``description``
+    stands in for a bag's own.  Raises :class:`StepdiagError`.
+    """
+    source = open_bag(path)
+    wanted = None if namespace is None else '/' + namespace.strip('/') if namespace.strip('/') else ''
+    tables = collect(source.files, lambda topic: _wanted(topic, wanted))
+    return build_log(source, tables, namespace, description)
+
+
+def _wanted(topic: str, namespace: str | None) -> bool:
+    split = split_topic(topic)
+    return split is not None and (namespace is None or split[0] == namespace
+                                  or split[0] == namespace.lstrip('/'))
+
+
+def namespaces(tables: Tables) -> list[str]:
+    """Machines of a bag: namespaces with a description, steps or displacements."""
+    found = []
+    for topic in tables.topics:
+        split = split_topic(topic)
+        if split is not None and split[1] in _MAIN and split[0] not in found:
+            found.append(split[0])
+    return found
+
+
+def choose(tables: Tables, namespace: str | None, path: Path) -> str:
+    """The namespace to read; :class:`StepdiagError` names the choices."""
+    found = namespaces(tables)
+    listing = ', '.join(n or '(none)' for n in found)
+    if namespace is None:
+        if not found:
+            topics = ', '.join(sorted(tables.topics)[:4]) or 'no topic at all'
+            raise StepdiagError(f'{path}: holds no topic of a calibration log (it holds {topics}); '
+                                f'wanted are {", ".join(_MAIN)} below a machine namespace')
+        if len(found) > 1:
+            raise StepdiagError(f'{path}: holds the machines {listing}; choose one with --namespace')
+        return found[0]
+    for name in found:
+        if name.strip('/') == namespace.strip('/'):
+            return name
+    raise StepdiagError(f'{path}: has no machine {namespace}; it holds {listing or "none"}')
+
+
+def build_log(source: BagSource, tables: Tables, namespace: str | None = None,
+              description: Description | None = None) -> CalibrationLog:
+    """The log of one machine from tables already read."""
+    name = choose(tables, namespace, source.path)
+    mine = {relative: tables.topics.get(f'{name}/{relative}' if name else relative)
+            or tables.topics.get(f'/{relative}' if not name else f'{name}/{relative}')
+            for relative in TOPICS}
+    warnings = [*source.warnings, *tables.warnings, *_wrong_counts(source, tables)]
+    if not tables.checked:
+        warnings.append('the file carries no CRCs: a changed byte in it would not be noticed')
+    if description is None:
+        description = _description(source.path, name, mine[DESCRIPTION])
+    for relative in (STEP, DISPLACEMENT):
+        if mine[relative] is None or not mine[relative].count:
+            raise StepdiagError(f'{source.path}: topic {name}/{relative} '
+                                f'({TOPICS[relative]}) is missing or has no message; '
+                                'without it nothing can be evaluated')
+    setup_names = tuple(description.setups)
+    steps, notes = _steps(mine[STEP], setup_names)
+    warnings += notes
+    displacement, notes = displacement_samples(mine[DISPLACEMENT], setup_names)
+    warnings += notes
+    for found, relative in ((steps, STEP), (displacement, DISPLACEMENT)):
+        if not len(found):
+            raise StepdiagError(f'{source.path}: topic {name}/{relative} holds nothing that can be '
+                                f'used: {notes_of(warnings, relative)}')
+    spot = Samples.empty(2)
+    if mine[SPOT] is None or not mine[SPOT].count:
+        warnings.append(f'{name}/{SPOT} is missing: no angle is measured, '
+                        'the evaluation rests on distances alone')
+    else:
+        spot, notes = spot_samples(mine[SPOT], setup_names)
+        warnings += notes
+    environment: dict[str, ScalarSeries] = {}
+    for relative, table in mine.items():
+        if table is not None and TOPICS[relative] in SCALAR_FIELD:
+            series, notes = _scalars(relative, table)
+            environment |= series
+            warnings += notes
+    for table in mine.values():
+        lost = lost_messages(table) if table is not None else None
+        if lost:
+            warnings.append(f'{table.topic}: {lost} message(s) were lost before the recorder '
+                            '(gaps in the sequence numbers)')
+    warnings += stop_warnings(description, steps, displacement, spot)
+    return CalibrationLog(description, steps, displacement, spot, environment, str(source.path),
+                          name, tuple(warnings))
+
+
+def notes_of(warnings: list[str], relative: str) -> str:
+    """Warnings about one topic in one line."""
+    return '; '.join(w.split(': ', 1)[-1] for w in warnings if relative in w) or 'all blocks are empty'
+
+
+def _wrong_counts(source: BagSource, tables: Tables) -> list[str]:
+    if source.counts is None:
+        return []
+    warnings = []
+    for topic in sorted(source.counts.keys() | tables.topics.keys()):
+        said = source.counts.get(topic)
+        held = tables.topics[topic].count if topic in tables.topics else 0
+        if (said or 0) != held:
+            warnings.append(f'metadata.yaml says {"nothing" if said is None else said} of the '
+                            f'messages of {topic}, the bag holds {held}; believing the bag')
+    return warnings
+
+
+def _description(path: Path, name: str, table: TopicTable | None) -> Description:
+    topic = f'{name}/{DESCRIPTION}'
+    if table is None or not table.groups:
+        raise StepdiagError(f'{path}: topic {topic} ({TOPICS[DESCRIPTION]}) is missing or has no '
+                            'message; without the description of machine and setups nothing can be '
+                            'evaluated')
+    texts = {bytes(raw).decode('utf-8', 'replace') for g in table.groups for raw in g.values['data']}
+    found = [Description.from_yaml(t, f'{path}: {topic}') for t in sorted(texts)]
+    if any(other != found[0] for other in found[1:]):
+        raise StepdiagError(f'{path}: topic {topic} holds {len(found)} descriptions that differ; '
+                            'record each cell in a bag of its own')
+    return found[0]
+
+
+def _stack(table: TopicTable, path: str) -> np.ndarray:
+    return np.concatenate([group.values[path] for group in table.groups])
+
+
+def _ordered(table: TopicTable) -> tuple[np.ndarray, np.ndarray, list[str]]:
+    """Stamps (n,) in log order of groups, the order by (stamp, sequence), warnings."""
+    stamp = np.concatenate([stamps_ns(group.values) for group in table.groups])
+    number = np.concatenate([group.number for group in table.groups])
+    sequence = np.concatenate([group.sequence for group in table.groups])
+    warnings = backwards(stamp, number, table.topic)
+    if table.malformed:
+        warnings.append(f'{table.topic}: left out {table.malformed} message(s) '
+                        'that do not hold their type')
+    return stamp, order_of(stamp, sequence, number), warnings
+
+
+def _steps(table: TopicTable, setup_names: tuple[str, ...]) -> tuple[StepEvents, list[str]]:
+    """Events of ``sequencer/step`` in order; those that cannot be are left out."""
+    if not table.groups:
+        return _no_steps(setup_names), [f'{table.topic}: left out {table.malformed} message(s) '
+                                        'that do not hold their type']
+    stamp, order, warnings = _ordered(table)
+    columns = {key: _stack(table, key)[order] for key in
+               ('run_id', 'setup', 'repeat', 'direction', 'index', 'axis', 'phase')}
+    stamp = stamp[order]
+    commanded = np.stack([_stack(table, f'commanded.{c}') for c in 'xyz'], axis=1)[order].astype(float)
+    names, inverse = text(columns['setup'])
+    setup = np.array([setup_names.index(n) if n in setup_names else -1 for n in names], np.intp)[inverse]
+    good = np.ones(len(stamp), bool)
+
+    def drop(bad: np.ndarray, why: str) -> None:
+        nonlocal good
+        count = int((bad & good).sum())
+        good &= ~bad
+        if count:
+            warnings.append(f'{table.topic}: left out {count} event(s) {why}')
+
+    for position, name in enumerate(names):
+        if name not in setup_names:
+            drop(inverse == position, f'of unknown setup {name!r} '
+                                      f'(the description has {", ".join(setup_names)})')
+    drop(~np.isin(columns['phase'], (0, 1, 2)), 'whose phase is none of MOVE, DWELL, DONE')
+    drop(~np.isin(columns['axis'], (0, 1, 2, 255)), 'whose axis is none of X, Y, Z, NONE')
+    drop(~np.isin(columns['direction'], (-1, 1)), 'whose direction is neither +1 nor -1')
+    same = np.zeros(len(stamp), bool)
+    same[1:] = np.logical_and.reduce([c[1:] == c[:-1] for c in (stamp, *columns.values())])
+    drop(same, 'that the log holds twice')
+    run_names, run = text(columns['run_id'])
+    first = np.array([np.flatnonzero(good & (run == k))[:1].sum() if (good & (run == k)).any() else -1
+                      for k in range(len(run_names))], np.intp)
+    # Runs are numbered in the order in which they began.
+    present = [int(k) for k in np.argsort(first, kind='stable') if first[k] >= 0]
+    renumber = np.full(len(run_names), -1, np.intp)
+    renumber[present] = np.arange(len(present))
+    events = StepEvents(
+        stamp[good], tuple(run_names[k] for k in present), renumber[run][good], setup_names,
+        setup[good], *(columns[key][good].astype(np.int64)
+                       for key in ('repeat', 'direction', 'index', 'axis')),
+        commanded[good], columns['phase'][good].astype(np.int64))
+    odd = int((~np.isfinite(events.commanded)).any(axis=1).sum())
+    if odd:
+        warnings.append(f'{table.topic}: {odd} event(s) carry a commanded position that is NaN or '
+                        'infinite; the plan\'s position stands')
+    return events, warnings
+
+
+def _no_steps(setup_names: tuple[str, ...]) -> StepEvents:
+    none = np.zeros(0, np.int64)
+    return StepEvents(none, (), none, setup_names, none, none, none, none, none,
+                      np.zeros((0, 3)), none)
+
+
+def _scalars(relative: str, table: TopicTable) -> tuple[dict[str, ScalarSeries], list[str]]:
+    """Series of one environment topic; the scales' temperatures are split by axis."""
+    if not table.groups:
+        return {}, []
+    stamp, order, warnings = _ordered(table)
+    value = _stack(table, SCALAR_FIELD[TOPICS[relative]])[order].astype(float)
+    variance = _stack(table, 'variance')[order].astype(float)
+    stamp = stamp[order]
+    good = np.isfinite(value)
+    if not good.all():
+        warnings.append(f'{table.topic}: left out {int((~good).sum())} value(s) that are NaN or infinite')
+    if relative != SCALE:
+        key = relative.split('/')[-1]
+        return {key: ScalarSeries(stamp[good], value[good], variance[good])}, warnings
+    names, inverse = text(_stack(table, 'header.frame_id')[order])
+    series = {}
+    for position, name in enumerate(names):
+        rows = good & (inverse == position)
+        if name.lower() not in ('x', 'y', 'z'):
+            warnings.append(f'{table.topic}: left out {int(rows.sum())} value(s) of frame_id {name!r}; '
+                            'it must be x, y or z')
+        elif rows.any():
+            series[f'scale_temperature/{name.lower()}'] = ScalarSeries(stamp[rows], value[rows],
+                                                                       variance[rows])
+    return series, warnings

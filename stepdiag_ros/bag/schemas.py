@@ -1,0 +1,63 @@
+"""Texts of the message definitions that a log needs, and the contract's topics.
+
+``DEFINITIONS`` maps ``package/msg/Name`` to the definition without comments, as
+``ros2msg`` schemas carry it.  The ones of ``stepdiag_msgs`` say the same as
+``msg_defs/msg/*.msg`` (a test compares them); the others are those of
+``common_interfaces`` in ROS 2 Jazzy.
+"""
+
+DEFINITIONS = {
+    'builtin_interfaces/msg/Time': 'int32 sec\nuint32 nanosec\n',
+    'std_msgs/msg/Header': 'builtin_interfaces/Time stamp\nstring frame_id\n',
+    'std_msgs/msg/String': 'string data\n',
+    'geometry_msgs/msg/Point': 'float64 x\nfloat64 y\nfloat64 z\n',
+    'sensor_msgs/msg/Temperature':
+        'std_msgs/Header header\nfloat64 temperature\nfloat64 variance\n',
+    'sensor_msgs/msg/FluidPressure':
+        'std_msgs/Header header\nfloat64 fluid_pressure\nfloat64 variance\n',
+    'sensor_msgs/msg/RelativeHumidity':
+        'std_msgs/Header header\nfloat64 relative_humidity\nfloat64 variance\n',
+    'stepdiag_msgs/msg/Displacement':
+        'std_msgs/Header header\nfloat64 sample_period\nuint8 beams\nfloat64[] displacement\n'
+        'float64 refractive_index\nuint8[] quality\n',
+    'stepdiag_msgs/msg/SpotPosition':
+        'std_msgs/Header header\nfloat64 sample_period\nfloat64[] x\nfloat64[] y\n'
+        'float64[] intensity\n',
+    'stepdiag_msgs/msg/Step':
+        'uint8 MOVE=0\nuint8 DWELL=1\nuint8 DONE=2\nuint8 NONE=255\nstd_msgs/Header header\n'
+        'string run_id\nstring setup\nuint16 repeat\nint8 direction\nuint16 index\nuint8 axis\n'
+        'geometry_msgs/Point commanded\nuint8 phase\n',
+}
+
+DESCRIPTION = 'cell_description'
+STEP = 'sequencer/step'
+DISPLACEMENT = 'interferometer/displacement'
+SPOT = 'psd/spot'
+SCALE = 'environment/scale_temperature'
+
+#: Contract topics, relative to a machine's namespace, and their types.
+TOPICS = {
+    DESCRIPTION: 'std_msgs/msg/String',
+    STEP: 'stepdiag_msgs/msg/Step',
+    DISPLACEMENT: 'stepdiag_msgs/msg/Displacement',
+    SPOT: 'stepdiag_msgs/msg/SpotPosition',
+    'environment/air_temperature': 'sensor_msgs/msg/Temperature',
+    'environment/air_pressure': 'sensor_msgs/msg/FluidPressure',
+    'environment/humidity': 'sensor_msgs/msg/RelativeHumidity',
+    SCALE: 'sensor_msgs/msg/Temperature',
+}
+
+#: The scalar of each environment type, and the key of ``CalibrationLog.environment``.
+SCALAR_FIELD = {
+    'sensor_msgs/msg/Temperature': 'temperature',
+    'sensor_msgs/msg/FluidPressure': 'fluid_pressure',
+    'sensor_msgs/msg/RelativeHumidity': 'relative_humidity',
+}
+
+
+def split_topic(topic: str) -> tuple[str, str] | None:
+    """``/cell1/psd/spot`` -> ``('/cell1', 'psd/spot')``; ``None`` if it is no contract topic."""
+    for relative in TOPICS:
+        if topic == relative or topic.endswith('/' + relative):
+            return topic[:-len(relative)].rstrip('/'), relative
+    return None
