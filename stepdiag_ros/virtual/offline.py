@@ -1,0 +1,202 @@
+"""A whole calibration on a virtual clock: cell in, log out, no sockets and no waiting.
+
+It runs the plan as the sequencer does: setup by setup, for each repeat a forward and
+a backward run; each run resets the interferometer at its first stop.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from stepdiag_ros.model.log import (
+    DONE,
+    DWELL,
+    MOVE,
+    NONE,
+    CalibrationLog,
+    Samples,
+    ScalarSeries,
+    StepEvents,
+)
+from stepdiag_ros.model.path import SetupPath, stops
+from stepdiag_ros.virtual.air import conditions
+from stepdiag_ros.virtual.cell import Cell, Motion
+from stepdiag_ros.virtual.draw import normals
+from stepdiag_ros.virtual.history import History
+from stepdiag_ros.virtual.motion import point_to_point, settling_time, tabulate
+from stepdiag_ros.virtual.world import World
+
+START_NS = 1_780_000_000_000_000_000
+COMMAND_DELAY_NS = 2_000_000
+"""From the end of a dwell to the next move: the sequencer's time to say so."""
+SENSOR_SIGMA = {'air_temperature': 0.01, 'air_pressure': 5.0, 'humidity': 0.005,
+                'scale_temperature': 0.01}
+"""Standard deviations [°C, Pa, 1, °C] of the environment's readings."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """One traverse: its place in the plan and its events' times [ns], (stops,) each."""
+
+    setup: str
+    repeat: int
+    direction: int
+    move_ns: np.ndarray
+    dwell_ns: np.ndarray
+    done_ns: np.ndarray
+
+    @property
+    def run_id(self) -> str:
+        return f'{self.setup}/{self.repeat}/{"+" if self.direction > 0 else "-"}'
+
+
+def simulate_log(cell: Cell, start_ns: int = START_NS, setups: tuple[str, ...] | None = None,
+                 rate: float | None = None, in_motion: bool | None = None) -> CalibrationLog:
+    """The log of a calibration of ``cell``.
+
+    ``setups``: which, in which order (all); ``rate`` [Hz] of both sensors and ``in_motion``
+    override the cell's sampling.  The same cell gives the same log, bit by bit.
+    """
+    history = History()
+    runs = execute(cell, history, start_ns, setups or cell.setup_names)
+    world = World(cell, history, start_ns)
+    moving = cell.sampling.in_motion if in_motion is None else in_motion
+    spans = [(run, *span) for run in runs for span in _spans(run, moving)]
+    displacement = _displacement(world, spans, rate or cell.sampling.interferometer)
+    spot = _spot(world, spans, rate or cell.sampling.psd)
+    return CalibrationLog(cell.description, _events(cell, runs), displacement, spot,
+                          _environment(cell, start_ns, int(runs[-1].done_ns[-1])),
+                          source=f'simulated from {cell.source}',
+                          namespace=f'/{cell.description.machine.name}')
+
+
+def execute(cell: Cell, history: History, start_ns: int, setups: tuple[str, ...]) -> list[Run]:
+    """Move through the plan, filling ``history``; returns the runs."""
+    now, place, runs = start_ns, np.zeros(3), []
+    for setup in setups:
+        path = stops(cell.description, setup)
+        number = cell.setup_names.index(setup)
+        now += int(cell.motion.mount * 1e9)
+        for repeat in range(cell.description.plan.repeats):
+            for direction in (1, -1):
+                run = _run(cell.motion, history, now, place, path, number,
+                           setup, repeat, direction)
+                runs.append(run)
+                now, place = int(run.done_ns[-1]) + COMMAND_DELAY_NS, path.positions[
+                    -1 if direction > 0 else 0]
+    return runs
+
+
+def _run(motion: Motion, history: History, now: int, place: np.ndarray, path: SetupPath,
+         number: int, setup: str, repeat: int, direction: int) -> Run:
+    times = np.zeros((3, len(path)), np.int64)
+    for i, target in enumerate(path.positions[::direction]):
+        profile = point_to_point(float(np.linalg.norm(target - place)), motion.feed,
+                                 motion.acceleration, motion.jerk)
+        history.append(now, place, target, profile, number)
+        table = tabulate(profile.duration[None], profile.jerk[None], np.zeros(1), np.zeros(1))
+        settled = float(settling_time(table, motion.settling, motion.in_position)[0])
+        times[:, i] = now, now + round(settled * 1e9), now + round((settled + motion.dwell) * 1e9)
+        now, place = int(times[2, i]) + COMMAND_DELAY_NS, target
+    return Run(setup, repeat, direction, *times)
+
+
+def _spans(run: Run, moving: bool) -> list[tuple[int, int]]:
+    """Spans of time [ns] in which a run is sampled: after its reset, and nowhere before."""
+    if moving:
+        return [(int(run.dwell_ns[0]), int(run.done_ns[-1]))]
+    return list(zip(run.dwell_ns.tolist(), run.done_ns.tolist(), strict=True))
+
+
+def _grid(world: World, begin: int, end: int, rate: float) -> tuple[np.ndarray, np.ndarray]:
+    """Sample times (n,) [ns] and number of the block within the span (n,)."""
+    period = 1.0 / rate
+    per_block = max(1, round(world.cell.sampling.block * rate))
+    count = max(1, int((end - begin) * 1e-9 * rate))
+    block = np.arange(count) // per_block
+    stamp = begin + np.rint(block * per_block * period * 1e9).astype(np.int64)
+    inside = np.rint((np.arange(count) % per_block) * period * 1e9).astype(np.int64)
+    return stamp + inside, block
+
+
+def _collect(world: World, spans: list, rate: float, columns: int, look) -> Samples:
+    """Lay the samples of all spans end to end; ``look(times, run, first)`` gives values, health, index."""
+    names = world.cell.setup_names
+    parts, first, blocks = [], 0, 0
+    for run, begin, end in spans:
+        times, block = _grid(world, begin, end, rate)
+        values, health, index = look(times, run, first)
+        padded = np.full((len(times), columns), np.nan)
+        padded[:, :values.shape[1]] = values
+        parts.append((times, padded, health, index,
+                      np.full(len(times), names.index(run.setup)), block + blocks))
+        first += len(times)
+        blocks += int(block[-1]) + 1
+    times, values, health, index, setup, block = (np.concatenate(p) for p in zip(*parts, strict=True))
+    return Samples(times, values, health, index, names, setup, block)
+
+
+def _displacement(world: World, spans: list, rate: float) -> Samples:
+    setups = world.cell.description.setups
+    beams = max(len(s.beams) for s in setups.values())
+    zero: dict[str, np.ndarray] = {}
+
+    def look(times, run, first):
+        if run.run_id not in zero:
+            zero[run.run_id] = world.read(run.dwell_ns[:1], run.setup).length
+        reading = world.read(times, run.setup)
+        noise = world.displacement_noise(first, len(times), reading.length.shape[1])
+        return (reading.length - zero[run.run_id] + noise, np.rint(reading.quality), reading.index)
+    return _collect(world, spans, rate, beams, look)
+
+
+def _spot(world: World, spans: list, rate: float) -> Samples:
+    def look(times, run, first):
+        reading = world.read(times, run.setup)
+        return (reading.spot + world.spot_noise(first, len(times)), reading.intensity,
+                np.ones(len(times)))
+    return _collect(world, spans, rate, 2, look)
+
+
+def _events(cell: Cell, runs: list[Run]) -> StepEvents:
+    columns: dict[str, list] = {key: [] for key in ('time', 'run', 'setup', 'repeat', 'direction',
+                                                    'index', 'axis', 'commanded', 'phase')}
+    for number, run in enumerate(runs):
+        path = stops(cell.description, run.setup)
+        n = len(path)
+        index = np.arange(n)[::run.direction]
+        # Going back, the axis that led from a stop forward is the one that moves.
+        axis = path.axis if run.direction > 0 else np.concatenate([[NONE], path.axis[:0:-1]])
+        repeated = {'run': number, 'setup': cell.setup_names.index(run.setup),
+                    'repeat': run.repeat, 'direction': run.direction}
+        for key, value in repeated.items():
+            columns[key].append(np.full(3 * n, value))
+        columns['time'].append(np.stack([run.move_ns, run.dwell_ns, run.done_ns], 1).ravel())
+        columns['index'].append(np.repeat(index, 3))
+        columns['axis'].append(np.repeat(axis, 3))
+        columns['commanded'].append(np.repeat(path.positions[::run.direction], 3, axis=0))
+        columns['phase'].append(np.tile([MOVE, DWELL, DONE], n))
+    c = {key: np.concatenate(parts) for key, parts in columns.items()}
+    return StepEvents(c['time'], tuple(run.run_id for run in runs), c['run'], cell.setup_names,
+                      c['setup'], c['repeat'], c['direction'], c['index'], c['axis'],
+                      c['commanded'], c['phase'])
+
+
+def _environment(cell: Cell, begin: int, end: int) -> dict[str, ScalarSeries]:
+    period_ns = int(cell.air.period * 1e9)
+    times = np.arange(begin, end + 1, period_ns, dtype=np.int64)
+    seconds = (times - begin) * 1e-9
+    quantities = dict(zip(('temperature', 'pressure', 'humidity'),
+                          conditions(cell.air, seconds), strict=True))
+    topics = {'temperature': 'air_temperature', 'pressure': 'air_pressure', 'humidity': 'humidity'}
+    series = {topics[name]: quantities[name] for name in cell.air.sensors}
+    if cell.air.scale_temperature is not None:
+        series |= {f'scale_temperature/{letter}': np.full(len(times), value)
+                   for letter, value in zip('xyz', cell.air.scale_temperature, strict=True)}
+    out = {}
+    for name, value in series.items():
+        sigma = SENSOR_SIGMA[name.split('/')[0]]
+        noise = sigma * normals(cell.seed, f'environment/{name}', 0, len(times))[:, 0]
+        reading = np.clip(value + noise, 0.0, 1.0) if name == 'humidity' else value + noise
+        out[name] = ScalarSeries(times, reading, np.full(len(times), sigma ** 2))
+    return out
