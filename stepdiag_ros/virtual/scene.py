@@ -24,8 +24,8 @@ from stepdiag_ros.model.optics import Body, Path, Plane, Scene, Trace
 from stepdiag_ros.model.rays import Component, Vector
 from stepdiag_ros.model.sensor import station
 
-BLOCK = 4096
-"""Poses traced together: their some thirty intermediate arrays stay in the processor's cache."""
+BLOCK = 32768
+"""Poses traced together: enough to hide Python, few enough for the intermediate arrays to stay in cache."""
 
 MIRROR, DETECTOR = 0, 1
 
