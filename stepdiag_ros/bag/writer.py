@@ -1,0 +1,228 @@
+"""A rosbag2 directory, written so that rosbag2, Foxglove and the rest accept it.
+
+While it records, the chunk in progress is flushed every quarter of a second and
+synced to the disk once a second off the callers' threads, so that a killed process
+loses no more than what came in since (decision 0013).  ``metadata.yaml`` is there
+from the first moment and replaced atomically.
+"""
+
+import contextlib
+import os
+import threading
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import yaml
+from mcap.writer import CompressionType, IndexType, Writer
+
+from stepdiag_ros.bag.msgdef import schema_text as builtin_schema
+from stepdiag_ros.bag.qos import RELIABLE, PlainDumper, parse_qos
+from stepdiag_ros.bag.source import METADATA
+from stepdiag_ros.bag.typehash import rihs01
+from stepdiag_ros.errors import StepdiagError
+
+COMPRESSIONS = {'none': CompressionType.NONE, 'zstd': CompressionType.ZSTD,
+                'lz4': CompressionType.LZ4}
+CHUNK_SIZE = 1 << 20
+ROS_DISTRO = 'jazzy'
+_MASK = 0xFFFFFFFF
+
+
+@dataclass
+class _Topic:
+    name: str
+    type: str
+    qos: list[dict]
+    hash: str
+    channel: int
+    count: int = 0
+
+
+class BagWriter:
+    """Writes ``path/`` with ``<name>_0.mcap`` and ``metadata.yaml``; thread-safe.
+
+    ``live``: flush every ``flush_period`` [s], sync every ``sync_period`` [s] from a
+    thread of its own.  Without it (simulation, import) chunks are written when they
+    are full, and the same messages give the same bytes.
+    ``compression``: ``none``, ``zstd`` or ``lz4``.  ``custom_data`` goes into
+    ``metadata.yaml``.  Raises :class:`StepdiagError` if ``path`` exists.
+    """
+
+    def __init__(self, path: str | Path, *, live: bool = True, compression: str = 'zstd',
+                 flush_period: float = 0.25, sync_period: float = 1.0,
+                 custom_data: dict[str, str] | None = None):
+        if compression not in COMPRESSIONS:
+            raise StepdiagError(f'compression {compression!r} is unknown; choose one of '
+                                f'{", ".join(COMPRESSIONS)}')
+        self.path = Path(path)
+        self.file = self.path / f'{self.path.resolve().name}_0.mcap'
+        self._lock = threading.Lock()
+        self._topics: dict[str, _Topic] = {}
+        self._schemas: dict[tuple[str, str], int] = {}
+        self._custom = dict(custom_data or {})
+        self._first: int | None = None
+        self._last = 0
+        self._dirty = False
+        self._stop = threading.Event()
+        self._failure: Exception | None = None
+        self._closed = False
+        try:
+            if self.path.exists() and (not self.path.is_dir() or any(self.path.iterdir())):
+                raise StepdiagError(f'{self.path}: exists already; give a new name or remove it')
+            self.path.mkdir(parents=True, exist_ok=True)
+            self._stream = open(self.file, 'xb')
+        except OSError as error:
+            raise StepdiagError(f'{self.path}: cannot be written: {error.strerror}') from None
+        # Message indexes and chunk indexes, as rosbag2 writes them; an attachment
+        # index without attachments confuses readers.
+        self._writer = Writer(self._stream, chunk_size=CHUNK_SIZE, compression=COMPRESSIONS[compression],
+                              index_types=IndexType.CHUNK | IndexType.MESSAGE | IndexType.METADATA,
+                              enable_data_crcs=True)
+        self._writer.start(profile='ros2', library='stepdiag_ros')
+        self._stream.flush()
+        self._write_metadata()
+        self._thread: threading.Thread | None = None
+        if live:
+            self._thread = threading.Thread(target=self._keep, args=(flush_period, sync_period),
+                                            name='bag flush', daemon=True)
+            self._thread.start()
+
+    def __enter__(self) -> 'BagWriter':
+        return self
+
+    def __exit__(self, *_) -> None:
+        self.close()
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Messages written so far by topic."""
+        with self._lock:
+            return {topic.name: topic.count for topic in self._topics.values()}
+
+    def add_topic(self, name: str, type: str, qos_yaml: str = RELIABLE,
+                  schema_text: str | None = None, type_hash: str | None = None) -> None:
+        """Announce a topic.  Schema and hash of the contract's types are built in.
+
+        ``qos_yaml`` is a YAML list of the publishers' profiles (:mod:`qos`).  A topic that
+        is announced again with the same type is let pass.
+        """
+        qos = parse_qos(qos_yaml, name)
+        text = builtin_schema(type) if schema_text is None else schema_text
+        hashed = rihs01(type) if type_hash is None else type_hash
+        with self._lock:
+            self._check()
+            known = self._topics.get(name)
+            if known is not None:
+                if known.type != type:
+                    raise StepdiagError(f'{self.path}: topic {name} is recorded as {known.type} and '
+                                        f'was announced again as {type}')
+                return
+            key = (type, text)
+            if key not in self._schemas:
+                self._schemas[key] = self._writer.register_schema(type, 'ros2msg', text.encode())
+            channel = self._writer.register_channel(
+                name, 'cdr', self._schemas[key],
+                {'offered_qos_profiles': _dump(qos).strip(), 'topic_type_hash': hashed})
+            self._topics[name] = _Topic(name, type, qos, hashed, channel)
+        self._write_metadata()
+
+    def write(self, topic: str, cdr: bytes, log_time_ns: int, publish_time_ns: int,
+              sequence: int) -> None:
+        """Store one message: log time is its receipt, publish time its source's stamp."""
+        with self._lock:
+            self._check()
+            entry = self._topics.get(topic)
+            if entry is None:
+                raise StepdiagError(f'{self.path}: topic {topic} was not announced with add_topic')
+            self._writer.add_message(entry.channel, log_time=log_time_ns, data=cdr,
+                                     publish_time=publish_time_ns, sequence=sequence & _MASK)
+            entry.count += 1
+            self._first = log_time_ns if self._first is None else min(self._first, log_time_ns)
+            self._last = max(self._last, log_time_ns)
+            self._dirty = True
+
+    def flush(self) -> None:
+        """Hand what was written to the operating system: safe against ``kill -9``."""
+        with self._lock:
+            if self._dirty and not self._closed:
+                self._writer.flush()
+                self._dirty = False
+
+    def close(self) -> None:
+        """Finish the file: indexes, statistics, metadata.  A second call does nothing."""
+        self._stop.set()
+        if self._thread is not None:
+            self._thread.join()
+        with self._lock:
+            if self._closed:
+                return
+            self._closed = True
+            try:
+                self._writer.add_metadata('rosbag2', {'serialized_metadata': _dump(self._information()),
+                                                      'ROS_DISTRO': ROS_DISTRO})
+                self._writer.finish()
+                self._stream.flush()
+                os.fsync(self._stream.fileno())
+            except OSError as error:
+                raise StepdiagError(f'{self.file}: cannot be written: {error.strerror}; '
+                                    f'mend it with: stepdiag recover {self.path}') from None
+            finally:
+                self._stream.close()
+        self._write_metadata()
+
+    def _check(self) -> None:
+        if self._closed:
+            raise StepdiagError(f'{self.path}: the bag is closed')
+        if self._failure is not None:
+            raise StepdiagError(f'{self.file}: cannot be written: {self._failure}')
+
+    def _keep(self, flush_period: float, sync_period: float) -> None:
+        """The thread: flush often, sync and renew metadata.yaml once a second."""
+        next_sync = time.monotonic() + sync_period
+        while not self._stop.wait(flush_period):
+            try:
+                self.flush()
+                if time.monotonic() >= next_sync:
+                    next_sync = time.monotonic() + sync_period
+                    os.fsync(self._stream.fileno())
+                    self._write_metadata()
+            except (OSError, StepdiagError) as error:
+                # A full disk must reach the caller, whose next write raises it.
+                self._failure = error
+                return
+
+    def _information(self) -> dict:
+        """``rosbag2_bagfile_information``, version 9; called with the lock held or at the end."""
+        start = self._first or 0
+        span = {'starting_time': {'nanoseconds_since_epoch': start},
+                'duration': {'nanoseconds': self._last - start if self._first is not None else 0}}
+        total = sum(topic.count for topic in self._topics.values())
+        return {'version': 9, 'storage_identifier': 'mcap', **span, 'message_count': total,
+                'topics_with_message_count': [
+                    {'topic_metadata': {'name': t.name, 'type': t.type, 'serialization_format': 'cdr',
+                                        'offered_qos_profiles': t.qos,
+                                        'type_description_hash': t.hash},
+                     'message_count': t.count} for t in self._topics.values()],
+                'compression_format': '', 'compression_mode': '',
+                'relative_file_paths': [self.file.name],
+                'files': [{'path': self.file.name, **span, 'message_count': total}],
+                'custom_data': self._custom or None, 'ros_distro': ROS_DISTRO}
+
+    def _write_metadata(self) -> None:
+        with self._lock:
+            text = _dump({'rosbag2_bagfile_information': self._information()})
+        temporary = self.path / f'.{METADATA}.{threading.get_ident()}'
+        try:
+            temporary.write_text(text, encoding='utf-8')
+            os.replace(temporary, self.path / METADATA)
+        except OSError as error:
+            with contextlib.suppress(OSError):
+                temporary.unlink()
+            raise StepdiagError(f'{self.path / METADATA}: cannot be written: '
+                                f'{error.strerror}') from None
+
+
+def _dump(data) -> str:
+    return yaml.dump(data, Dumper=PlainDumper, sort_keys=False, default_flow_style=False,
+                     allow_unicode=True)
