@@ -1,0 +1,154 @@
+"""Body and face diagonal displacement, ISO 230-6:2002 and ASME B5.54-2005.
+
+A retroreflector (or the corner stops of a step diagonal) is moved along each
+diagonal, the interferometer looks along it, and the deviation from the commanded
+length is read at equidistant targets, forward and backward, several times.  Per
+diagonal, with means over the runs of one direction,
+
+    E = max(x̄↑, x̄↓) − min(x̄↑, x̄↓),     B_i = x̄_i↑ − x̄_i↓,     B = max |B_i|
+
+and for the machine ``Ed = max E``, ``Bd = max B``.
+
+Derivation of what it sees.  For small errors the reading is the deviation of the
+tool point projected on the diagonal, ``x = δp · d``.  Angular motions move the
+point across the line from the axis to the point; where that line is the diagonal
+itself, they drop out.
+
+Assumes: the laser is aligned to the diagonal (a cosine error otherwise), runs are
+comparable.  Cannot see: which error is at work, and opposite errors at all.  An
+over-travel of one axis against an under-travel of another leaves the diagonal as
+long as it was (Chapman's examples, reproduced in the tests), so neither Ed nor a
+compensation follows for the volume.  B5.54-2005 asks for linear tests beside it.
+
+Source: ISO 230-6:2002; ASME B5.54-2005 as described in Renishaw, *Laser diagonal
+measurements for machine tool performance assessment*, 2016; Wang & Liotto 2003,
+eqs. 1–4.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.model.description import DIAGONALS, Machine
+from stepdiag_ros.model.machine import GeometricErrors, tool_pose
+from stepdiag_ros.model.path import setup_direction, start_corner
+
+
+@dataclass(frozen=True)
+class DiagonalResult:
+    """One diagonal: ``position_m`` (n,) along it, mean deviations (n,) [m], E and B [m].
+
+    ``backward_m``, ``reversal_m`` and ``B`` are None where only one direction was run.
+    """
+
+    position_m: np.ndarray
+    forward_m: np.ndarray
+    backward_m: np.ndarray | None
+    E: float
+
+    @property
+    def reversal_m(self) -> np.ndarray | None:
+        return None if self.backward_m is None else self.forward_m - self.backward_m
+
+    @property
+    def B(self) -> float | None:
+        return None if self.backward_m is None else float(np.max(np.abs(self.reversal_m)))
+
+    def to_json_dict(self) -> dict[str, Any]:
+        lists = {'position_m': self.position_m, 'forward_m': self.forward_m,
+                 'backward_m': self.backward_m, 'reversal_m': self.reversal_m}
+        return {'E_m': self.E, 'B_m': self.B,
+                **{key: None if v is None else [float(x) for x in v] for key, v in lists.items()}}
+
+
+@dataclass(frozen=True)
+class DiagonalTest:
+    """All diagonals of a machine by name, and the worst of them."""
+
+    diagonals: Mapping[str, DiagonalResult]
+    method: str = 'body_diagonal'
+
+    @property
+    def Ed(self) -> float:
+        return max(r.E for r in self.diagonals.values())
+
+    @property
+    def Bd(self) -> float | None:
+        known = [r.B for r in self.diagonals.values() if r.B is not None]
+        return max(known) if known else None
+
+    def to_json_dict(self) -> dict[str, Any]:
+        return {'method': self.method, 'status': 'ok', 'Ed_m': self.Ed, 'Bd_m': self.Bd,
+                'diagonals': {n: r.to_json_dict() for n, r in self.diagonals.items()}}
+
+
+def diagonal(position_m: np.ndarray, forward_m: np.ndarray,
+             backward_m: np.ndarray | None = None) -> DiagonalResult:
+    """E and B of one diagonal.
+
+    ``position_m`` (n,); ``forward_m`` (runs, n) or (n,) deviations of the forward runs [m],
+    ``backward_m`` likewise at the same targets in the same order, or None.
+    """
+    position = np.asarray(position_m, float)
+    means = []
+    for name, runs in (('forward', forward_m), ('backward', backward_m)):
+        if runs is None:
+            means.append(None)
+            continue
+        runs = np.atleast_2d(np.asarray(runs, float))
+        if runs.shape[1] != position.size:
+            raise StepdiagError(f'body_diagonal: {name} runs have {runs.shape[1]} targets, '
+                                f'positions {position.size}; give one deviation per target')
+        if not np.isfinite(runs).all():
+            raise StepdiagError(f'body_diagonal: a deviation of the {name} runs is not a number; '
+                                'leave incomplete runs out')
+        means.append(runs.mean(axis=0))
+    forward, backward = means
+    both = forward if backward is None else np.concatenate([forward, backward])
+    return DiagonalResult(position, forward, backward, float(np.ptp(both)))
+
+
+def deviations_of(errors: GeometricErrors, machine: Machine, setup: str,
+                  targets: int) -> tuple[np.ndarray, np.ndarray]:
+    """What the test reads on a known machine: target positions (n,) and deviations (n,) [m].
+
+    A retroreflector returns the beam whatever its tilt and has no lever: the length is that
+    from the start projected on the nominal diagonal.
+    """
+    start, d = start_corner(machine, setup), setup_direction(machine, setup)
+    length = np.linalg.norm(machine.volume)
+    along = np.linspace(0.0, length, targets)
+    commanded = start + along[:, None] * d
+    point, _ = tool_pose(errors, commanded, machine.tool, machine.chain)
+    deviation = (point - commanded - np.array(machine.tool)) @ d
+    return along, deviation - deviation[0]
+
+
+def worst_deviation(errors: GeometricErrors, machine: Machine, points: int = 11) -> float:
+    """Length [m] of the longest deviation vector on a grid, referred to the machine's origin."""
+    axes = [np.linspace(0.0, length, points) for length in machine.volume]
+    grid = np.stack(np.meshgrid(*axes, indexing='ij'), axis=-1).reshape(-1, 3)
+    point, _ = tool_pose(errors, grid, machine.tool, machine.chain)
+    deviation = point - grid
+    return float(np.max(np.linalg.norm(deviation - deviation[0], axis=1)))
+
+
+def diagonal_length(errors: GeometricErrors, machine: Machine, setup: str) -> float:
+    """Distance [m] between the two end corners of a body diagonal, nothing linearised."""
+    start = start_corner(machine, setup)
+    end = np.array(machine.volume) - start
+    end[2] = machine.volume[2]
+    point, _ = tool_pose(errors, np.stack([start, end]), machine.tool, machine.chain)
+    return float(np.linalg.norm(point[1] - point[0]))
+
+
+def evaluate_runs(runs: Mapping[str, tuple[np.ndarray, np.ndarray, np.ndarray | None]]) -> DiagonalTest:
+    """All diagonals: name → (positions, forward runs, backward runs or None)."""
+    unknown = [name for name in runs if name not in DIAGONALS]
+    if unknown or not runs:
+        raise StepdiagError(f'body_diagonal: need diagonals out of {", ".join(DIAGONALS)}; '
+                            f'got {", ".join(unknown) or "none"}')
+    return DiagonalTest({name: diagonal(*given) for name, given in runs.items()})

@@ -1,0 +1,229 @@
+"""Readings of a cell as the methods of the literature want them: one row a stop, means over runs.
+
+A :class:`SetupReadings` is a straight line of sight and the stops that were visited in it.
+Body diagonals and linear setups come from a log (:func:`readings_of_stops`) or
+from the closed-form sensor (:func:`simulate`); face diagonals, which the log format does
+not know, only from arrays.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.estimate.reduce import StopTable
+from stepdiag_ros.model.description import DIAGONALS, Description, Machine
+from stepdiag_ros.model.log import NONE
+from stepdiag_ros.model.machine import GeometricErrors, tool_pose
+from stepdiag_ros.model.path import local_triad, setup_direction, start_corner, stops
+from stepdiag_ros.model.sensor import Misalignment, distance, spot, turned
+
+
+@dataclass(frozen=True)
+class Sight:
+    """A line of sight and its stops; nothing measured yet.
+
+    ``direction`` (3,) unit vector away from the source; ``positions`` (n, 3) [m] commanded,
+    ``axis`` (n,) number of the axis that moved to reach a stop (255 at the first);
+    ``beams`` (k, 2), ``psd_offset`` (2,) [m] along (u, v); ``standoff`` [m].
+    """
+
+    name: str
+    direction: np.ndarray
+    positions: np.ndarray
+    axis: np.ndarray
+    standoff: float = 0.0
+    beams: tuple[tuple[float, float], ...] = ((0.0, 0.0),)
+    psd_offset: tuple[float, float] = (0.0, 0.0)
+
+    @property
+    def triad(self) -> np.ndarray:
+        return local_triad(self.direction)
+
+    def origin(self, tool: np.ndarray) -> np.ndarray:
+        return self.positions[0] + np.asarray(tool) - self.standoff * self.direction
+
+
+@dataclass(frozen=True)
+class SetupReadings:
+    """Means of one setup over its runs.
+
+    ``displacement_m`` (n, beams) [m], zero at stop 0; ``displacement_sigma_m`` (n,) of that mean;
+    ``spot_m`` (n, 2) [m] or None, ``spot_sigma_m`` (n,); ``forward_m``, ``backward_m``
+    (runs, n) [m]: beam 0 of each run on its own, aligned as :func:`readings_of_stops` says.
+    """
+
+    sight: Sight
+    displacement_m: np.ndarray
+    displacement_sigma_m: np.ndarray
+    spot_m: np.ndarray | None = None
+    spot_sigma_m: np.ndarray | None = None
+    forward_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
+    backward_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
+
+
+@dataclass(frozen=True)
+class CellReadings:
+    """All setups of one machine, by name; ``steps`` an axis of a diagonal."""
+
+    machine: Machine
+    steps: int
+    setups: Mapping[str, SetupReadings]
+
+    def diagonals(self, method: str, needed: int = 3) -> list[str]:
+        """Names of the body diagonals at hand, in the contract's order."""
+        names = [name for name in DIAGONALS if name in self.setups]
+        if len(names) < needed:
+            raise StepdiagError(f'{method}: needs {needed} body diagonals, the log has '
+                                f'{len(names)} ({", ".join(names) or "none"})')
+        return names
+
+    def without(self, *names: str) -> 'CellReadings':
+        return replace(self, setups={n: s for n, s in self.setups.items() if n not in names})
+
+
+def sight_of(description: Description, name: str) -> Sight:
+    """The line of sight of a setup of the cell description."""
+    path, setup = stops(description, name), description.setups[name]
+    return Sight(name, setup_direction(description.machine, name), path.positions, path.axis,
+                 setup.standoff, setup.beams, setup.psd_offset)
+
+
+def face_sight(machine: Machine, plane: str, sign: str, steps: int, standoff: float = 0.0) -> Sight:
+    """A face diagonal stepped one axis at a time: ``plane`` ``xy``, ``xz`` or ``yz``.
+
+    ``sign`` ``p``: from the origin; ``n``: from the far end of the plane's first axis, back along it.
+    """
+    first, second = ('xyz'.index(letter) for letter in plane)
+    direction, start = np.zeros(3), np.zeros(3)
+    direction[first] = machine.volume[first] * (1.0 if sign == 'p' else -1.0)
+    direction[second] = machine.volume[second]
+    start[first] = 0.0 if sign == 'p' else machine.volume[first]
+    moved = np.resize(np.array([first, second], np.uint8), 2 * steps)
+    counts = np.concatenate([np.zeros((1, 3)), np.cumsum(moved[:, None] == np.arange(3), axis=0)])
+    return Sight(f'{plane}_{sign}', direction / np.linalg.norm(direction),
+                 start + counts / steps * direction, np.concatenate([[NONE], moved]).astype(np.uint8),
+                 standoff)
+
+
+Measure = Callable[[Sight, Machine, Misalignment, np.ndarray, np.ndarray],
+                   tuple[np.ndarray, np.ndarray]]
+
+
+def closed_form(sight: Sight, machine: Machine, misalignment: Misalignment, point: np.ndarray,
+                attitude: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Absolute distances (n, beams) and spots (n, 2) [m] of the contract's sensor."""
+    triad, origin = sight.triad, sight.origin(machine.tool)
+    beam = turned(triad, misalignment.laser)
+    normal = attitude @ -turned(triad, misalignment.mirror)
+    starts = origin + np.array(sight.beams) @ triad[:2]
+    lengths = np.stack([distance(point, normal, s, beam) for s in starts], axis=-1)
+    start = origin + np.array(sight.psd_offset) @ triad[:2]
+    return lengths, spot(point, normal, start, np.broadcast_to(beam, point.shape), triad)
+
+
+def observe(sight: Sight, machine: Machine, errors: GeometricErrors,
+            misalignment: Misalignment = Misalignment(),
+            measure: Measure = closed_form) -> tuple[np.ndarray, np.ndarray]:
+    """What a known machine shows: absolute distances (n, beams), spots (n, 2) [m]."""
+    point, attitude = tool_pose(errors, sight.positions, machine.tool, machine.chain)
+    return measure(sight, machine, misalignment, point, attitude)
+
+
+def simulate(machine: Machine, steps: int, sights: list[Sight], errors: GeometricErrors,
+             misalignments: Mapping[str, Misalignment] | None = None,
+             measure: Measure = closed_form, sigma_m: float = 0.0,
+             spot_zero_m: tuple[float, float] = (0.0, 0.0)) -> CellReadings:
+    """Noise-free readings of a known machine; ``sigma_m`` is only declared, not added.
+
+    ``spot_zero_m`` shifts the detector's zero: the spot is reported too large by it.
+    """
+    setups = {}
+    for sight in sights:
+        lengths, spots = observe(sight, machine, errors,
+                                 (misalignments or {}).get(sight.name, Misalignment()), measure)
+        n = len(lengths)
+        setups[sight.name] = SetupReadings(
+            sight, lengths - lengths[0], np.full(n, sigma_m), spots + np.array(spot_zero_m),
+            np.full(n, sigma_m), (lengths - lengths[0])[None, :, 0])
+    return CellReadings(machine, steps, setups)
+
+
+def readings_of_stops(description: Description, table: StopTable) -> CellReadings:
+    """Means over the runs of each setup of a reduced log.
+
+    Each run was reset at its own first stop.  For the mean, every run is shifted to agree
+    on average with the others, then stop 0 is made zero.  For the ISO tests (``forward_m``,
+    ``backward_m``) the order of events counts: a forward run starts from zero at its first
+    stop, a backward run goes on from where the forward run of its repeat ended.  Stops
+    missing from every run of a setup make the setup unusable (:class:`StepdiagError`).
+    The standard deviation of a mean is that of the scatter between runs of the same direction.
+    """
+    setups = {}
+    for number, name in enumerate(table.setup_names):
+        rows = table.setup == number
+        if rows.any() and name in description.setups:
+            setups[name] = _setup_readings(sight_of(description, name), table.select(rows))
+    return CellReadings(description.machine, description.plan.steps, setups)
+
+
+def _setup_readings(sight: Sight, table: StopTable) -> SetupReadings:
+    n, beams = len(sight.positions), table.displacement.shape[1]
+    runs = np.unique(table.run)
+    length, spots = np.full((len(runs), n, beams), np.nan), np.full((len(runs), n, 2), np.nan)
+    direction, repeat = np.zeros(len(runs), int), np.zeros(len(runs), int)
+    for r, run in enumerate(runs):
+        mine = np.flatnonzero((table.run == run) & (table.index < n))
+        length[r, table.index[mine]] = table.displacement[mine]
+        spots[r, table.index[mine]] = table.spot[mine]
+        direction[r], repeat[r] = table.direction[mine[0]], table.repeat[mine[0]]
+    missing = np.flatnonzero(np.isnan(length[:, :, 0]).all(axis=0))
+    if missing.size:
+        raise StepdiagError(f'interferometer/displacement: setup {sight.name} has no reading at stop '
+                            f'{missing[0]} in any run ({missing.size} such stops); measure it again')
+    aligned = _align(length)
+    mean = np.nanmean(aligned, axis=0)
+    forward, backward = _in_order(length[:, :, 0], direction, repeat)
+    has_spots = np.isfinite(spots).any(axis=0).all()
+    spot_mean = np.nanmean(spots, axis=0) if has_spots else None
+    return SetupReadings(
+        sight, mean - mean[0], _sigma(aligned[:, :, 0], direction), spot_mean,
+        _sigma(spots.mean(axis=2), direction) if has_spots else None, forward, backward)
+
+
+def _align(length: np.ndarray) -> np.ndarray:
+    """Shift runs (r, n, k) so that each agrees on average with the first, stop by stop."""
+    common = length[0] if len(length) == 1 else np.nanmedian(
+        length - np.nanmean(length, axis=1, keepdims=True), axis=0)
+    return length - np.nanmean(length - common, axis=1, keepdims=True)
+
+
+def _sigma(values: np.ndarray, direction: np.ndarray) -> np.ndarray:
+    """Standard deviation (n,) of the mean over runs, pooled over the stops."""
+    squares, freedom = 0.0, 0
+    for sign in (1, -1):
+        same = values[direction == sign]
+        if len(same) > 1:
+            spread = same - np.nanmean(same, axis=0)
+            squares += np.nansum(spread ** 2)
+            freedom += np.isfinite(spread).sum() - spread.shape[1]
+    if not freedom:
+        return np.zeros(values.shape[1])
+    return np.full(values.shape[1], np.sqrt(squares / freedom / len(values)))
+
+
+def _in_order(length: np.ndarray, direction: np.ndarray,
+              repeat: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Complete forward and backward runs (f, n), (b, n), the latter joined at the turning stop."""
+    complete = np.isfinite(length).all(axis=1)
+    forward, backward = [], []
+    for r in np.unique(repeat):
+        ups = np.flatnonzero(complete & (repeat == r) & (direction > 0))
+        downs = np.flatnonzero(complete & (repeat == r) & (direction < 0))
+        up = [length[i] - length[i, 0] for i in ups]
+        forward += up
+        end = up[0][-1] if up else 0.0
+        backward += [length[i] - length[i, -1] + end for i in downs]
+    n = length.shape[1]
+    return np.reshape(forward, (-1, n)), np.reshape(backward, (-1, n))

@@ -1,0 +1,104 @@
+"""What all step methods share: a reading's change, step by step, and the way back to curves.
+
+Let a setup look along ``d`` and its axis ``a`` move by one step from knot k to k + 1.
+Divided by the direction of travel, the reading's change is
+
+    s · ΔL = g · (h e_a + Δt_k),      g = m/(b·m)
+
+where ``h`` is the step, ``Δt_k`` the change of the axis's translation error (three
+components) and ``g`` the setup's *gradient*: the reciprocal of the mirror's normal
+``m`` along the beam ``b``.  Nothing is linearised here; without angular motions ``g``
+is constant in a setup, and with perfect alignment it is ``d``.  The methods differ in
+what they take for ``g``.
+"""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from stepdiag_ros.estimate.gauge import GAUGE, SLOPES, STRAIGHTNESS, slope_weights
+from stepdiag_ros.estimate.readings import Sight
+from stepdiag_ros.estimate.solution import Solution, Unidentifiable
+from stepdiag_ros.model.description import Machine
+from stepdiag_ros.model.machine import AXES, CURVES, SQUARENESS
+from stepdiag_ros.model.sensor import Misalignment
+
+
+def travel_signs(sight: Sight) -> np.ndarray:
+    """Direction of travel (3,) of each axis along the setup: +1, −1, or 0 (does not move)."""
+    return np.sign(sight.positions[-1] - sight.positions[0])
+
+
+def increments(sight: Sight, values: np.ndarray, steps: int) -> np.ndarray:
+    """Changes ``s · ΔL`` (3, steps, …) by moving axis and interval from readings (n, …).
+
+    Intervals are counted from the machine's origin, whichever way the setup ran.
+    Axes that do not move in the setup get NaN.
+    """
+    change = np.diff(values, axis=0)
+    moved, signs = sight.axis[1:], travel_signs(sight)
+    out = np.full((3, steps, *values.shape[1:]), np.nan)
+    for axis in range(3):
+        own = change[moved == axis]
+        if len(own):
+            out[axis] = own if signs[axis] > 0 else -own[::-1]
+    return out
+
+
+def accumulate(steps: np.ndarray) -> np.ndarray:
+    """Curves (axes, n + 1, …) from changes (axes, n, …): zero at position 0."""
+    zero = np.zeros_like(steps[:, :1])
+    return np.concatenate([zero, np.cumsum(steps, axis=1)], axis=1)
+
+
+def knots(machine: Machine, steps: int) -> np.ndarray:
+    """Positions (3, steps + 1) [m] of the plan."""
+    return np.array([np.linspace(0.0, length, steps + 1) for length in machine.volume])
+
+
+def solution(method: str, positions: Mapping[str, np.ndarray], curves: Mapping[str, np.ndarray],
+             sensitivity: Mapping[str, np.ndarray] | None = None,
+             variance: np.ndarray | None = None, square: Sequence[str] = SQUARENESS,
+             unidentifiable: tuple[Unidentifiable, ...] = (),
+             misalignments: Mapping[str, Misalignment] | None = None, **more) -> Solution:
+    """A :class:`Solution` in the reference lines of ISO 230-1 from raw curves.
+
+    ``curves``: name → (k,) values, squareness still in the slopes.  ``sensitivity``: name →
+    (k, readings), how the values follow from independent readings of ``variance`` (readings,).
+    ``square`` names the squareness errors whose two straightness curves are at hand.
+    """
+    order = [name for name in CURVES if name in curves]
+    names, values, rows, slopes = [], [], [], {}
+    for name in order:
+        position = np.asarray(positions[name])
+        # Value and sensitivities go through the same linear map, as columns of one matrix.
+        block = np.asarray(curves[name], float)[:, None]
+        if sensitivity is not None:
+            block = np.concatenate([block, sensitivity[name]], axis=1)
+        if name in STRAIGHTNESS:
+            slopes[name] = slope_weights(position) @ block
+            block = block - np.outer(position - position[0], slopes[name])
+        names += [(name, i) for i in range(len(position))]
+        values.append(block[:, 0])
+        rows.append(block[:, 1:])
+    for name in square:
+        slope = sum(sign * slopes[curve] for curve, sign in SLOPES[name])
+        names.append((name, -1))
+        values.append(slope[:1])
+        rows.append(slope[None, 1:])
+    value = np.concatenate(values)
+    matrix = np.concatenate(rows)
+    spread = np.zeros(matrix.shape[1]) if variance is None else variance
+    return Solution(method, {n: np.asarray(positions[n]) for n in order}, tuple(names), value,
+                    (matrix * spread) @ matrix.T, gauge=GAUGE, unidentifiable=unidentifiable,
+                    misalignments=misalignments or {}, **more)
+
+
+def translation_names(axis: int) -> tuple[str, str, str]:
+    """``EXa EYa EZa`` of axis number ``axis``."""
+    return tuple(f'E{motion}{AXES[axis]}' for motion in 'XYZ')
+
+
+def rotation_names(axis: int) -> tuple[str, str, str]:
+    """``EAa EBa ECa`` of axis number ``axis``."""
+    return tuple(f'E{motion}{AXES[axis]}' for motion in 'ABC')
