@@ -102,3 +102,33 @@ def translation_names(axis: int) -> tuple[str, str, str]:
 def rotation_names(axis: int) -> tuple[str, str, str]:
     """``EAa EBa ECa`` of axis number ``axis``."""
     return tuple(f'E{motion}{AXES[axis]}' for motion in 'ABC')
+
+
+def analytic_jacobian(function, reading: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Values (p,) and Jacobian (p, r) of an analytic function of batches (b, r) → (b, p).
+
+    By a complex step: exact to rounding, since nothing is subtracted.  The function may use
+    arithmetic, roots and solves, but no absolute value and no conjugate.
+    """
+    tiny = 1e-30
+    value = function(reading[None])[0]
+    bent = function(reading + 1j * tiny * np.eye(reading.size))
+    return value.real, (bent.imag / tiny).T
+
+
+def least_squares(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """``(MᵀM)⁻¹ Mᵀ r`` for batches of well-conditioned matrices (…, m, n), (…, m); analytic."""
+    transposed = np.swapaxes(matrix, -1, -2)
+    return np.linalg.solve(transposed @ matrix, (transposed @ right[..., None]))[..., 0]
+
+
+def linear_ends(cell, axis: int) -> float | None:
+    """EXX at X (or EYY at Y, EZZ at Z) from a linear setup's readings [m]; None where there is none.
+
+    A run that ends short of the volume is continued by its mean slope.
+    """
+    setup = cell.setups.get(f'lin_{"xyz"[axis]}')
+    if setup is None:
+        return None
+    travel = setup.sight.positions[-1, axis] - setup.sight.positions[0, axis]
+    return (setup.displacement_m[-1, 0] - travel) * cell.machine.volume[axis] / travel

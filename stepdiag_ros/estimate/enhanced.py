@@ -1,0 +1,207 @@
+"""The enhanced step diagonal method: all errors and all misalignments in one problem.
+
+Minimises, over the unknowns θ of :mod:`stepdiag_ros.estimate.parameters`,
+
+    ½ ‖W (y − f(θ))‖² + ½ ‖θ/s‖²
+
+with the full kinematic model f (:mod:`stepdiag_ros.estimate.forward`), the noise W of the
+log itself (:mod:`stepdiag_ros.estimate.noise`), and widths s so wide (a millimetre, a
+milliradian and more) that they only decide what the data leave open.  Gauss–Newton steps
+solve the normal equations by Cholesky: they lose digits of a step, not of the answer, for
+each residual is computed from the full model; QR would cost four times as much for the
+same fixed point.  Steps go on until they no longer matter against the standard deviations.
+
+A direction that the data do not narrow down against its width is unidentifiable and is
+reported by name (:mod:`stepdiag_ros.estimate.identifiability`).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg, sparse
+
+from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.estimate.forward import ForwardModel
+from stepdiag_ros.estimate.gauge import GAUGE, slope_weights
+from stepdiag_ros.estimate.noise import NoiseModel, Whitener, estimate_noise, whiteners
+from stepdiag_ros.estimate.parameters import Parameters, parameters_of
+from stepdiag_ros.estimate.reduce import StopTable
+from stepdiag_ros.model.description import Description
+from stepdiag_ros.model.machine import CURVES
+
+WIDTH_SHIFT_M = 1e-3
+WIDTH_TURN_RAD = 1e-3
+WIDTH_LASER_RAD = 1e-3
+WIDTH_MIRROR_RAD = 1e-2
+WIDTH_OFFSET_M = 10.0
+WIDTH_FRAME_RAD = 1e-4
+"""Turning machine and setups together is seen only to second order: it is held to this width."""
+FRAME_SLOPES = ('EYX', 'EZX', 'EZY')
+MAX_ITERATIONS = 50
+SETTLED = 1e-8
+"""The iteration ends where a step promises less than this fall of the objective (χ² units)."""
+SHORTEST = 2.0**-12
+"""… or where no part of a step down to this fraction makes it fall: rounding is reached."""
+
+
+@dataclass(frozen=True)
+class Fit:
+    """The solved problem, before it is put into reported form.
+
+    ``theta`` (size,), ``covariance`` (size, size); ``jacobian`` (n·c, size) sparse at the solution;
+    ``arrival`` (5, n, c) derivatives by arrival errors; ``residual`` (n, c) reading minus
+    prediction, NaN where absent; ``present`` (n, c); ``whiteners`` one a run; ``precision`` (size,
+    size) of the widths; ``chi2``, ``dof``; ``converged``.
+    """
+
+    parameters: Parameters
+    model: ForwardModel
+    theta: np.ndarray
+    covariance: np.ndarray
+    jacobian: sparse.csr_array
+    arrival: np.ndarray
+    residual: np.ndarray
+    present: np.ndarray
+    whiteners: list[Whitener]
+    precision: np.ndarray
+    noise: NoiseModel
+    chi2: float
+    dof: int
+    iterations: int
+    converged: bool
+
+
+def readings_of(table: StopTable) -> np.ndarray:
+    """All readings (n, beams + 2) [m], NaN where absent."""
+    return np.concatenate([table.displacement, table.spot], axis=1)
+
+
+def prior_precision(parameters: Parameters) -> np.ndarray:
+    """Inverse covariance (size, size) of the widths."""
+    width = np.empty(parameters.size)
+    for name in CURVES:
+        width[parameters.slice(name)] = WIDTH_SHIFT_M if name[1] in 'XYZ' else WIDTH_TURN_RAD
+    for setup in parameters.setups:
+        first = parameters.setup_first[setup]
+        width[first:first + 2], width[first + 2:first + 4] = WIDTH_LASER_RAD, WIDTH_MIRROR_RAD
+    width[parameters.offset_first:] = WIDTH_OFFSET_M
+    precision = np.diag(width**-2.0)
+    for name in FRAME_SLOPES:
+        position = parameters.knots[name]
+        weights = slope_weights(position)[1:]
+        columns = parameters.slice(name)
+        precision[columns, columns] += np.outer(weights, weights) / WIDTH_FRAME_RAD**2
+    return precision
+
+
+def start(parameters: Parameters, model: ForwardModel, table: StopTable,
+          readings: np.ndarray) -> np.ndarray:
+    """First guess: an ideal machine, offsets from the first reading of each run."""
+    theta = np.zeros(parameters.size)
+    predicted = model.predict(theta)
+    for run in np.unique(table.run):
+        rows = np.flatnonzero(table.run == run)
+        for beam in range(parameters.beams):
+            good = rows[np.isfinite(readings[rows, beam])]
+            if len(good):
+                column = parameters.offset_first + run * parameters.beams + beam
+                theta[column] = readings[good[0], beam] - predicted[good[0], beam]
+    return theta
+
+
+def fit(description: Description, table: StopTable, noise: NoiseModel | None = None,
+        readings: np.ndarray | None = None, theta: np.ndarray | None = None,
+        parameters: Parameters | None = None) -> Fit:
+    """Solve for all unknowns of the stops in ``table``.
+
+    ``noise`` is estimated from the table when not given; ``readings`` replaces the table's own
+    (n, beams + 2); ``theta`` starts the iteration.
+    """
+    parameters = parameters or parameters_of(description, table)
+    model = ForwardModel(description, table, parameters)
+    readings = readings_of(table) if readings is None else readings
+    present = np.isfinite(readings)
+    flat = present.ravel()
+    if not flat.any():
+        raise StepdiagError('no readings at all; nothing to solve')
+    if theta is None:
+        theta = start(parameters, model, table, readings)
+    precision = prior_precision(parameters)
+    predicted, jacobian, arrival = model.jacobian(theta)
+    if noise is None:
+        noise = estimate_noise(table, description.noise, arrival)
+    white = whiteners(table, noise, arrival, present)
+
+    def objective(theta: np.ndarray, predicted: np.ndarray) -> float:
+        residual = np.where(present, readings - predicted, 0.0).ravel()
+        return sum(np.sum(w(residual)**2) for w in white) + theta @ precision @ theta
+
+    value = objective(theta, predicted)
+    converged = False
+    for iteration in range(1, MAX_ITERATIONS + 1):
+        residual = np.where(present, readings - predicted, 0.0)
+        normal, right = normal_equations(jacobian, residual.ravel(), white)
+        factor, scale = _factor(normal + precision)
+        right = right - precision @ theta
+        step = _solve(factor, scale, right)
+        promised = float(step @ right)
+        # Misalignments act to second order along flat valleys: a whole step may overshoot.
+        part = 1.0
+        while part >= SHORTEST:
+            trial = theta + part * step
+            trial_value = objective(trial, model.predict(trial))
+            if trial_value <= value:
+                theta, value = trial, trial_value
+                break
+            part /= 2.0
+        predicted, jacobian, arrival = model.jacobian(theta)
+        if promised < SETTLED * max(1.0, 1e-6 * value) or part < SHORTEST:
+            converged = True
+            break
+    residual = readings - predicted
+    normal, _ = normal_equations(jacobian, np.where(present, residual, 0.0).ravel(), white)
+    factor, scale = _factor(normal + precision)
+    covariance = _inverse(factor, scale)
+    filled = np.where(present, residual, 0.0).ravel()
+    chi2 = float(sum(np.sum(w(filled)**2) for w in white))
+    # Each direction counts as fitted by the share in which data and not the width decide it.
+    dof = int(round(flat.sum() - np.sum(covariance * normal)))
+    return Fit(parameters, model, theta, covariance, jacobian, arrival, residual, present, white,
+               precision, noise, chi2, dof, iteration, converged)
+
+
+def normal_equations(jacobian: sparse.csr_array, residual: np.ndarray,
+                     white: list[Whitener]) -> tuple[np.ndarray, np.ndarray]:
+    """``JᵀWᵀWJ`` and ``JᵀWᵀWr``, one run after the other, only on the columns a run meets."""
+    size = jacobian.shape[1]
+    normal, right = np.zeros((size, size)), np.zeros(size)
+    for whitener in white:
+        block = jacobian[whitener.rows]
+        columns = np.unique(block.indices)
+        dense = block[:, columns].toarray()
+        both = linalg.solve_triangular(
+            whitener.factor, np.column_stack([dense, residual[whitener.rows]]), lower=True,
+            check_finite=False)
+        part, rest = both[:, :-1], both[:, -1]
+        normal[np.ix_(columns, columns)] += part.T @ part
+        right[columns] += part.T @ rest
+    return normal, right
+
+
+def _factor(matrix: np.ndarray):
+    """Cholesky factor of the matrix scaled to a unit diagonal (units differ by many decades)."""
+    scale = 1.0 / np.sqrt(np.diag(matrix))
+    return linalg.cholesky(matrix * scale[:, None] * scale, lower=True, check_finite=False), scale
+
+
+def _solve(factor: np.ndarray, scale: np.ndarray, right: np.ndarray) -> np.ndarray:
+    return scale * linalg.cho_solve((factor, True), scale * right, check_finite=False)
+
+
+def _inverse(factor: np.ndarray, scale: np.ndarray) -> np.ndarray:
+    inverse, _ = linalg.lapack.dpotri(factor, lower=1)
+    inverse = np.tril(inverse) + np.tril(inverse, -1).T
+    return inverse * scale[:, None] * scale
+
+
+__all__ = ['GAUGE', 'Fit', 'fit', 'normal_equations', 'prior_precision', 'readings_of']

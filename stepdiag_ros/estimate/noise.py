@@ -1,0 +1,212 @@
+"""The noise of a log, taken from the log: repeats and the samples inside each dwell.
+
+Three sources act (contract, section Topics).  An axis errs at each arrival by
+``position`` [m] and keeps that error until it moves again, so that errors at
+neighbouring stops are correlated.  The mirror's attitude errs by ``angle`` [rad],
+anew at each arrival.  The sensors add white noise, whose size at a stop is the
+scatter inside the dwell divided by the root of the number of samples.
+
+``position`` and ``angle`` are estimated from contrasts between repeats of the same
+run: what repeats cancels, errors of the machine and backlash included.  Of each
+contrast a parabola in time is taken off first, so that a slow drift does not
+count as noise; the squares are winsorised at three standard deviations, so that
+a single jump does not either.  A log without repeats falls back on what its maker
+believes, and says so.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg
+
+from stepdiag_ros.estimate.reduce import StopTable
+from stepdiag_ros.model.description import Noise
+from stepdiag_ros.model.log import NONE
+
+FLOOR_M = 1e-12
+"""Nothing is believed to be quieter than a picometre: it keeps noise-free data solvable."""
+WINSOR = 3.0
+WINSOR_MEAN = 0.9950072780
+"""Mean of min(z², 9) of a standard normal z: 1 − P − 6 φ(3) + 9 P with P = P(|z| > 3)."""
+MAX_SWEEPS = 12
+
+
+@dataclass(frozen=True)
+class NoiseModel:
+    """Noise of the stops of one table.
+
+    ``position`` [m], ``angle`` [rad]: arrival errors.  ``sensor`` (n, beams + 2) [m]: standard
+    deviation of a dwell's mean by sensor noise alone.  ``source`` is ``repeats`` or ``belief``;
+    ``dof`` (2,): degrees of freedom behind position and angle.
+    """
+
+    position: float
+    angle: float
+    sensor: np.ndarray
+    source: str
+    dof: tuple[int, int] = (0, 0)
+
+
+@dataclass(frozen=True)
+class Whitener:
+    """Lower Cholesky factor of the covariance of the readings ``rows`` (flat [stop, channel]) of one run."""
+
+    rows: np.ndarray
+    factor: np.ndarray
+
+    def __call__(self, values: np.ndarray) -> np.ndarray:
+        """White version of the readings or Jacobian rows, all of the log's given: (N, …) → (k, …)."""
+        return linalg.solve_triangular(self.factor, values[self.rows], lower=True,
+                                       check_finite=False)
+
+
+def sensor_noise(table: StopTable, belief: Noise) -> np.ndarray:
+    """Standard deviation of a dwell's mean by sensor noise (n, beams + 2) [m].
+
+    The scatter is pooled by channel and setup (median of the variances): one dwell's own is too
+    uncertain to weigh with.
+    """
+    beams = table.displacement.shape[1]
+    result = np.empty((len(table), beams + 2))
+    for scatter, count, columns, believed in (
+            (table.displacement_scatter, table.displacement_count, slice(0, beams),
+             belief.displacement),
+            (table.spot_scatter, table.spot_count, slice(beams, None), belief.spot)):
+        pooled = np.full(scatter.shape, believed)
+        for setup in np.unique(table.setup):
+            rows = table.setup == setup
+            for k in range(scatter.shape[1]):
+                own = scatter[rows, k]
+                own = own[np.isfinite(own)]
+                if len(own) > 2:
+                    pooled[rows, k] = np.median(own)
+        result[:, columns] = pooled / np.sqrt(np.maximum(count, 1))[:, None]
+    return np.maximum(result, FLOOR_M)
+
+
+def arrivals(table: StopTable) -> np.ndarray:
+    """Number of the arrival that each axis still rests on at each stop (n, 3)."""
+    numbers = np.empty((len(table), 3), np.intp)
+    for run in np.unique(table.run):
+        rows = np.flatnonzero(table.run == run)
+        index = table.index[rows].astype(int)
+        fresh = np.zeros((len(rows), 3), bool)
+        for axis in range(3):
+            fresh[:, axis] = (table.axis[rows] == axis) | (table.axis[rows] == NONE)
+        # A stop left out hides which axes moved meanwhile.
+        fresh[1:][np.abs(np.diff(index)) != 1] = True
+        fresh[0] = True
+        numbers[rows] = np.cumsum(fresh, axis=0) + 4 * len(table) * (run + 1)
+    return numbers
+
+
+def run_covariance(rows: np.ndarray, position: float, angle: float, sensor: np.ndarray,
+                   arrival: np.ndarray, numbers: np.ndarray) -> np.ndarray:
+    """Covariance of all readings of the stops ``rows`` (k·c, k·c) [m²], order [stop, channel].
+
+    ``arrival`` (5, n, c): derivatives by a turn about u, v and by a shift along X, Y, Z.
+    """
+    k, channels = len(rows), sensor.shape[1]
+    total = np.zeros((k, channels, k, channels))
+    for axis in range(3):
+        same = numbers[rows, axis][:, None] == numbers[rows, axis]
+        effect = arrival[2 + axis][rows]
+        total += position**2 * np.einsum('ic,jd,ij->icjd', effect, effect, same.astype(float),
+                                         optimize=True)
+    stop = np.arange(k)
+    for turn in range(2):
+        effect = arrival[turn][rows]
+        total[stop, :, stop] += angle**2 * effect[:, :, None] * effect[:, None, :]
+    total = total.reshape(k * channels, k * channels)
+    total[np.diag_indices(k * channels)] += sensor[rows].ravel()**2
+    return total
+
+
+def whiteners(table: StopTable, noise: NoiseModel, arrival: np.ndarray,
+              present: np.ndarray) -> list[Whitener]:
+    """One whitener a run; ``present`` (n, c) masks the readings that exist."""
+    numbers = arrivals(table)
+    channels = present.shape[1]
+    result = []
+    for run in np.unique(table.run):
+        rows = np.flatnonzero(table.run == run)
+        keep = present[rows].ravel()
+        if not keep.any():
+            continue
+        covariance = run_covariance(rows, noise.position, noise.angle, noise.sensor, arrival, numbers)
+        flat = (rows[:, None] * channels + np.arange(channels)).ravel()[keep]
+        result.append(Whitener(flat, linalg.cholesky(covariance[np.ix_(keep, keep)], lower=True)))
+    return result
+
+
+def estimate_noise(table: StopTable, belief: Noise, arrival: np.ndarray) -> NoiseModel:
+    """Arrival errors from the repeats of ``table``; the maker's belief where there are none."""
+    sensor = sensor_noise(table, belief)
+    beams = sensor.shape[1] - 2
+    readings = np.concatenate([table.displacement, table.spot], axis=1)
+    numbers = arrivals(table)
+    contrasts = list(_contrasts(table, readings))
+    sigma = {}
+    dof = {}
+    for what, columns, believed in (('position', [0], belief.position_repeatability),
+                                    ('angle', [beams, beams + 1], belief.angle_repeatability)):
+        parts = []
+        for rows, values, time in contrasts:
+            for column in columns:
+                good = np.isfinite(values[:, column])
+                if good.sum() > 6:
+                    parts.append((rows[good], values[good, column], time[good], column))
+        dof[what] = sum(len(rows) - 3 for rows, *_ in parts)
+        sigma[what] = believed
+        if dof[what] < 8:
+            continue
+        known = max(believed, FLOOR_M)
+        for _ in range(MAX_SWEEPS):
+            guess = (known, 0.0) if what == 'position' else (0.0, known)
+            total = 0.0
+            for rows, value, time, column in parts:
+                covariance = run_covariance(rows, *guess, sensor[:, [column]],
+                                            arrival[:, :, [column]], numbers)
+                white = _white_without_parabola(covariance, value, time)
+                total += np.sum(np.minimum(white**2, WINSOR**2)) / WINSOR_MEAN
+            ratio = np.sqrt(total / dof[what])
+            updated = float(np.clip(known * ratio, FLOOR_M, None))
+            settled = abs(updated / known - 1.0) < 1e-3
+            known = updated
+            if settled:
+                break
+        sigma[what] = known
+    source = 'repeats' if dof['position'] >= 8 or dof['angle'] >= 8 else 'belief'
+    return NoiseModel(sigma['position'], sigma['angle'], sensor, source,
+                      (dof['position'], dof['angle']))
+
+
+def _contrasts(table: StopTable, readings: np.ndarray):
+    """Orthonormal contrasts between repeats: rows of the first repeat, values, time [s] in the run."""
+    groups: dict[tuple, list[np.ndarray]] = {}
+    for run in np.unique(table.run):
+        for direction in np.unique(table.direction[table.run == run]):
+            for repeat in np.unique(table.repeat[(table.run == run)
+                                                 & (table.direction == direction)]):
+                rows = np.flatnonzero((table.run == run) & (table.direction == direction)
+                                      & (table.repeat == repeat))
+                groups.setdefault((int(table.setup[rows[0]]), int(direction)), []).append(rows)
+    for runs in groups.values():
+        common = set.intersection(*(set(table.index[rows].tolist()) for rows in runs))
+        runs = [rows[np.isin(table.index[rows], list(common))] for rows in runs]
+        values = np.array([readings[rows] for rows in runs])
+        time = (table.dwell_ns[runs[0]] - table.dwell_ns[runs[0][0]]) * 1e-9 if common else None
+        for r in range(1, len(runs)):
+            if common:
+                yield runs[0], (values[:r].sum(0) - r * values[r]) / np.sqrt(r * (r + 1)), time
+
+
+def _white_without_parabola(covariance: np.ndarray, value: np.ndarray,
+                            time: np.ndarray) -> np.ndarray:
+    """White residuals (k − 3,) of ``value`` about its best parabola in time."""
+    factor = linalg.cholesky(covariance, lower=True)
+    scaled = time / max(time[-1], 1e-9) if len(time) else time
+    trend = np.stack([np.ones_like(scaled), scaled, scaled**2], axis=1)
+    white = linalg.solve_triangular(factor, np.column_stack([trend, value]), lower=True)
+    basis, _ = linalg.qr(white[:, :3], mode='full')
+    return basis[:, 3:].T @ white[:, 3]

@@ -1,0 +1,120 @@
+"""The unknowns of the enhanced method, and how they reach each stop.
+
+Raw curves (no squareness: it is a slope of a straightness curve, see
+:mod:`stepdiag_ros.estimate.gauge`) at their knots beyond position 0, where they
+are zero by definition; a laser and a mirror misalignment for every setup; one
+reset offset for every beam of every run.
+
+A positioning curve (EXX, EYY, EZZ) has knots at the plan's positions and wherever
+a linear setup stops; the others at the plan's positions only.  A stop between
+knots takes part in both neighbours.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+
+from stepdiag_ros.estimate.reduce import StopTable
+from stepdiag_ros.model.description import Description
+from stepdiag_ros.model.machine import AXES, CURVES
+from stepdiag_ros.model.path import plan_positions
+
+MISALIGNMENTS = ('laser u', 'laser v', 'mirror u', 'mirror v')
+MERGE_M = 1e-6
+"""Commanded positions closer than this are one knot."""
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """Names, places and prior widths of the unknowns of one log.
+
+    ``knots``: curve name → (k,) [m], the first being 0.  ``first``: curve name → column of
+    its knot 1.  ``setup_first``: setup → column of its ``laser u``.  ``offset_first``: column of
+    run 0, beam 0; then row-major [run, beam].  ``size``: number of columns.
+    """
+
+    knots: dict[str, np.ndarray]
+    first: dict[str, int]
+    setups: tuple[str, ...]
+    setup_first: dict[str, int]
+    offset_first: int
+    runs: int
+    beams: int
+
+    @property
+    def size(self) -> int:
+        return self.offset_first + self.runs * self.beams
+
+    def slice(self, name: str) -> slice:
+        """Columns of a curve's knots 1 … k−1."""
+        start = self.first[name]
+        return slice(start, start + len(self.knots[name]) - 1)
+
+    def labels(self) -> list[str]:
+        """A readable name for every column."""
+        labels = [f'{name}[{i}]' for name in CURVES for i in range(1, len(self.knots[name]))]
+        labels += [f'{setup} {what}' for setup in self.setups for what in MISALIGNMENTS]
+        labels += [f'offset run {run} beam {beam}'
+                   for run in range(self.runs) for beam in range(self.beams)]
+        return labels
+
+
+def parameters_of(description: Description, table: StopTable) -> Parameters:
+    """Lay out the unknowns for the stops in ``table``."""
+    knots: dict[str, np.ndarray] = {}
+    linear = np.array([description.setups[s].is_linear for s in table.setup_names])
+    # A log without diagonals knows nothing between its own stops: its stops are the knots.
+    only_linear = bool(linear[table.setup].all())
+    for axis, letter in enumerate(AXES):
+        plan = plan_positions(description, axis)
+        own = np.isin(table.setup, [i for i, s in enumerate(table.setup_names)
+                                    if s == f'lin_{letter.lower()}'])
+        extra = np.unique(table.commanded[own, axis])
+        for motion in 'XYZABC':
+            name = f'E{motion}{letter}'
+            if motion == letter and len(extra):
+                base = np.array([0.0]) if only_linear else plan
+                knots[name] = _merge(np.concatenate([base, extra]))
+            else:
+                knots[name] = plan
+    first, column = {}, 0
+    for name in CURVES:
+        first[name] = column
+        column += len(knots[name]) - 1
+    used = [s for i, s in enumerate(table.setup_names) if np.any(table.setup == i)]
+    setup_first = {}
+    for setup in used:
+        setup_first[setup] = column
+        column += len(MISALIGNMENTS)
+    return Parameters(knots, first, tuple(used), setup_first, column, len(table.run_ids),
+                      table.displacement.shape[1])
+
+
+def _merge(positions: np.ndarray) -> np.ndarray:
+    positions = np.sort(positions)
+    return positions[np.concatenate([[True], np.diff(positions) > MERGE_M])]
+
+
+def curve_matrices(parameters: Parameters, commanded: np.ndarray) -> list[sparse.csr_array]:
+    """For each of the 18 motions the matrix (n, size) that takes the unknowns to its value at each stop.
+
+    Order as :data:`~stepdiag_ros.model.machine.CURVES`.
+    """
+    n = len(commanded)
+    matrices = []
+    for place, name in enumerate(CURVES):
+        knots, position = parameters.knots[name], commanded[:, place // 6]
+        lower = np.clip(np.searchsorted(knots, position + MERGE_M) - 1, 0, len(knots) - 2)
+        part = (position - knots[lower]) / (knots[lower + 1] - knots[lower])
+        part = np.clip(part, 0.0, 1.0)
+        part[np.abs(position - knots[lower]) < MERGE_M] = 0.0
+        part[np.abs(position - knots[lower + 1]) < MERGE_M] = 1.0
+        columns = np.concatenate([lower, lower + 1]) - 1
+        weights = np.concatenate([1.0 - part, part])
+        rows = np.tile(np.arange(n), 2)
+        keep = (weights != 0.0) & (columns >= 0)
+        matrices.append(sparse.csr_array(
+            (weights[keep], (rows[keep], parameters.first[name] + columns[keep])),
+            shape=(n, parameters.size)))
+    return matrices

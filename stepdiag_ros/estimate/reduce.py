@@ -1,0 +1,187 @@
+"""From samples to stops: one row for every stop that a log visited.
+
+A dwell's samples are those with a stamp in ``[DWELL, DONE)`` of the sequencer.
+Samples without signal (quality 0) and samples that are not numbers are left out
+and counted.  Besides the mean the table keeps where a dwell's samples lie, so
+that what happens inside a dwell is not lost to the gap diagnosis.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.model.log import DONE, DWELL, MOVE, CalibrationLog, Samples
+
+SPOT_COLUMNS = 2
+
+
+@dataclass(frozen=True)
+class StopTable:
+    """One row a visited stop, in order of time; ``n`` rows.
+
+    ``run`` (n,) index into ``run_ids``; ``setup`` (n,) index into ``setup_names``;
+    ``repeat``, ``direction``, ``index``, ``axis`` (n,) as in the contract's Step;
+    ``commanded`` (n, 3) [m]; ``move_ns``, ``dwell_ns``, ``done_ns`` (n,) int64 (−1: no move seen).
+    ``displacement`` (n, beams), ``spot`` (n, 2) [m]: means over the dwell, NaN where there is none;
+    ``displacement_scatter``, ``spot_scatter`` [m]: standard deviation of one sample in the dwell;
+    ``displacement_count``, ``spot_count`` (n,): samples used.
+    ``displacement_rows``, ``spot_rows`` (n, 2): the dwell's samples are ``[first, last)`` of the log.
+    ``intensity`` (n,) [V] and ``refractive_index`` (n,): means over the dwell.
+    """
+
+    run_ids: tuple[str, ...]
+    setup_names: tuple[str, ...]
+    run: np.ndarray
+    setup: np.ndarray
+    repeat: np.ndarray
+    direction: np.ndarray
+    index: np.ndarray
+    axis: np.ndarray
+    commanded: np.ndarray
+    move_ns: np.ndarray
+    dwell_ns: np.ndarray
+    done_ns: np.ndarray
+    displacement: np.ndarray
+    displacement_scatter: np.ndarray
+    displacement_count: np.ndarray
+    displacement_rows: np.ndarray
+    spot: np.ndarray
+    spot_scatter: np.ndarray
+    spot_count: np.ndarray
+    spot_rows: np.ndarray
+    intensity: np.ndarray
+    refractive_index: np.ndarray
+    warnings: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.run)
+
+    @property
+    def time_s(self) -> np.ndarray:
+        """Middle of each dwell (n,) [s] since the first dwell began."""
+        return ((self.dwell_ns - self.dwell_ns[0]) + (self.done_ns - self.dwell_ns) / 2) * 1e-9
+
+    def select(self, rows: np.ndarray) -> 'StopTable':
+        """The table with only ``rows`` (mask or indices) of it."""
+        n = len(self)
+        kept = {key: value[rows] if isinstance(value, np.ndarray) and len(value) == n else value
+                for key, value in vars(self).items()}
+        return StopTable(**kept)
+
+
+def reduce_log(log: CalibrationLog) -> StopTable:
+    """Average every dwell of ``log``; raises :class:`StepdiagError` where nothing is left."""
+    events = log.steps
+    visits, warnings = _visits(log)
+    if not len(visits):
+        raise StepdiagError(f'{log.source}: sequencer/step holds no dwell; '
+                            'nothing to evaluate, record a whole run')
+    first = visits[:, 1]
+    move_ns = np.where(visits[:, 0] >= 0, events.time_ns[visits[:, 0]], -1)
+    dwell_ns, done_ns = events.time_ns[first], events.time_ns[visits[:, 2]]
+    names = tuple(events.setup_names)
+    lengths = _average(log.displacement, dwell_ns, done_ns, events.setup[first], names,
+                       log.displacement.health > 0)
+    spots = _average(log.spot, dwell_ns, done_ns, events.setup[first], names,
+                     np.ones(len(log.spot), bool))
+    for topic, part, samples in (('interferometer/displacement', lengths, log.displacement),
+                                 ('psd/spot', spots, log.spot)):
+        if part.left_out:
+            warnings.append(f'{log.source}: {topic}: {part.left_out} dwell samples without signal '
+                            'or not a number were left out')
+        empty = int(np.sum(part.count == 0))
+        if empty and len(samples):
+            warnings.append(f'{log.source}: {topic}: {empty} of {len(visits)} dwells hold no usable '
+                            'sample; those stops are left out of this channel')
+    table = StopTable(
+        events.run_ids, names, events.run[first], events.setup[first], events.repeat[first],
+        events.direction[first], events.index[first], events.axis[first], events.commanded[first],
+        move_ns, dwell_ns, done_ns,
+        lengths.mean, lengths.scatter, lengths.count, lengths.rows,
+        spots.mean, spots.scatter, spots.count, spots.rows,
+        spots.health, lengths.refractive_index, tuple(warnings))
+    if not np.isfinite(table.displacement).any() and not np.isfinite(table.spot).any():
+        raise StepdiagError(f'{log.source}: no dwell of sequencer/step holds a sample of '
+                            'interferometer/displacement or psd/spot; check the stamps of both')
+    return table
+
+
+def _visits(log: CalibrationLog) -> tuple[np.ndarray, list[str]]:
+    """Event numbers (move or −1, dwell, done) of each complete visit (k, 3); complaints."""
+    events = log.steps
+    visits, warnings = [], []
+    move = dwell = -1
+    seen: dict[tuple[int, int, int, int], int] = {}
+    unfinished = repeated = 0
+
+    def key(i: int) -> tuple[int, int, int, int]:
+        return (int(events.run[i]), int(events.repeat[i]), int(events.direction[i]),
+                int(events.index[i]))
+
+    for i, phase in enumerate(events.phase):
+        if phase == MOVE:
+            unfinished += dwell >= 0
+            move, dwell = i, -1
+        elif phase == DWELL:
+            unfinished += dwell >= 0
+            dwell = i
+            if move >= 0 and key(move) != key(i):
+                move = -1
+        elif phase == DONE and dwell >= 0 and key(dwell) == key(i):
+            if key(i) in seen:
+                repeated += 1
+                visits[seen[key(i)]] = (move, dwell, i)
+            else:
+                seen[key(i)] = len(visits)
+                visits.append((move, dwell, i))
+            move = dwell = -1
+    unfinished += dwell >= 0
+    if unfinished:
+        warnings.append(f'{log.source}: sequencer/step: {unfinished} dwells never ended; left out')
+    if repeated:
+        warnings.append(f'{log.source}: sequencer/step: {repeated} stops came twice in one run; '
+                        'the later visit counts')
+    rows = np.array(visits, np.intp).reshape(-1, 3)
+    return rows[np.argsort(events.time_ns[rows[:, 1]], kind='stable')], warnings
+
+
+@dataclass(frozen=True)
+class _Averages:
+    mean: np.ndarray
+    scatter: np.ndarray
+    count: np.ndarray
+    rows: np.ndarray
+    health: np.ndarray
+    refractive_index: np.ndarray
+    left_out: int
+
+
+def _average(samples: Samples, start_ns: np.ndarray, end_ns: np.ndarray, setup: np.ndarray,
+             names: tuple[str, ...], usable: np.ndarray) -> _Averages:
+    """Means and scatters of the samples in each window that carry the window's setup."""
+    n, columns = len(start_ns), samples.values.shape[1]
+    mean, scatter = np.full((n, columns), np.nan), np.full((n, columns), np.nan)
+    health, index = np.full(n, np.nan), np.ones(n)
+    count = np.zeros(n, np.intp)
+    rows = np.stack([np.searchsorted(samples.time_ns, start_ns),
+                     np.searchsorted(samples.time_ns, end_ns)], axis=1)
+    own = np.array([names.index(s) if s in names else -1 for s in samples.setup_names] + [-2])
+    frame = own[samples.setup] if len(samples) else np.zeros(0, int)
+    finite = np.isfinite(samples.values).all(axis=1)
+    left_out = 0
+    for i, (lo, hi) in enumerate(rows):
+        mine = frame[lo:hi] == setup[i]
+        good = mine & finite[lo:hi] & usable[lo:hi]
+        left_out += int(mine.sum() - good.sum())
+        count[i] = good.sum()
+        if not count[i]:
+            continue
+        values = samples.values[lo:hi][good]
+        # Subtracting the first sample keeps the mean exact to the last bit of a long distance.
+        mean[i] = values[0] + (values - values[0]).mean(axis=0)
+        if count[i] > 1:
+            scatter[i] = values.std(axis=0, ddof=1)
+        health[i] = samples.health[lo:hi][good].mean()
+        index[i] = samples.refractive_index[lo:hi][good].mean()
+    return _Averages(mean, scatter, count, rows, health, index, left_out)
