@@ -1,0 +1,101 @@
+"""``stepdiag``: one command, one module a subcommand.
+
+A subcommand is a module of this package with ``NAME``, ``HELP``,
+``add_arguments(parser)`` and ``run(args) -> int``.  Only the module of the command
+that was asked for is imported, so ``stepdiag info`` works without ROS; the general
+help takes the one-line texts from the table below.
+"""
+
+import argparse
+import importlib
+import os
+import sys
+from collections.abc import Sequence
+from importlib import metadata
+
+from stepdiag_ros.errors import StepdiagError
+
+#: Command, its module, and what the general help says of it, in the order of the help.
+COMMANDS: tuple[tuple[str, str, str], ...] = (
+    ('demo', 'demo', 'bring a virtual machine up, calibrate it, show the errors found'),
+    ('up', 'up', 'start a cell from its YAML file and watch over it until Ctrl-C'),
+    ('calibrate', 'calibrate', 'run the calibration on a cell and evaluate it'),
+    ('simulate', 'simulate', 'write the log of a virtual cell without running the graph'),
+    ('evaluate', 'evaluate', 'evaluate a log: the 21 errors with their uncertainties'),
+    ('compare', 'compare', 'evaluate a log with every method that fits it, side by side'),
+    ('predict', 'predict', 'the volumetric error that a solution predicts'),
+    ('gap', 'gap', 'where log and simulator disagree, why, and how far it closes'),
+    ('blind', 'blind', 'seal, answer and open the blind check of the diagnosis'),
+    ('report', 'report', 'figures, sheets and pages of an evaluation'),
+    ('compensate', 'compensate', 'compensation tables for a control'),
+    ('replay', 'replay', "send a log through the solver node's own function, or onto topics"),
+    ('info', 'info', 'what a bag holds and what is missing'),
+    ('recover', 'recover', 'mend a torn bag and say what is lost'),
+    ('import', 'import_', 'bring a table of measurements (CSV) in as a bag'),
+    ('scene', 'scene', 'draw the beams, the mirror and the course of a cell'),
+)
+
+DESCRIPTION = """\
+In-machine calibration of three-axis machine tools by the enhanced laser step diagonal method.
+"""
+
+EPILOG = """\
+Start with `stepdiag demo`.  `stepdiag COMMAND --help` explains a command.
+Exit status: 0 done, 1 a check was not passed, 2 bad input (one line says what), 130 interrupted.
+"""
+
+
+def _available() -> list[tuple[str, str, str]]:
+    """The commands whose modules are installed."""
+    package = importlib.import_module('stepdiag_ros.cli')
+    folders = [folder for folder in package.__path__ if os.path.isdir(folder)]
+    return [entry for entry in COMMANDS
+            if any(os.path.exists(os.path.join(folder, f'{entry[1]}.py')) for folder in folders)]
+
+
+def build_parser(asked: str | None) -> argparse.ArgumentParser:
+    """The parser; only the subcommand ``asked`` for gets its arguments."""
+    parser = argparse.ArgumentParser(prog='stepdiag', description=DESCRIPTION, epilog=EPILOG,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument('--version', action='version', version=f'stepdiag {_version()}')
+    commands = parser.add_subparsers(dest='command', metavar='COMMAND', required=True)
+    for name, module_name, text in _available():
+        if name != asked:
+            commands.add_parser(name, help=text)
+            continue
+        module = importlib.import_module(f'stepdiag_ros.cli.{module_name}')
+        sub = commands.add_parser(name, help=text, description=module.__doc__ or module.HELP,
+                                  formatter_class=argparse.RawDescriptionHelpFormatter)
+        module.add_arguments(sub)
+        sub.set_defaults(run=module.run)
+    return parser
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command; returns the exit status."""
+    argv = list(sys.argv[1:] if argv is None else argv)
+    asked = next((word for word in argv if not word.startswith('-')), None)
+    try:
+        args = build_parser(asked).parse_args(argv)
+        return int(args.run(args) or 0)
+    except StepdiagError as error:
+        print(f'stepdiag: {error}', file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print('stepdiag: interrupted', file=sys.stderr)
+        return 130
+    except BrokenPipeError:
+        # The reader of our output has gone (`stepdiag … | head`): nothing is left to say.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+
+
+def _version() -> str:
+    try:
+        return metadata.version('stepdiag_ros')
+    except metadata.PackageNotFoundError:
+        return 'unknown'
+
+
+if __name__ == '__main__':
+    sys.exit(main())
