@@ -33,6 +33,25 @@ TOOLS = ('g++',)
 FOREIGN_PYTHON = re.compile(r'/opt/python/cp\d+-cp\d+/include/python3\.\d+')
 FOREIGN_NUMPY = re.compile(r'/opt/python/cp\d+-cp\d+/lib/python3\.\d+/site-packages/numpy/_core/include')
 
+# Paths of a sourced ROS installation, or of another environment whose Python started
+# this one, would be searched before the wheels.  The last is the mark by which the
+# wheels know that LD_LIBRARY_PATH is already theirs.
+FOREIGN_PATHS = (
+    'PYTHONPATH',
+    'PYTHONHOME',
+    'CMAKE_PREFIX_PATH',
+    'COLCON_PREFIX_PATH',
+    'LD_LIBRARY_PATH',
+    '_ROS_WHEELS_BOOTSTRAP_COMPLETE',
+)
+
+# One line that Python runs at each start: the ament index finds packages of the
+# environment without anything being sourced.
+AMENT_PREFIX = (
+    "import os, sys; name = 'AMENT_PREFIX_PATH'; paths = os.environ.get(name, '').split(os.pathsep); "
+    'sys.prefix in paths or os.environ.__setitem__(name, os.pathsep.join(filter(None, [sys.prefix, *paths])))\n'
+)
+
 
 def fail(line: str) -> 'None':
     """Ends the program with one line on standard error."""
@@ -113,9 +132,6 @@ class Environment:
             'AMENT_PREFIX_PATH': prefix,
             'VIRTUAL_ENV': prefix,
         }
-        # Paths of a sourced ROS installation would be searched before the wheels.
-        for name in ('PYTHONPATH', 'PYTHONHOME', 'CMAKE_PREFIX_PATH', 'COLCON_PREFIX_PATH', 'LD_LIBRARY_PATH'):
-            environment.pop(name, None)
         cmake = str(self.place / 'bin' / 'cmake')
         with tempfile.TemporaryDirectory(prefix='stepdiag-msgs-') as build:
             configure = [cmake, '-G', 'Ninja', '-S', str(ROOT / 'msg_defs'), '-B', build]
@@ -129,9 +145,7 @@ class Environment:
     def point_targets_home(self) -> None:
         """Replaces include folders of the wheels' build machine by this environment's own."""
         script = 'import sysconfig, numpy; print(sysconfig.get_paths()["include"]); print(numpy.get_include())'
-        answer = subprocess.run(
-            [str(self.python), '-c', script], capture_output=True, text=True, check=True
-        )
+        answer = subprocess.run([str(self.python), '-c', script], capture_output=True, text=True, check=True)
         python_include, numpy_include = answer.stdout.split('\n')[:2]
         for file in self.place.glob('share/*/cmake/*Export.cmake'):
             text = file.read_text()
@@ -141,11 +155,9 @@ class Environment:
 
     def install_package(self) -> None:
         """stepdiag_ros, editable: code, launch files and cells are those of the working tree."""
-        run(
-            [str(self.python), '-m', 'pip', 'install', '--disable-pip-version-check', '--no-input']
-            + ['--no-build-isolation', '--no-deps', '--editable', str(ROOT)],
-            'installing stepdiag_ros',
-        )
+        command = [str(self.python), '-m', 'pip', 'install', '--disable-pip-version-check', '--no-input']
+        command += ['--no-build-isolation', '--no-deps', '--editable', str(ROOT)]
+        run(command, 'installing stepdiag_ros')
         # An editable installation leaves the data files out; links serve them as they are now.
         share = self.place / 'share'
         for target, source in (
@@ -158,6 +170,8 @@ class Environment:
             link.parent.mkdir(parents=True, exist_ok=True)
             link.unlink(missing_ok=True)
             link.symlink_to(ROOT / source)
+        site = next(self.place.glob('lib/python3.*/site-packages'))
+        (site / 'stepdiag_ament_prefix.pth').write_text(AMENT_PREFIX)
 
     def make(self, tests: bool) -> bool:
         """All stages in order; True when anything had to be done."""
@@ -183,7 +197,7 @@ class Environment:
         msgs_key = digest([files['build'], *sources], venv_key, *ros_wheels)
         done |= self.stage('msgs', msgs_key, 'building stepdiag_msgs', self.build_messages)
 
-        package = [ROOT / 'package.xml', ROOT / 'setup.py', ROOT / 'setup.cfg']
+        package = [ROOT / 'package.xml', ROOT / 'setup.py', ROOT / 'setup.cfg', Path(__file__).resolve()]
         done |= self.stage('package', digest(package, msgs_key), 'installing stepdiag_ros', self.install_package)
         return done
 
@@ -195,6 +209,8 @@ def main() -> int:
     arguments = parser.parse_args()
 
     check_machine()
+    for name in FOREIGN_PATHS:
+        os.environ.pop(name, None)
     place = arguments.venv.absolute()
     place.parent.mkdir(parents=True, exist_ok=True)
     with open(place.with_name(place.name + '.lock'), 'w') as lock:

@@ -1,0 +1,92 @@
+"""What all tests share: a ROS domain of one's own, the shared data, no process left behind."""
+
+import fcntl
+import os
+import signal
+import time
+import uuid
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+DOMAINS = range(1, 101)  # above, Fast DDS's ports run into those that the kernel hands out
+LOCKS = Path('/tmp') / f'stepdiag-ros-domains-{os.getuid()}'
+
+# Nothing leaves this machine, and no shared-memory segment outlives a killed process.
+os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
+os.environ['FASTDDS_BUILTIN_TRANSPORTS'] = 'UDPv4'
+os.environ.pop('ROS_STATIC_PEERS', None)
+os.environ['MPLBACKEND'] = 'Agg'
+
+# Every process that a test starts inherits this mark, however far down it is started.
+MARK_NAME = 'STEPDIAG_TEST_MARK'
+MARK = uuid.uuid4().hex
+os.environ[MARK_NAME] = MARK
+
+
+@pytest.fixture
+def ros_domain(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[int]:
+    """A ROS_DOMAIN_ID that no other test on this machine has, set in the environment.
+
+    ROS's log files go to the test's own folder.
+    """
+    LOCKS.mkdir(exist_ok=True)
+    deadline = time.monotonic() + 240
+    while time.monotonic() < deadline:
+        for domain in DOMAINS:
+            with open(LOCKS / str(domain), 'w') as lock:
+                try:
+                    fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                except BlockingIOError:
+                    continue
+                monkeypatch.setenv('ROS_DOMAIN_ID', str(domain))
+                monkeypatch.setenv('ROS_LOG_DIR', str(tmp_path / 'ros_log'))
+                yield domain
+                return
+        time.sleep(0.2)
+    pytest.fail(f'all ROS domains {DOMAINS.start} to {DOMAINS.stop - 1} are taken; see {LOCKS}')
+
+
+@pytest.fixture(scope='session')
+def shared() -> Path:
+    """The folder with field logs, measured stages and papers, which is not part of the repository."""
+    place = Path(os.environ.get('STEPDIAG_SHARED', ROOT.parent / 'shared'))
+    if not place.is_dir():
+        pytest.skip(f'shared data missing: no folder {place} (set STEPDIAG_SHARED)')
+    return place
+
+
+def marked_processes() -> dict[int, str]:
+    """Command lines of the living processes that carry the mark, without this one."""
+    found = {}
+    for entry in Path('/proc').iterdir():
+        if not entry.name.isdigit() or int(entry.name) == os.getpid():
+            continue
+        try:
+            environment = (entry / 'environ').read_bytes()
+            command = (entry / 'cmdline').read_bytes().replace(b'\0', b' ').decode(errors='replace').strip()
+        except OSError:
+            continue
+        # Python's own helper of multiprocessing lives as long as its parent.
+        if f'{MARK_NAME}={MARK}'.encode() in environment.split(b'\0') and 'multiprocessing.' not in command:
+            found[int(entry.name)] = command
+    return found
+
+
+@pytest.fixture(scope='module', autouse=True)
+def no_process_left() -> Iterator[None]:
+    """Fails when a process that the module's tests started is still alive after them, and ends it."""
+    yield
+    left = marked_processes()
+    deadline = time.monotonic() + 10
+    while left and time.monotonic() < deadline:
+        time.sleep(0.1)
+        left = marked_processes()
+    for process in left:
+        try:
+            os.kill(process, signal.SIGKILL)
+        except ProcessLookupError:
+            continue
+    assert not left, f'processes left behind: {left}'
