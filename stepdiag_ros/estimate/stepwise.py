@@ -37,7 +37,7 @@ def increments(sight: Sight, values: np.ndarray, steps: int) -> np.ndarray:
     """
     change = np.diff(values, axis=0)
     moved, signs = sight.axis[1:], travel_signs(sight)
-    out = np.full((3, steps, *values.shape[1:]), np.nan)
+    out = np.full((3, steps, *values.shape[1:]), np.nan, values.dtype)
     for axis in range(3):
         own = change[moved == axis]
         if len(own):
