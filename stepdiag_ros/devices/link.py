@@ -1,0 +1,93 @@
+"""A TCP connection with deadlines, whose every trouble is a :class:`DeviceError`."""
+
+import socket
+import time
+
+from stepdiag_ros.devices.base import DeviceError
+
+FIRST_PAUSE_S = 0.1
+"""Pause before the second attempt to connect; it doubles with each further one."""
+
+
+class Link:
+    """A client's end of one TCP connection.
+
+    ``name`` begins every complaint.  Connecting is tried ``attempts`` times with
+    growing pauses, because an instrument that was just switched on, or that a moment
+    ago dropped its client, needs a little time.
+    """
+
+    def __init__(self, name: str, host: str, port: int, timeout_s: float = 5.0, attempts: int = 4):
+        self.where = f'{name} at {host}:{port}'
+        self._address = (host, port)
+        self._timeout_s = timeout_s
+        self._attempts = attempts
+        self._socket: socket.socket | None = None
+
+    @property
+    def is_open(self) -> bool:
+        return self._socket is not None
+
+    def open(self) -> None:
+        """Connect; does nothing when connected."""
+        if self._socket is not None:
+            return
+        pause, reason = FIRST_PAUSE_S, ''
+        for attempt in range(self._attempts):
+            if attempt:
+                time.sleep(pause)
+                pause *= 2.0
+            try:
+                connection = socket.create_connection(self._address, self._timeout_s)
+            except OSError as error:
+                reason = error.strerror or str(error)
+                continue
+            # Requests are small and each waits for its answer: never hold one back.
+            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            self._socket = connection
+            return
+        raise DeviceError(f'{self.where}: cannot connect ({reason}) after {self._attempts} attempts; '
+                          'check that it is switched on and that host and port are right')
+
+    def close(self) -> None:
+        if self._socket is not None:
+            self._socket.close()
+            self._socket = None
+
+    def fail(self, what: str) -> DeviceError:
+        """Close, and the error to raise."""
+        self.close()
+        return DeviceError(f'{self.where}: {what}')
+
+    def send(self, data: bytes) -> None:
+        if self._socket is None:
+            raise DeviceError(f'{self.where}: is not connected; connect first')
+        self._socket.settimeout(self._timeout_s)
+        try:
+            self._socket.sendall(data)
+        except TimeoutError:
+            raise self.fail(f'does not take data for {self._timeout_s:g} s; restart it') from None
+        except OSError as error:
+            raise self.fail(f'dropped the connection ({error.strerror or error}); '
+                            'reconnect') from None
+
+    def receive(self, wait_s: float | None = None) -> bytes:
+        """What has arrived, waiting for at least one byte; with ``wait_s`` empty after that time.
+
+        Without ``wait_s`` silence for the connection's timeout is an error.
+        """
+        if self._socket is None:
+            raise DeviceError(f'{self.where}: is not connected; connect first')
+        self._socket.settimeout(self._timeout_s if wait_s is None else max(wait_s, 1e-6))
+        try:
+            data = self._socket.recv(1 << 18)
+        except TimeoutError:
+            if wait_s is not None:
+                return b''
+            raise self.fail(f'stalls: no answer for {self._timeout_s:g} s; restart it') from None
+        except OSError as error:
+            raise self.fail(f'dropped the connection ({error.strerror or error}); '
+                            'reconnect') from None
+        if not data:
+            raise self.fail('closed the connection; reconnect')
+        return data

@@ -1,0 +1,234 @@
+"""A PSD behind an analogue input box that speaks Modbus TCP (LabJack T7).
+
+Two ways of reading the four photocurrents: ``stream`` lets the box sample by its own
+clock and send packets, tens of thousands of scans a second; ``poll`` reads the inputs
+by request, some hundreds a second, and works with any box that has float32 registers.
+"""
+
+import logging
+import time
+
+import numpy as np
+from pymodbus.client import ModbusTcpClient
+from pymodbus.exceptions import ModbusException
+
+from stepdiag_ros.devices import t7
+from stepdiag_ros.devices.base import DeviceError, SpotBlock
+from stepdiag_ros.devices.link import FIRST_PAUSE_S, Link
+from stepdiag_ros.devices.psd_signal import SpotOptics
+
+CHANNELS = (0, 1, 2, 3)
+PACKET_S = 5.0e-3
+"""Packets of about this time span: short enough for steady stamps, long enough to be few."""
+CLOCK_DRIFT = 1.0e-4
+"""How much slower [s/s] than ours the box's clock may be taken to run."""
+
+# pymodbus logs what it also raises; the nodes say it once, in one line.
+logging.getLogger('pymodbus').setLevel(logging.CRITICAL)
+
+
+class ModbusPsd:
+    """Client of one detector: ``channels`` are the inputs of I1…I4.
+
+    ``mode``: ``stream`` or ``poll``.  ``optics`` says how currents become a spot.
+    """
+
+    def __init__(self, host: str, port: int = t7.CONTROL_PORT, stream_port: int = t7.STREAM_PORT,
+                 optics: SpotOptics | None = None, channels: tuple[int, ...] = CHANNELS,
+                 mode: str = 'stream', timeout_s: float = 5.0, unit: int = 1):
+        if mode not in ('stream', 'poll'):
+            raise DeviceError(f'PSD at {host}:{port}: mode is {mode!r}; choose stream or poll')
+        self._where = f'PSD at {host}:{port}'
+        self._address = (host, port)
+        self._timeout_s = timeout_s
+        self._optics = optics or SpotOptics()
+        self._channels = channels
+        self._mode = mode
+        self._unit = unit
+        self._client: ModbusTcpClient | None = None
+        self._link = Link('PSD stream', host, stream_port, timeout_s)
+        self._calibration = t7.Calibration()
+        self._period_s = 0.0          # of the running stream; 0: none runs
+        self._next_s: float | None = None
+
+    def connect(self) -> None:
+        if self._client is not None:
+            return
+        client = ModbusTcpClient(self._address[0], port=self._address[1], timeout=self._timeout_s,
+                                 retries=0, reconnect_delay=0)
+        for attempt in range(4):
+            time.sleep(FIRST_PAUSE_S * 2.0 ** (attempt - 1) if attempt else 0.0)
+            if client.connect():
+                break
+        else:
+            raise DeviceError(f'{self._where}: cannot connect after 4 attempts; check that it is '
+                              'switched on and that host and port are right')
+        self._client = client
+        if self._mode == 'stream':
+            self._write(t7.STREAM_ENABLE, t7.uint_registers(0), must=False)
+            self._write(t7.INTERNAL_FLASH_READ_POINTER, t7.uint_registers(t7.CALIBRATION_ADDRESS))
+            constants = self._read(t7.INTERNAL_FLASH_READ, 8)
+            self._calibration = t7.Calibration.unpack(np.array(constants, '>u2').tobytes())
+            if not 1e-5 < self._calibration.positive_slope < 1e-2:
+                raise self._fail('has no valid calibration constants in its flash; '
+                                 'use mode poll or have it calibrated')
+
+    def close(self) -> None:
+        if self._client is not None:
+            if self._period_s:
+                try:
+                    self._write(t7.STREAM_ENABLE, t7.uint_registers(0), must=False)
+                except DeviceError:
+                    pass   # it is gone already, and its stream with it
+            if self._client is not None:
+                self._client.close()
+            self._client = None
+        self._link.close()
+        self._period_s, self._next_s = 0.0, None
+
+    def read_block(self, samples: int, period_s: float) -> SpotBlock:
+        if self._client is None:
+            raise DeviceError(f'{self._where}: is not connected; connect first')
+        read = self._streamed if self._mode == 'stream' else self._polled
+        stamp_s, volts = read(samples, period_s)
+        spot, intensity = self._optics.spot(volts)
+        return SpotBlock(round(stamp_s * 1e9), period_s, spot[:, 0], spot[:, 1], intensity)
+
+    # -- by request
+
+    def _polled(self, samples: int, period_s: float) -> tuple[float, np.ndarray]:
+        now = time.time()
+        begin = self._next_s if self._next_s is not None and \
+            abs(now - self._next_s) < max(0.05, period_s) else now
+        first, last = min(self._channels), max(self._channels)
+        columns = [channel - first for channel in self._channels]
+        volts = np.empty((samples, len(columns)))
+        for i in range(samples):
+            due = begin + i * period_s - time.time()
+            if due > 0.0:
+                time.sleep(due)
+            registers = self._read(t7.AIN0 + 2 * first, 2 * (last - first + 1))
+            volts[i] = t7.floats(registers)[columns]
+        if not np.all(np.isfinite(volts)):
+            raise self._fail('answers voltages that are not finite; restart it')
+        self._next_s = begin + samples * period_s
+        return begin, volts
+
+    # -- by the box's own clock
+
+    def _streamed(self, samples: int, period_s: float) -> tuple[float, np.ndarray]:
+        stale = self._next_s is not None and \
+            time.time() - self._next_s > max(1.0, 5.0 * samples * period_s)
+        if self._period_s != period_s or stale:
+            self._start_stream(period_s, samples)
+        while len(self._raw) < samples:
+            self._take(self._link.receive())
+        raw, self._raw = self._raw[:samples], self._raw[samples:]
+        stamp = self._origin_s + self._taken * period_s
+        self._taken += samples
+        self._next_s = stamp + samples * period_s
+        return stamp, self._calibration.volts(raw)
+
+    def _start_stream(self, period_s: float, samples: int) -> None:
+        width = len(self._channels)
+        self._write(t7.STREAM_ENABLE, t7.uint_registers(0), must=False)
+        self._link.close()
+        self._link.open()
+        scans = int(np.clip(round(PACKET_S / period_s), 1,
+                            min(samples, t7.MAX_SAMPLES_PER_PACKET // width)))
+        for channel in self._channels:
+            self._write(t7.AIN0_RANGE + 2 * channel, t7.float_registers(10.0))
+            self._write(t7.AIN0_NEGATIVE_CH + channel, [t7.SINGLE_ENDED])
+        self._write(t7.STREAM_SCANRATE_HZ, t7.float_registers(1.0 / period_s)
+                    + t7.uint_registers(width) + t7.uint_registers(scans * width)
+                    + t7.float_registers(0.0) + t7.uint_registers(0) + t7.uint_registers(0))
+        self._write(t7.STREAM_AUTO_TARGET, t7.uint_registers(t7.TARGET_ETHERNET)
+                    + t7.uint_registers(0) + t7.uint_registers(0))
+        self._write(t7.STREAM_SCANLIST_ADDRESS0, [word for channel in self._channels
+                                                  for word in t7.uint_registers(2 * channel)])
+        self._packets = t7.PacketStream()
+        self._raw = np.empty((0, width), '>u2')
+        self._transaction = 0
+        self._taken = 0       # scans handed out
+        self._arrived = 0     # scans received
+        asked = time.time()
+        self._write(t7.STREAM_ENABLE, t7.uint_registers(1))
+        self._origin_s = 0.5 * (asked + time.time())
+        self._period_s = period_s
+
+    def _take(self, data: bytes) -> None:
+        now = time.time()
+        try:
+            packets = self._packets.feed(data)
+        except ValueError as error:
+            raise self._fail(f'answers nonsense ({error}); restart it') from None
+        for packet in packets:
+            if packet.transaction != self._transaction & 0xFFFF:
+                raise self._fail(f'lost stream packets between number {self._transaction & 0xFFFF} '
+                                 f'and {packet.transaction}; reconnect')
+            self._transaction += 1
+            if packet.status in (t7.STATUS_SCAN_OVERLAP, t7.STATUS_RECOVERY_OVERFLOW):
+                raise self._fail(f'cannot keep up (status {packet.status}); lower the sample rate')
+            width = len(self._channels)
+            scans = packet.raw[:len(packet.raw) // width * width].reshape(-1, width)
+            scans = scans[~(scans == t7.SKIPPED).all(axis=1)]
+            if packet.status == t7.STATUS_RECOVERY_END:
+                # Scans are missing: a block never spans the gap.
+                self._raw = scans[:0]
+                self._arrived += packet.additional
+                self._taken = self._arrived
+            self._raw = np.concatenate([self._raw, scans])
+            self._arrived += len(scans)
+        self._follow_clock(now, len(packets))
+
+    def _follow_clock(self, now: float, packets: int) -> None:
+        """Bring the stream's origin in line with the host's clock.
+
+        A packet cannot arrive before its last scan, so an early arrival pulls the origin
+        back at once; a late one says little and lets it forward at the drift limit only.
+        """
+        if not packets:
+            return
+        excess = now - (self._arrived - 1) * self._period_s - self._origin_s
+        limit = CLOCK_DRIFT * PACKET_S * packets
+        self._origin_s += min(excess, limit)
+
+    # -- Modbus
+
+    def _read(self, address: int, count: int) -> list[int]:
+        return self._exchange(lambda: self._client.read_holding_registers(
+            address, count=count, device_id=self._unit), f'reading register {address}',
+            count).registers
+
+    def _write(self, address: int, registers: list[int], must: bool = True) -> None:
+        self._exchange(lambda: self._client.write_registers(
+            address, registers, device_id=self._unit), f'writing register {address}', must=must)
+
+    def _exchange(self, request, what: str, count: int | None = None, must: bool = True):
+        if self._client is None:
+            raise DeviceError(f'{self._where}: is not connected; connect first')
+        asked = time.monotonic()
+        try:
+            answer = request()
+        except (ModbusException, OSError) as error:
+            if time.monotonic() - asked > 0.8 * self._timeout_s:
+                raise self._fail(f'stalls: no answer to {what} for {self._timeout_s:g} s; '
+                                 'restart it') from None
+            text = str(error).removeprefix('Modbus Error: ')
+            raise self._fail(f'dropped the connection or answered nonsense while {what} '
+                             f'({text}); reconnect') from None
+        if answer.isError():
+            if must:
+                raise self._fail(f'refuses {what} ({answer}); is it a T7?')
+        elif count is not None and len(answer.registers) != count:
+            raise self._fail(f'answers nonsense: {len(answer.registers)} registers for {count} '
+                             f'while {what}; restart it')
+        return answer
+
+    def _fail(self, what: str) -> DeviceError:
+        if self._client is not None:
+            self._client.close()
+            self._client = None
+        self._link.close()
+        self._period_s, self._next_s = 0.0, None
+        return DeviceError(f'{self._where}: {what}')
