@@ -17,8 +17,20 @@ from typing import Literal
 
 import numpy as np
 
-from stepdiag_ros.model.rays import (Component, Gradient, Height, Vector, along, dot, hit_height,
-                                     hit_plane, hit_sphere, minus, reflect, refract)
+from stepdiag_ros.model.rays import (
+    Component,
+    Gradient,
+    Height,
+    Vector,
+    along,
+    dot,
+    hit_height,
+    hit_plane,
+    hit_sphere,
+    minus,
+    reflect,
+    refract,
+)
 
 Action = Literal['reflect', 'refract', 'stop']
 
@@ -207,8 +219,7 @@ class Scene:
                 continue
             surfaces = [surface.at(pose) for surface in body.surfaces]
             for side, surface in enumerate(surfaces):
-                with np.errstate(divide='ignore', invalid='ignore'):
-                    t, normal = surface.hit(origin, direction)
+                t, normal = surface.hit(origin, direction)
                 if not START_GAP < t < (best[0] if best else np.inf):
                     continue
                 strike = along(origin, t, direction)

@@ -57,7 +57,8 @@ def along(origin: Vector, t: Component, direction: Vector) -> Vector:
 def hit_plane(origin: Vector, direction: Vector, point: Vector,
               normal: Vector) -> tuple[Component, Vector]:
     """Distance to the plane through ``point``; negative behind the ray, infinite if parallel."""
-    return dot(minus(point, origin), normal) / dot(direction, normal), normal
+    with np.errstate(divide='ignore', invalid='ignore'):
+        return np.divide(dot(minus(point, origin), normal), dot(direction, normal)), normal
 
 
 def hit_sphere(origin: Vector, direction: Vector, vertex: Vector, normal: Vector,
@@ -95,8 +96,8 @@ def hit_height(origin: Vector, direction: Vector, point: Vector, axes: tuple[Vec
     r = minus(origin, point)
     x0, y0, z0 = (dot(r, axis) for axis in axes)
     dx, dy, dz = (dot(direction, axis) for axis in axes)
-    t = -z0 / dz
     with np.errstate(invalid='ignore', divide='ignore', over='ignore'):
+        t = np.divide(-z0, dz)
         for _ in range(NEWTON_STEPS):
             x, y = x0 + t * dx, y0 + t * dy
             hx, hy = gradient(x, y)

@@ -18,14 +18,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from stepdiag_ros.model.description import Description
+from stepdiag_ros.model.description import Description, Machine, Setup
 from stepdiag_ros.model.mirror_form import FlatForm, MirrorForm
 from stepdiag_ros.model.optics import Body, Path, Plane, Scene, Trace
 from stepdiag_ros.model.rays import Component, Vector
 from stepdiag_ros.model.sensor import station
 
 BLOCK = 32768
-"""Poses traced together: enough to hide Python, few enough for the intermediate arrays to stay in cache."""
+"""Poses traced together: enough to hide the interpreter, few enough to stay in the cache."""
 
 MIRROR, DETECTOR = 0, 1
 
@@ -68,12 +68,16 @@ class SensorScene:
             _to_mirror(self._psd_path, self.psd_offset)
 
     @classmethod
+    def of_setup(cls, machine: Machine, setup: Setup, bodies: Sequence[Body] = ()) -> 'SensorScene':
+        """The nominal base unit of one setup."""
+        base = station(machine, setup)
+        return cls(base.origin, base.triad, setup.standoff, setup.beams, setup.psd_offset, bodies)
+
+    @classmethod
     def from_description(cls, description: Description, setup: str,
                          bodies: Sequence[Body] = ()) -> 'SensorScene':
-        """The nominal base unit of one setup of a cell description."""
-        given = description.setups[setup]
-        base = station(description.machine, given)
-        return cls(base.origin, base.triad, given.standoff, given.beams, given.psd_offset, bodies)
+        """As :meth:`of_setup`, by the setup's name in a cell description."""
+        return cls.of_setup(description.machine, description.setups[setup], bodies)
 
     def measure(self, p: np.ndarray, R: np.ndarray, *,
                 beam_tilt: np.ndarray | tuple[float, float] = (0.0, 0.0),
