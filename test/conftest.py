@@ -15,8 +15,8 @@ DOMAINS = range(1, 101)  # above, Fast DDS's ports run into those that the kerne
 LOCKS = Path('/tmp') / f'stepdiag-ros-domains-{os.getuid()}'
 
 # Nothing leaves this machine, and no shared-memory segment outlives a killed process.
-os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
-os.environ['FASTDDS_BUILTIN_TRANSPORTS'] = 'UDPv4'
+os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'SYSTEM_DEFAULT'
+os.environ['FASTRTPS_DEFAULT_PROFILES_FILE'] = str(ROOT / 'test' / 'fastdds_loopback.xml')
 os.environ.pop('ROS_STATIC_PEERS', None)
 os.environ['MPLBACKEND'] = 'Agg'
 
