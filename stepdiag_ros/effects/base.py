@@ -1,0 +1,207 @@
+"""What an effect is: one class, one file, two faces.
+
+An effect *acts* in the physical simulator (:meth:`Effect.act`, on a :class:`Moment` of
+the virtual cell), and it *appears* in the measurement (:meth:`Effect.appearance`, on the
+:class:`StopView` of a log), where the diagnosis looks for it.  The two are written apart
+on purpose: the first is physics, the second is what physics leaves in a log to first
+order, with forms broad enough for a reality that follows no formula.  A test holds one
+against the other.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from stepdiag_ros.model.description import Description
+from stepdiag_ros.model.mirror_form import MirrorForm
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A physical parameter: name, unit, plausible range, size (1: a scalar), what it is."""
+
+    name: str
+    unit: str
+    low: float
+    high: float
+    size: int = 1
+    meaning: str = ''
+
+
+# ---- how it acts ------------------------------------------------------------------------------
+
+@dataclass
+class Moment:
+    """The virtual cell at ``n`` times, on its way from command to reading; an effect changes it.
+
+    Given: ``seconds`` (n,) since the log began; ``mount_seconds`` (n,) since the mirror was mounted
+    for this setup; ``arrival`` (n,) number of the move last begun; ``since_arrival`` (n,) [s] since the
+    control reported in position (negative while moving); ``moved`` (n,) number of the axis that moved
+    last (255: all); ``commanded`` (n, 3) [m]; ``approach`` (n, 3) sign of each axis's last motion;
+    ``setup``; ``scale_temperature`` (n, 3) [°C]; ``rng``: random numbers of this cell and effect,
+    addressed by a name so that they do not depend on the order of calls.
+
+    To change: ``position`` (n, 3) [m] of the axes; ``shift`` (n, 3) [m] and ``turn`` (n, 3) [rad] of the
+    tool against the workpiece, machine frame, added after the machine's own errors; ``laser`` and
+    ``mirror`` (n, 2) [rad], further turns about (u, v) of beams and mirror mount; ``form``: the mirror's
+    shape; ``index`` (n,): the true index of air over the index that the instrument corrects for;
+    ``length`` (n, beams) [m] and, after the reading, ``spot`` (n, 2) [m], ``intensity`` (n,) [V],
+    ``quality`` (n,).
+    """
+
+    description: Description
+    setup: str
+    seconds: np.ndarray
+    mount_seconds: np.ndarray
+    arrival: np.ndarray
+    since_arrival: np.ndarray
+    moved: np.ndarray
+    commanded: np.ndarray
+    approach: np.ndarray
+    scale_temperature: np.ndarray
+    rng: object
+    position: np.ndarray
+    shift: np.ndarray
+    turn: np.ndarray
+    laser: np.ndarray
+    mirror: np.ndarray
+    index: np.ndarray
+    form: MirrorForm | None = None
+    length: np.ndarray | None = None
+    spot: np.ndarray | None = None
+    intensity: np.ndarray | None = None
+    quality: np.ndarray | None = None
+
+
+# ---- how it appears ---------------------------------------------------------------------------
+
+@dataclass(frozen=True)
+class StopView:
+    """A log's stops as an effect sees them; ``n`` stops, ``c = beams + 2`` channels, ``b`` bins a dwell.
+
+    Times [s]: ``time`` (n,) since the log's first dwell, ``run_time`` (n,) since the run's reset,
+    ``mount_time`` (n,) since the setup's first dwell.  ``run``, ``setup`` (n,) numbers into
+    ``run_ids``, ``setup_names``; ``repeat``, ``direction``, ``index``, ``axis`` (n,) as in the contract;
+    ``approach`` (n, 3) sign of each axis's last motion (0: not known).
+    ``commanded`` (n, 3) [m]; ``distance`` (n, beams) [m] to the mirror by the model; ``reading``
+    (n, c) [m]: displacement of the beams, spot x, spot y; ``model`` (n, c) [m]: the same by the fit.
+    ``strike`` (n, beams + 1, 2) [m] along (u, v): where each beam, the PSD's last, meets the mirror
+    counted from its reference point.
+    Derivatives of the readings [m per m or rad]: ``by_motion`` (18, n, c) along EXX … ECZ of
+    :data:`~stepdiag_ros.model.machine.CURVES` at the stop, ``by_laser``, ``by_mirror`` (2, n, c) about u, v;
+    ``by_shift`` (3, n, c) by a shift of the tool (or an axis) along X, Y, Z.
+    ``intensity`` (n,) [V]; ``quality`` (n,); ``divided_index`` (n,): index that the instrument took out;
+    ``air_index`` (n,): index from the environment topics, or None; ``scale_temperature`` (n, 3) [°C] or None
+    (NaN for an axis without sensor).
+    ``bin_time`` (n, b) [s]: middle of each bin after the dwell began.
+    """
+
+    description: Description
+    run_ids: tuple[str, ...]
+    setup_names: tuple[str, ...]
+    time: np.ndarray
+    run_time: np.ndarray
+    mount_time: np.ndarray
+    run: np.ndarray
+    setup: np.ndarray
+    repeat: np.ndarray
+    direction: np.ndarray
+    index: np.ndarray
+    axis: np.ndarray
+    approach: np.ndarray
+    commanded: np.ndarray
+    distance: np.ndarray
+    reading: np.ndarray
+    model: np.ndarray
+    strike: np.ndarray
+    by_motion: np.ndarray
+    by_laser: np.ndarray
+    by_mirror: np.ndarray
+    by_shift: np.ndarray
+    intensity: np.ndarray
+    quality: np.ndarray
+    divided_index: np.ndarray
+    air_index: np.ndarray | None
+    scale_temperature: np.ndarray | None
+    bin_time: np.ndarray
+
+    @property
+    def beams(self) -> int:
+        return self.distance.shape[1]
+
+    @property
+    def spot_reading(self) -> np.ndarray:
+        """Spots as measured, the model's where there is none: (n, 2) [m]."""
+        measured = self.reading[:, self.beams:]
+        return np.where(np.isfinite(measured), measured, self.model[:, self.beams:])
+
+    def zeros(self, k: int) -> np.ndarray:
+        """Columns (k, n, c) of zeros to fill."""
+        return np.zeros((k, *self.reading.shape))
+
+
+@dataclass(frozen=True)
+class Form:
+    """One way in which an effect may appear, linear in ``k`` coefficients.
+
+    ``label``: the form in words, with its shape parameters.  ``columns`` (k, n, c) [m per unit of the
+    coefficient] in the stops' means.  ``names`` (k,) and ``units`` of the coefficients; ``scale`` (k,):
+    a typical size of each, in its unit; the evidence is averaged over sizes from ``scale/30`` to
+    ``30·scale``.  ``inside`` (k, n, b, c) [m per unit]: the same inside the dwell, bin means minus the
+    dwell's mean, or None where nothing happens there.  ``shape``: shape parameters by name with unit
+    in the name, e.g. ``{'tau_s': 400.0}``.
+    """
+
+    label: str
+    columns: np.ndarray
+    names: tuple[str, ...]
+    scale: np.ndarray
+    units: str = 'm'
+    inside: np.ndarray | None = None
+    shape: Mapping[str, float] = field(default_factory=dict)
+
+
+class Effect:
+    """Base of all effects.  Subclasses set the class attributes and override what applies."""
+
+    name: str = ''
+    title: str = ''
+    """What happens, for a machinist, in one sentence."""
+    parameters: tuple[Parameter, ...] = ()
+    """Of :meth:`act`; ``Effect(**values)`` takes them by name."""
+    sources: tuple[str, ...] = ()
+    remedy: str = ''
+    """What to do about it at the machine."""
+
+    def __init__(self, **values: object):
+        known = {p.name: p for p in self.parameters}
+        unknown = sorted(set(values) - set(known))
+        if unknown:
+            raise ValueError(f'{self.name}: unknown parameter {", ".join(unknown)}; '
+                             f'known are {", ".join(known)}')
+        for name, parameter in known.items():
+            middle = np.full(parameter.size, (parameter.low + parameter.high) / 2.0)
+            value = np.broadcast_to(np.asarray(values.get(name, middle), float), (parameter.size,))
+            setattr(self, name, value.copy() if parameter.size > 1 else float(value[0]))
+
+    # Physical face, in the order in which the simulator asks.
+
+    def before_pose(self, moment: Moment) -> None:
+        """Change ``position``, ``shift``, ``turn``."""
+
+    def before_light(self, moment: Moment) -> None:
+        """Change ``laser``, ``mirror``, ``form``, ``index``."""
+
+    def after_light(self, moment: Moment) -> None:
+        """Change ``length``, ``spot``, ``intensity``, ``quality``."""
+
+    def clock_offset(self, sensor: str) -> float:
+        """Seconds that the stamps of ``'interferometer'`` or ``'psd'`` are late (early: negative)."""
+        return 0.0
+
+    # The diagnosis's face.
+
+    def appearance(self, view: StopView) -> list[Form]:
+        """The forms in which the effect may appear in this log; none where it cannot be seen."""
+        return []

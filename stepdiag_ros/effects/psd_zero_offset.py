@@ -1,0 +1,26 @@
+"""The detector's zero is not at zero angle.
+
+The spot is read a constant away from where it is.  A constant angle would move it by ``2 L α``, growing
+with the distance; a constant offset does not, which tells the two apart (Dahlem et al. 2018, 3a and 3b).
+"""
+
+import numpy as np
+
+from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
+
+
+class PsdZeroOffset(Effect):
+    name = 'psd_zero_offset'
+    title = "The position sensor's zero is not where the beam returns at zero angle."
+    parameters = (Parameter('x', 'm', -2e-3, 2e-3, meaning='offset along u'),
+                  Parameter('y', 'm', -2e-3, 2e-3, meaning='offset along v'))
+    sources = ('Dahlem et al. 2018, section 4 and fig. 5 (3a, 3b)',)
+    remedy = 'Set the detector to zero with a retro-reflector in the beam, or enter the offset.'
+
+    def after_light(self, moment: Moment) -> None:
+        moment.spot = moment.spot + np.array([self.x, self.y])
+
+    def appearance(self, view: StopView) -> list[Form]:
+        columns = view.zeros(2)
+        columns[0, :, view.beams] = columns[1, :, view.beams + 1] = 1.0
+        return [Form('constant', columns, ('x', 'y'), np.full(2, 3e-5))]

@@ -1,0 +1,33 @@
+"""The tool point drifts against the workpiece with time: the structure warms up or cools down.
+
+A shift of the tool common to all positions, of any direction, slow against a run.  The reset at
+each run's start takes away what came before it; what is left is the drift inside the runs.
+"""
+
+import numpy as np
+
+from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
+from stepdiag_ros.effects.timeforms import courses
+
+
+class StructuralThermalDrift(Effect):
+    name = 'structural_thermal_drift'
+    title = 'The tool point drifts against the workpiece as the machine structure changes temperature.'
+    parameters = (Parameter('amp', 'm', -6e-5, 6e-5, 3, 'shift along X, Y, Z reached in the end'),
+                  Parameter('tau', 's', 100.0, 5000.0, meaning='time constant'))
+    sources = ('ISO 230-3', 'Mayr et al. 2012, Thermal issues in machine tools')
+    remedy = 'Warm the machine up before measuring, or measure in a shorter time.'
+
+    def before_pose(self, moment: Moment) -> None:
+        grown = 1.0 - np.exp(-moment.seconds / self.tau)
+        moment.shift = moment.shift + grown[:, None] * self.amp
+
+    def appearance(self, view: StopView) -> list[Form]:
+        forms = []
+        for course in courses(view.time):
+            columns = np.einsum('tn,anc->tanc', course.values, view.by_shift)
+            columns = columns.reshape(-1, *view.reading.shape)
+            names = tuple(f'{axis}{i or ""}' for i in range(len(course.values)) for axis in 'XYZ')
+            forms.append(Form(course.label, columns, names, np.full(len(names), 1e-5),
+                              shape=course.shape))
+        return forms
