@@ -1,0 +1,78 @@
+"""Evaluate a log with every method that fits it, side by side.
+
+Prints for each method how far its errors lie from the truth (--truth), or, where
+there is none, from the enhanced method's answer.  Methods that the log cannot serve
+are named with what they would need.
+
+  stepdiag compare bags/demo
+  stepdiag compare shared/log_05 --truth truth.json --out compare.png
+"""
+
+import argparse
+import json
+from pathlib import Path
+
+from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.estimate.compare import Comparison, compare, text_table, truth_of
+from stepdiag_ros.estimate.methods import METHODS, run_all
+from stepdiag_ros.estimate.solution import Solution
+
+NAME = 'compare'
+HELP = 'evaluate a log with every method that fits it, side by side'
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument('bag', metavar='BAG', help='rosbag2 folder or .mcap file')
+    parser.add_argument('--truth', metavar='FILE', type=Path,
+                        help='known errors (JSON): a truth.json, or the output of evaluate --json')
+    parser.add_argument('--out', metavar='FILE', type=Path,
+                        help='draw the curves of all methods into this file (.png, .svg, .pdf)')
+    parser.add_argument('--json', action='store_true', help='print everything as JSON')
+    parser.add_argument('--namespace', help="the machine's namespace where a log holds several")
+
+
+def run(args: argparse.Namespace) -> int:
+    from stepdiag_ros.bag.reader import read_log
+
+    log = read_log(args.bag, args.namespace)
+    results, skipped = run_all(log)
+    name = Path(args.bag).resolve()
+    name = name.stem if name.suffix == '.mcap' else name.name
+    if args.truth is not None:
+        try:
+            text = args.truth.read_text(encoding='utf-8')
+        except (OSError, UnicodeDecodeError) as error:
+            raise StepdiagError(f'{args.truth}: cannot be read: {error}') from None
+        reference, label = truth_of(text, log.description, name, str(args.truth)), 'truth'
+    else:
+        best = results.get('enhanced')
+        if not isinstance(best, Solution):
+            raise StepdiagError(f'{args.bag}: no method gives errors to compare with; '
+                                'give the known errors with --truth FILE')
+        reference, label = best.errors, 'enhanced'
+    outcome = compare(results, reference, label, log.description)
+    if args.json:
+        print(json.dumps(_json(outcome, results, skipped), indent=1))
+    else:
+        print(text_table(outcome))
+        print()
+        for method, why in skipped.items():
+            print(f'not run: {method} ({METHODS[method].title}): {why}')
+    if args.out is not None:
+        from stepdiag_ros.report.compare_picture import draw
+
+        solutions = {n: r for n, r in results.items() if isinstance(r, Solution)}
+        draw(outcome, solutions, args.out, title=name)
+        if not args.json:
+            print(f'picture: {args.out}')
+    return 0
+
+
+def _json(outcome: Comparison, results: dict, skipped: dict[str, str]) -> dict:
+    return {'reference': outcome.reference,
+            'largest_deviation': {m: dict(d) for m, d in outcome.deviation.items()},
+            'within_k2': dict(outcome.within_k2),
+            'figures': {m: [{'name': n, 'measured_m': a, 'reference_m': b} for n, a, b in rows]
+                        for m, rows in outcome.figures.items()},
+            'results': {m: r.to_json_dict() for m, r in results.items()},
+            'not_run': skipped}

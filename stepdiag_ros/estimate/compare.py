@@ -1,0 +1,169 @@
+"""Results of several methods beside a known machine, error by error.
+
+The truth and every solution are brought to the same reference lines first
+(:mod:`~stepdiag_ros.estimate.gauge`); a curve's deviation is the largest at the plan's
+positions.  Methods that give figures of merit instead of errors are set beside the same
+figures computed for the known machine.
+"""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.estimate.body_diagonal import DiagonalTest, deviations_of, diagonal
+from stepdiag_ros.estimate.gauge import to_reference_lines
+from stepdiag_ros.estimate.iso230_2 import LinearTest
+from stepdiag_ros.estimate.solution import Solution
+from stepdiag_ros.model.description import Description
+from stepdiag_ros.model.machine import AXES, CURVES, SQUARENESS, Curve, GeometricErrors
+from stepdiag_ros.model.path import plan_positions
+
+GROUPS = {
+    'positioning': tuple(f'E{a}{a}' for a in AXES),
+    'straightness': tuple(n for n in CURVES if n[1] in 'XYZ' and n[1] != n[2]),
+    'angles': tuple(n for n in CURVES if n[1] in 'ABC'),
+    'squareness': SQUARENESS,
+}
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Deviations from the reference: method → error name → largest deviation [m or rad].
+
+    ``within_k2``: method → share of the values that agree with the reference within two standard
+    deviations (of values that have one); None where no value has one.
+    """
+
+    reference: str
+    errors: GeometricErrors
+    positions: Mapping[str, np.ndarray]
+    deviation: Mapping[str, Mapping[str, float]]
+    within_k2: Mapping[str, float | None]
+    figures: Mapping[str, list[tuple[str, float, float]]]
+
+    def worst(self, method: str, group: str) -> float | None:
+        """Largest deviation of a method in one of :data:`GROUPS`; None where it gives none."""
+        found = [self.deviation[method][n] for n in GROUPS[group] if n in self.deviation[method]]
+        return max(found) if found else None
+
+
+def truth_of(text: str, description: Description, log_name: str, source: str) -> GeometricErrors:
+    """The known machine out of a truth file.
+
+    Understood: the contract's answer (``errors`` with ``position_m`` and ``value``), or ``geometry``
+    with lists at the plan's positions and ``square``, bare or below the log's name.
+    """
+    try:
+        data = json.loads(text)
+    except json.JSONDecodeError as error:
+        raise StepdiagError(f'{source}: line {error.lineno}: not JSON: {error.msg}') from None
+    if isinstance(data, dict) and log_name in data:
+        data = data[log_name]
+    if not isinstance(data, dict) or not ('errors' in data or 'geometry' in data):
+        raise StepdiagError(f'{source}: neither "errors" nor "geometry" for log {log_name!r}; give the '
+                            'answer of `stepdiag evaluate --json` or a truth.json that names the log')
+    curves, square = {}, {}
+    body = data.get('errors') or data['geometry']
+    for name in CURVES:
+        if name not in body:
+            continue
+        given = body[name]
+        position = plan_positions(description, AXES.index(name[2]))
+        if isinstance(given, dict):
+            position, given = np.array(given['position_m'], float), given['value']
+        value = np.array(given, float)
+        if value.shape != position.shape:
+            raise StepdiagError(f'{source}: {name} has {value.size} values, the plan '
+                                f'{position.size} positions')
+        curves[name] = Curve(position, value)
+    squares = body.get('square', body)
+    for name in SQUARENESS:
+        if name in squares:
+            given = squares[name]
+            square[name] = float(given['value'] if isinstance(given, dict) else given)
+    return GeometricErrors(curves, square)
+
+
+def compare(results: Mapping[str, Any], reference: GeometricErrors, name: str,
+            description: Description) -> Comparison:
+    """Set results (name → Solution or figures of merit) beside a reference machine."""
+    reference = to_reference_lines(reference)
+    positions = {n: plan_positions(description, AXES.index(n[2])) for n in CURVES}
+    deviation, within, figures = {}, {}, {}
+    for method, result in results.items():
+        if not isinstance(result, Solution):
+            figures[method] = _figures(result, reference, description)
+            continue
+        deviation[method], hits = {}, []
+        for curve in CURVES:
+            if result.has(curve):
+                place, value, sigma = result.curve(curve)
+                true = reference.curves.get(curve, Curve(np.zeros(1), np.zeros(1)))(place)
+                deviation[method][curve] = float(np.max(np.abs(value - true)))
+                hits += list(np.abs(value - true)[sigma > 0] <= 2.0 * sigma[sigma > 0])
+        for square in SQUARENESS:
+            if result.has(square):
+                value, sigma = result.squareness(square)
+                off = abs(value - reference.square.get(square, 0.0))
+                deviation[method][square] = off
+                hits += [off <= 2.0 * sigma] if sigma > 0 else []
+        within[method] = float(np.mean(hits)) if hits else None
+    return Comparison(name, reference, positions, deviation, within, figures)
+
+
+def _figures(result: Any, reference: GeometricErrors,
+             description: Description) -> list[tuple[str, float, float]]:
+    """(name, measured, of the reference) of a result that has figures of merit, [m]."""
+    machine = description.machine
+    if isinstance(result, DiagonalTest):
+        rows = []
+        for name, measured in result.diagonals.items():
+            position, deviation = deviations_of(reference, machine, name, len(measured.position_m))
+            rows.append((f'E {name}', measured.E, diagonal(position, deviation).E))
+        rows.append(('Ed', result.Ed, max(r[2] for r in rows)))
+        if result.Bd is not None:
+            rows.append(('Bd', result.Bd, 0.0))
+        return rows
+    if isinstance(result, LinearTest):
+        rows = []
+        for name, axis in result.axes.items():
+            curve = reference.curves.get(f'E{name[-1].upper() * 2}')
+            true = float(np.ptp(curve(axis.target_m))) if curve else 0.0
+            rows.append((f'E {name}', axis.E, true))
+            rows.append((f'B {name}', axis.B, 0.0))
+        return rows
+    return []
+
+
+def text_table(comparison: Comparison, details: bool = True) -> str:
+    """The comparison as a table for the terminal, µm and µrad."""
+    methods = list(comparison.deviation)
+    width = max([14, *(len(m) for m in methods)])
+    lines = [f'Largest deviation from {comparison.reference}, µm and µrad '
+             '(all in the reference lines of ISO 230-1)',
+             ' ' * 13 + ''.join(f'{m:>{width + 2}}' for m in methods)]
+
+    def row(label: str, values: list[float | None]) -> str:
+        cells = [('–' if v is None else f'{v * 1e6:.3f}' if v < 1e-3 else f'{v * 1e6:.0f}')
+                 for v in values]
+        return f'{label:<13}' + ''.join(f'{c:>{width + 2}}' for c in cells)
+
+    for group in GROUPS:
+        lines.append(row(group, [comparison.worst(m, group) for m in methods]))
+    shares = [comparison.within_k2[m] for m in methods]
+    lines.append(f'{"within k = 2":<13}' + ''.join(
+        f'{"–" if s is None else f"{100 * s:.0f} %":>{width + 2}}' for s in shares))
+    if details:
+        lines.append('')
+        for name in (*CURVES, *SQUARENESS):
+            values = [comparison.deviation[m].get(name) for m in methods]
+            if any(v is not None for v in values):
+                lines.append(row(name, values))
+    for method, rows in comparison.figures.items():
+        lines += ['', f'{method}: µm', f'{"":<13}{"measured":>12}{comparison.reference:>14}']
+        lines += [f'{n:<13}{a * 1e6:>12.3f}{b * 1e6:>14.3f}' for n, a, b in rows]
+    return '\n'.join(lines)

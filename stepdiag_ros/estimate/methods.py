@@ -1,0 +1,204 @@
+"""Every method by name: what it needs of a log, where it comes from, and how to run it.
+
+``stepdiag evaluate --method NAME`` and ``stepdiag compare`` go through this table.  Methods
+that measure what a step-diagonal log does not hold (face diagonals, tracking
+interferometers, lines with Abbe offsets) are listed with their reason, so that a reader
+sees what exists; they work on arrays.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.estimate import (body_diagonal, enhanced_dahlem, iso230_2, new_formulation,
+                                   squareness_diagonals, step_diagonal)
+from stepdiag_ros.estimate.evaluate import evaluate as evaluate_enhanced
+from stepdiag_ros.estimate.readings import CellReadings, SetupReadings, readings_of_stops
+from stepdiag_ros.estimate.reduce import reduce_log
+from stepdiag_ros.estimate.stepwise import travel_signs
+from stepdiag_ros.model.description import DIAGONALS
+from stepdiag_ros.model.log import CalibrationLog
+
+
+@dataclass(frozen=True)
+class Method:
+    """One method.  ``run(log, cell)`` gives a Solution or a result with ``to_json_dict()``.
+
+    ``lacks(cell)`` says in words what a log is missing, or None where the method can run.
+    """
+
+    name: str
+    title: str
+    source: str
+    needs: str
+    lacks: Callable[[CellReadings], str | None]
+    run: Callable[[CalibrationLog, CellReadings], Any]
+
+
+# ---- what a log must hold ---------------------------------------------------------------------
+
+def _diagonals(needed: int) -> Callable[[CellReadings], str | None]:
+    def lacks(cell: CellReadings) -> str | None:
+        have = [n for n in DIAGONALS if n in cell.setups]
+        return None if len(have) >= needed else f'{needed} body diagonals (has {len(have)})'
+    return lacks
+
+
+def _tilts(cell: CellReadings) -> str | None:
+    for name in DIAGONALS:
+        setup = cell.setups.get(name)
+        if setup is not None and setup.spot_m is None and len(setup.sight.beams) < 3:
+            return f'psd/spot or three beams in setup {name}'
+    return None
+
+
+def _linear(cell: CellReadings) -> str | None:
+    missing = [f'lin_{a}' for a in 'xyz' if f'lin_{a}' not in cell.setups]
+    return f'linear setups {", ".join(missing)}' if missing else None
+
+
+def _both_ways(cell: CellReadings) -> str | None:
+    if _bidirectional_lines(cell):
+        return None
+    return 'a linear setup run forward and backward'
+
+
+def _all(*conditions: Callable[[CellReadings], str | None]) -> Callable[[CellReadings], str | None]:
+    def lacks(cell: CellReadings) -> str | None:
+        return next((text for condition in conditions if (text := condition(cell))), None)
+    return lacks
+
+
+def _never(text: str) -> tuple[Callable, Callable]:
+    def run(log: CalibrationLog, cell: CellReadings):
+        raise StepdiagError(f'{log.source}: this method needs {text}, which a log does not hold; '
+                            'call it from Python with arrays')
+    return (lambda cell: text), run
+
+
+# ---- adapters ---------------------------------------------------------------------------------
+
+def corner_deviations(setup: SetupReadings) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """At a diagonal's complete steps: position along it (k,), forward and backward deviations (r, k)."""
+    sight = setup.sight
+    along = (sight.positions - sight.positions[0]) @ sight.direction
+    beside = sight.positions - sight.positions[0] - along[:, None] * sight.direction
+    corners = np.linalg.norm(beside, axis=1) < 1e-9 + 1e-9 * along[-1]
+    forward, backward = ((runs - along)[:, corners] for runs in (setup.forward_m, setup.backward_m))
+    return along[corners], forward, backward
+
+
+def body_diagonal_test(cell: CellReadings) -> body_diagonal.DiagonalTest:
+    """ISO 230-6 from the stops of a step diagonal that lie on the diagonal."""
+    runs = {}
+    for name in cell.diagonals('body_diagonal', 1):
+        along, forward, backward = corner_deviations(cell.setups[name])
+        if not len(forward):
+            raise StepdiagError(f'body_diagonal: setup {name} has no complete forward run')
+        runs[name] = (along, forward, backward if len(backward) else None)
+    return body_diagonal.evaluate_runs(runs)
+
+
+def squareness_test(cell: CellReadings):
+    """Squareness from the total lengths of the four diagonals of a log."""
+    names = cell.diagonals('squareness_diagonals', 4)
+    setups = {n: cell.setups[n] for n in names}
+    return squareness_diagonals.body_squareness(
+        cell.machine, {n: s.displacement_m[-1, 0] for n, s in setups.items()},
+        {n: float(np.sqrt(2.0) * s.displacement_sigma_m[-1]) for n, s in setups.items()})
+
+
+def _bidirectional_lines(cell: CellReadings) -> list[str]:
+    return [n for n in ('lin_x', 'lin_y', 'lin_z')
+            if n in cell.setups and len(cell.setups[n].forward_m) and len(cell.setups[n].backward_m)]
+
+
+def linear_test(cell: CellReadings) -> iso230_2.LinearTest:
+    """ISO 230-2 of each linear setup that was run in both directions."""
+    axes = {}
+    for name in _bidirectional_lines(cell):
+        setup = cell.setups[name]
+        axis = 'xyz'.index(name[-1])
+        target = setup.sight.positions[:, axis]
+        travel = (target - target[0]) * travel_signs(setup.sight)[axis]
+        runs = min(len(setup.forward_m), len(setup.backward_m))
+        axes[name] = iso230_2.evaluate(target, setup.forward_m[:runs] - travel,
+                                       setup.backward_m[:runs] - travel)
+    return iso230_2.LinearTest(axes)
+
+
+def _entries() -> tuple[Method, ...]:
+    face = _never('step diagonals along the faces of the volume')
+    lines = _never('linear runs along three parallel lines of each axis')
+    stations = _never('distances from four tracking interferometers')
+    beam = _never('a rectangular path with the beam regulated to a fixed retroreflector')
+    return (
+        Method('enhanced', 'Enhanced step diagonal, full model', 'Dahlem et al. 2018, extended',
+               'distances; tilts for the angles; linear setups for the slopes',
+               lambda cell: None, lambda log, cell: evaluate_enhanced(log)),
+        Method('enhanced_dahlem', 'Enhanced step diagonal, closed form',
+               'Dahlem et al. 2018, eqs. 1-6',
+               'three body diagonals with PSD or three beams; linear setups for the slopes',
+               _all(_diagonals(3), _tilts), lambda log, cell: enhanced_dahlem.evaluate(cell)),
+        Method('step_diagonal', 'Sequential step diagonal (vector method)',
+               'Wang & Liotto 2003, eqs. 5-16', 'three body diagonals', _diagonals(3),
+               lambda log, cell: step_diagonal.evaluate(cell)),
+        Method('step_diagonal_no_slopes', 'Vector method, slopes ascribed to the mirror',
+               'practice described by Renishaw 2016', 'three body diagonals', _diagonals(3),
+               lambda log, cell: step_diagonal.evaluate(cell, slopes='removed')),
+        Method('new_formulation', 'New formulation of the step diagonal',
+               'Ibaraki et al. 2006, in space', 'four body diagonals and three linear setups',
+               _all(_diagonals(4), _linear), lambda log, cell: new_formulation.evaluate(cell)),
+        Method('squareness_diagonals', 'Squareness from body diagonals', 'Renishaw 2016',
+               'four body diagonals', _diagonals(4), lambda log, cell: squareness_test(cell)),
+        Method('body_diagonal', 'Body diagonal displacement', 'ISO 230-6 / ASME B5.54-2005',
+               'one body diagonal', _diagonals(1), lambda log, cell: body_diagonal_test(cell)),
+        Method('iso230_2', 'Linear displacement', 'ISO 230-2', 'a linear setup run both ways',
+               _both_ways, lambda log, cell: linear_test(cell)),
+        Method('face_diagonal', 'Face diagonals, step face diagonals',
+               'Wang & Liotto 2003, eqs. 17-22', 'stepped face diagonals', *face),
+        Method('three_face', 'Three-face step diagonal', 'Bui et al. 2012',
+               'stepped diagonals of three faces from one corner', *face),
+        Method('linear_lines', 'Three lines with Abbe offsets', 'Wang & Liotto 2003, eqs. 23-25',
+               'three parallel lines an axis', *lines),
+        Method('multilateration', 'Multilateration', 'Ibaraki & Hiruya 2020, eq. 1',
+               'distances from three (plane) or four (space) stations', *stations),
+        Method('regulated_beam', 'Rectangular path, beam regulated',
+               'Ibaraki & Hiruya 2020, eqs. 4-8', 'two linear runs and a tracking test', *beam),
+    )
+
+
+METHODS: dict[str, Method] = {method.name: method for method in _entries()}
+
+
+def run_method(name: str, log: CalibrationLog) -> Any:
+    """One method on one log; :class:`StepdiagError` says what is unknown or missing."""
+    if name not in METHODS:
+        raise StepdiagError(f'--method {name}: not known; choose from {", ".join(METHODS)}')
+    method = METHODS[name]
+    if name == 'enhanced':
+        return evaluate_enhanced(log)
+    cell = readings_of_stops(log.description, reduce_log(log))
+    missing = method.lacks(cell)
+    if missing:
+        raise StepdiagError(f'{log.source}: method {name} needs {missing}')
+    return method.run(log, cell)
+
+
+def run_all(log: CalibrationLog) -> tuple[dict[str, Any], dict[str, str]]:
+    """Every method that fits the log: results by name, and for the others why not."""
+    cell = readings_of_stops(log.description, reduce_log(log))
+    results, skipped = {}, {}
+    for name, method in METHODS.items():
+        missing = method.lacks(cell)
+        if missing:
+            skipped[name] = f'needs {missing}'
+            continue
+        try:
+            results[name] = method.run(log, cell)
+        except StepdiagError as error:
+            skipped[name] = str(error)
+    return results, skipped
