@@ -44,9 +44,9 @@ def backwards(stamp: np.ndarray, number: np.ndarray, topic: str) -> list[str]:
 
 @dataclass(frozen=True)
 class _Part:
-    """Blocks of one layout: ``values`` (n, samples, k), ``health`` (n, samples), the rest (n,)."""
+    """Blocks of one layout: ``columns`` k arrays and ``health`` (n, samples), the rest (n,)."""
 
-    values: np.ndarray
+    columns: tuple[np.ndarray, ...]
     health: np.ndarray
     index: np.ndarray
     stamp: np.ndarray
@@ -102,10 +102,11 @@ def _displacement_parts(group: Group, dropped: _Dropped) -> list[_Part]:
         good &= dropped.keep(np.isfinite(index) & (index > 0) | ~good,
                              'with a refractive index that is no number above 0 '
                              '(1.0 means: not divided out)')
-        rows = rows[good]
-        if len(rows) and marks:
-            parts.append(_part(group, rows, v['displacement'][rows].reshape(len(rows), marks, beams),
-                               v['quality'][rows].astype(float), index[good].astype(float)))
+        if good.any() and marks:
+            chosen = slice(None) if good.all() and len(good) == len(group.number) else rows[good]
+            lengths = v['displacement'][chosen]
+            parts.append(_part(group, chosen, tuple(lengths[:, b::beams] for b in range(beams)),
+                               v['quality'][chosen], v['refractive_index'][chosen].astype(float)))
     return parts
 
 
@@ -116,21 +117,19 @@ def _spot_parts(group: Group, dropped: _Dropped) -> list[_Part]:
     if not dropped.keep(np.full(len(group.number), alike),
                         'whose x, y and intensity disagree in length').all() or not count:
         return []
-    rows = np.arange(len(group.number))
-    return [_part(group, rows, np.stack([v['x'], v['y']], axis=-1), v['intensity'].astype(float),
-                  np.ones(len(rows)))]
+    return [_part(group, slice(None), (v['x'], v['y']), v['intensity'], np.ones(len(group.number)))]
 
 
-def _part(group: Group, rows: np.ndarray, values: np.ndarray, health: np.ndarray,
-          index: np.ndarray) -> _Part:
+def _part(group: Group, rows: np.ndarray | slice, columns: tuple[np.ndarray, ...],
+          health: np.ndarray, index: np.ndarray) -> _Part:
     v = group.values
-    return _Part(values, health, index, stamps_ns(v)[rows], v['sample_period'][rows].astype(float),
+    return _Part(columns, health, index, stamps_ns(v)[rows], v['sample_period'][rows].astype(float),
                  v['header.frame_id'][rows], group.number[rows], group.sequence[rows])
 
 
 def _assemble(table: TopicTable, parts: list[_Part], setup_names: tuple[str, ...],
               dropped: _Dropped, columns: int = 1) -> tuple[Samples, list[str]]:
-    """Order the blocks of all parts and scatter them into flat arrays."""
+    """Order the blocks of all parts and lay their samples into flat arrays."""
     if table.malformed:
         dropped.reasons['that do not hold their type'] = table.malformed
     kept = [_usable(part, setup_names, dropped) for part in parts]
@@ -143,35 +142,74 @@ def _assemble(table: TopicTable, parts: list[_Part], setup_names: tuple[str, ...
     number = np.concatenate([p.number for p, _ in kept])
     order = order_of(stamp, np.concatenate([p.sequence for p, _ in kept]), number)
     warnings += backwards(stamp, number, table.topic)
-    sizes = np.concatenate([np.full(len(p.stamp), p.health.shape[1]) for p, _ in kept])
+    sizes = np.repeat([p.health.shape[1] for p, _ in kept], [len(p.stamp) for p, _ in kept])
     starts = np.empty(len(order), np.intp)
     starts[order] = np.concatenate([[0], np.cumsum(sizes[order])[:-1]])
-    place = np.empty(len(order), np.intp)
-    place[order] = np.arange(len(order))
     total = int(sizes.sum())
-    width = max(columns, *(p.values.shape[2] for p, _ in kept))
-    time = np.empty(total, np.int64)
-    values = np.full((total, width), np.nan)
-    health, index = np.empty(total), np.empty(total)
-    setup, block = np.empty(total, np.intp), np.empty(total, np.intp)
-    finite = np.empty(total, bool)
+    width = max(columns, *(len(p.columns) for p, _ in kept))
+    time, health = np.empty(total, np.int64), np.empty(total)
+    values = np.empty((total, width))
     begin = 0
-    for part, names in kept:
-        here = slice(begin, begin + len(part.stamp))
-        begin = here.stop
-        count = part.health.shape[1]
-        at = starts[here][:, None] + np.arange(count)
+    for part, _ in kept:
+        count, beams = part.health.shape[1], len(part.columns)
         # Rounded, not cut: 0.02 s times 3 is 0.06 s and not 59 999 999 ns.
-        offset = np.rint(np.arange(count) * part.period[:, None] * SECOND).astype(np.int64)
-        time[at] = part.stamp[:, None] + offset
-        values[at, :part.values.shape[2]] = part.values
-        health[at] = part.health
-        index[at] = part.index[:, None]
-        setup[at] = names[:, None]
-        block[at] = place[here][:, None]
-        finite[at] = np.isfinite(part.values).all(axis=2) & np.isfinite(part.health)
-    samples = Samples(time, values, health, index, setup_names, setup, block)
-    return _tidy(samples, finite, table.topic, warnings)
+        periods = part.period[:1] if (part.period == part.period[0]).all() else part.period
+        offset = np.rint(np.arange(count) * periods[:, None] * SECOND).astype(np.int64)
+        for rows, at in _runs(starts[begin:begin + len(part.stamp)], count):
+            _put(time, at, part.stamp[rows, None] + (offset if len(offset) == 1 else offset[rows]))
+            _put(health, at, part.health[rows])
+            for number, column in enumerate(part.columns):
+                _put(values[:, number], at, column[rows])
+            values[at, beams:] = np.nan
+        begin += len(part.stamp)
+    index = np.repeat(np.concatenate([p.index for p, _ in kept])[order], sizes[order])
+    setup = np.repeat(np.concatenate([setup for _, setup in kept])[order], sizes[order])
+    samples = Samples(time, values, health, index, setup_names, setup,
+                      np.repeat(np.arange(len(order)), sizes[order]))
+    return _tidy(samples, _finite(samples, kept, order, sizes), table.topic, warnings)
+
+
+def _put(target: np.ndarray, at: slice | np.ndarray, blocks: np.ndarray) -> None:
+    """``blocks`` (n, samples) into the flat ``target`` at a stretch or at indices (n, samples)."""
+    if isinstance(at, slice):
+        # The view of a strided column keeps its stride; a reshape may not copy here.
+        stretch = target[at]
+        np.lib.stride_tricks.as_strided(
+            stretch, blocks.shape, (stretch.strides[0] * blocks.shape[1], stretch.strides[0])
+        )[...] = blocks
+    else:
+        target[at] = blocks
+
+
+def _runs(starts: np.ndarray, count: int) -> list[tuple[slice | np.ndarray, slice | np.ndarray]]:
+    """Where the blocks of a part go: pairs of (rows of the part, samples of the whole).
+
+    Blocks that follow each other go as one slice; where they lie scattered, an index
+    array for all of them is cheaper than thousands of slices.
+    """
+    cuts = np.flatnonzero(np.diff(starts) != count) + 1
+    if len(cuts) > max(8, len(starts) // 50):
+        return [(slice(None), starts[:, None] + np.arange(count))]
+    edges = [0, *cuts.tolist(), len(starts)]
+    return [(slice(a, b), slice(int(starts[a]), int(starts[a]) + (b - a) * count))
+            for a, b in zip(edges[:-1], edges[1:], strict=True)]
+
+
+def _finite(samples: Samples, kept: list[tuple[_Part, np.ndarray]], order: np.ndarray,
+            sizes: np.ndarray) -> np.ndarray | None:
+    """Mask (n,) of the samples that are numbers; ``None`` if all are.
+
+    Beams that a block does not have are NaN on purpose and do not count.
+    """
+    alike = len({len(p.columns) for p, _ in kept}) == 1
+    with np.errstate(invalid='ignore', over='ignore'):
+        # One NaN or infinity anywhere makes the sum one: a pass without a temporary.
+        if alike and np.isfinite(samples.values.sum()) and np.isfinite(samples.health.sum()):
+            return None
+    beams = np.repeat([len(p.columns) for p, _ in kept], [len(p.stamp) for p, _ in kept])[order]
+    absent = np.arange(samples.values.shape[1]) >= np.repeat(beams, sizes[order])[:, None]
+    mask = (np.isfinite(samples.values) | absent).all(axis=1) & np.isfinite(samples.health)
+    return None if mask.all() else mask
 
 
 def _usable(part: _Part, setup_names: tuple[str, ...], dropped: _Dropped) -> tuple[_Part, np.ndarray]:
@@ -187,38 +225,42 @@ def _usable(part: _Part, setup_names: tuple[str, ...], dropped: _Dropped) -> tup
     good &= dropped.keep(timed | ~good, 'with a sample period that is no number above 0')
     if good.all():
         return part, setup
-    return _Part(*(column[good] for column in vars(part).values())), setup[good]
+    rest = {k: v[good] for k, v in vars(part).items() if k != 'columns'}
+    return _Part(columns=tuple(c[good] for c in part.columns), **rest), setup[good]
 
 
-def _tidy(samples: Samples, finite: np.ndarray, topic: str,
+def _tidy(samples: Samples, finite: np.ndarray | None, topic: str,
           warnings: list[str]) -> tuple[Samples, list[str]]:
     """Leave out samples that are no numbers and blocks sent twice; order overlapping blocks."""
-    bad = int(len(finite) - finite.sum())
-    if bad:
-        warnings.append(f'{topic}: left out {bad} of {len(finite)} samples that are NaN or infinite')
+    good = finite
+    if finite is not None:
+        warnings.append(f'{topic}: left out {int((~finite).sum())} of {len(finite)} samples '
+                        'that are NaN or infinite')
     twice = _repeated(samples)
-    if twice.any():
+    if twice is not None:
         warnings.append(f'{topic}: left out {len(np.unique(samples.block[twice]))} block(s) that '
                         'the log holds twice')
-    good = finite & ~twice
-    if not good.all():
+        good = ~twice if good is None else good & ~twice
+    if good is not None:
         samples = _take(samples, good)
-    falls = int((np.diff(samples.time_ns) < 0).sum())
+    falls = int((samples.time_ns[1:] < samples.time_ns[:-1]).sum())
     if falls:
         warnings.append(f'{topic}: blocks overlap in time {falls} time(s); samples put in order of time')
         samples = _take(samples, np.argsort(samples.time_ns, kind='stable'))
     return samples, warnings
 
 
-def _repeated(samples: Samples) -> np.ndarray:
+def _repeated(samples: Samples) -> np.ndarray | None:
     """Mask (n,) of the samples of blocks that equal the block before them, stamp and all."""
-    mask = np.zeros(len(samples), bool)
-    first = np.flatnonzero(np.diff(samples.block, prepend=-1))
+    first = np.flatnonzero(samples.block[1:] != samples.block[:-1]) + 1
+    first = np.concatenate([[0], first])
     last = np.append(first[1:], len(samples))
+    mask = None
     for k in np.flatnonzero(np.diff(samples.time_ns[first]) == 0):
         a, b = slice(first[k], last[k]), slice(first[k + 1], last[k + 1])
         if a.stop - a.start == b.stop - b.start and samples.setup[a.start] == samples.setup[b.start] \
                 and np.array_equal(samples.values[a], samples.values[b], equal_nan=True):
+            mask = np.zeros(len(samples), bool) if mask is None else mask
             mask[b] = True
     return mask
 

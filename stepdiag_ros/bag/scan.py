@@ -1,9 +1,9 @@
 """One MCAP file, read front to back, CRCs checked, messages found but not copied.
 
 Whole chunks go out as :class:`Segment`: the decompressed bytes and where in them
-each message lies, so that the decoder can lay NumPy views over them.  The message
-indexes are not used: no CRC guards them, and a walk over the records costs a
-quarter of a microsecond a message (decision 0010).
+each message lies, so each message lies, so that the decoder can lay NumPy views over them.  The message
+indexes are hints only, because no CRC guards them: what they say is checked against
+the records themselves, and whatever they leave out is walked (decision 0010).
 """
 
 import io
@@ -104,6 +104,7 @@ class McapFile:
         running = zlib.crc32(MAGIC)
         loose: list[bytes] = []
         chunks = 0
+        chunk: _Chunk | None = None
         while True:
             begin = stream.tell()
             head = stream.read(_RECORD.size)
@@ -117,11 +118,16 @@ class McapFile:
             body = stream.read(length)
             if expected and opcode != Opcode.DATA_END:
                 running = zlib.crc32(body, zlib.crc32(head, running))
+            if opcode == Opcode.MESSAGE_INDEX:
+                if chunk is not None:
+                    chunk.hints.append(body)
+                continue
+            if chunk is not None:
+                yield self._walk(chunk)
+                chunk = None
             if opcode == Opcode.CHUNK:
                 chunks += 1
-                segment = self._chunk(body, begin, chunks)
-                if segment is not None:
-                    yield segment
+                chunk = self._chunk(body, f'chunk {chunks} at byte {begin}')
             elif opcode == Opcode.MESSAGE:
                 loose.append(head + body)
                 if len(loose) >= 100_000:
@@ -136,6 +142,8 @@ class McapFile:
                 break
             else:
                 self._small(opcode, body, begin)
+        if chunk is not None:
+            yield self._walk(chunk)
         if loose:
             self.checked = self.checked and self._guarded
             yield _join(loose)
@@ -175,8 +183,7 @@ class McapFile:
             if zlib.crc32(stream.read(size - footer.summary_start - 12)) != footer.summary_crc:
                 self._fault('the CRC of its summary is wrong: a byte was changed')
 
-    def _chunk(self, body: bytes, begin: int, number: int) -> Segment | None:
-        where = f'chunk {number} at byte {begin}'
+    def _chunk(self, body: bytes, where: str) -> '_Chunk | None':
         try:
             _, _, full, crc = _CHUNK.unpack_from(body)
             at = _CHUNK.size
@@ -191,29 +198,51 @@ class McapFile:
             self._fault(f'{where} fails its CRC: a byte was changed')
             return None
         self.checked = self.checked and (crc != 0 or self._guarded)
-        return self._walk(data, where)
+        return _Chunk(data, where)
 
-    def _walk(self, data: bytes | memoryview, where: str) -> Segment:
+    def _walk(self, chunk: '_Chunk') -> Segment:
         """Find the messages of a decompressed chunk; take in its schemas and channels."""
-        offsets, lengths = [], []
-        position, end = 0, len(data)
+        buffer = np.frombuffer(chunk.data, np.uint8)
+        offsets, lengths = _hinted(buffer, chunk.hints)
+        walked, whole = self._walk_gaps(chunk, offsets, lengths)
+        if not whole and len(offsets):    # the hints were wrong
+            offsets = lengths = np.zeros(0, np.intp)
+            walked, whole = self._walk_gaps(chunk, offsets, lengths)
+        if not whole:
+            self._fault(f'{chunk.where} holds a record that is cut off')
+        if walked:
+            more = np.array(walked, np.intp)
+            offsets = np.concatenate([offsets, more[:, 0]])
+            lengths = np.concatenate([lengths, more[:, 1]])
+            order = np.argsort(offsets)
+            offsets, lengths = offsets[order], lengths[order]
+        return Segment(buffer, offsets, lengths)
+
+    def _walk_gaps(self, chunk: '_Chunk', offsets: np.ndarray,
+                   lengths: np.ndarray) -> tuple[list[tuple[int, int]], bool]:
+        """Walk what lies between the known messages.
+
+        Returns offset and data length of the messages found there, and whether every
+        stretch ended where the next message begins.
+        """
+        ends = np.concatenate([[0], offsets + HEADER_SIZE + lengths])
+        begins = np.append(offsets, len(chunk.data))
         unpack, message, extra = _RECORD.unpack_from, int(Opcode.MESSAGE), HEADER_SIZE - 9
-        while position + 9 <= end:
-            opcode, length = unpack(data, position)
-            if position + 9 + length > end:
-                break
-            if opcode == message:
-                if length < extra:
+        data, found = chunk.data, []
+        for gap in np.flatnonzero(begins != ends):
+            position, end = int(ends[gap]), int(begins[gap])
+            while position + 9 <= end:
+                opcode, length = unpack(data, position)
+                if position + 9 + length > end or opcode == message and length < extra:
                     break
-                offsets.append(position)
-                lengths.append(length - extra)
-            else:
-                self._small(opcode, bytes(data[position + 9:position + 9 + length]), position)
-            position += 9 + length
-        if position != end:
-            self._fault(f'{where} holds a record that is cut off')
-        return Segment(np.frombuffer(data, np.uint8), np.array(offsets, np.intp),
-                       np.array(lengths, np.intp))
+                if opcode == message:
+                    found.append((position, length - extra))
+                else:
+                    self._small(opcode, bytes(data[position + 9:position + 9 + length]), position)
+                position += 9 + length
+            if position != end:
+                return found, False
+        return found, True
 
     def _small(self, opcode: int, body: bytes, begin: int) -> None:
         """Records that describe; indexes and what we do not know are passed over."""
@@ -233,6 +262,40 @@ class McapFile:
                 self.statistics = Statistics.read(stream)
         except (struct.error, UnicodeDecodeError, McapError) as error:
             self._fault(f'the record at byte {begin} is damaged: {error or "cut off"}')
+
+
+@dataclass
+class _Chunk:
+    """A decompressed chunk and the message index records that follow it."""
+
+    data: bytes | memoryview
+    where: str
+    hints: list[bytes] = field(default_factory=list)
+
+
+def _hinted(buffer: np.ndarray, hints: list[bytes]) -> tuple[np.ndarray, np.ndarray]:
+    """Offsets and data lengths (m,) of the messages that the indexes name, all checked.
+
+    Empty if a single one does not stand where it should or reaches into the next: then
+    the indexes are worth nothing.
+    """
+    none = np.zeros(0, np.intp), np.zeros(0, np.intp)
+    pieces = [np.frombuffer(body, '<u8', (len(body) - 6) // 16 * 2, 6)[1::2] for body in hints
+              if len(body) > 6]
+    if not pieces:
+        return none
+    offsets = np.sort(np.concatenate(pieces))
+    if offsets[-1] + np.uint64(HEADER_SIZE) > len(buffer):
+        return none
+    offsets = offsets.astype(np.intp)
+    head = gather(buffer, offsets, 9)
+    lengths = head[:, 1:9].view('<u8')[:, 0]
+    if (head[:, 0] != int(Opcode.MESSAGE)).any() or (lengths > len(buffer)).any():
+        return none
+    ends = offsets + 9 + lengths.astype(np.intp)
+    fits = (lengths >= HEADER_SIZE - 9).all() and (ends[:-1] <= offsets[1:]).all() \
+        and ends[-1] <= len(buffer)
+    return (offsets, lengths.astype(np.intp) - (HEADER_SIZE - 9)) if fits else none
 
 
 def _stream(body: bytes) -> ReadDataStream:
