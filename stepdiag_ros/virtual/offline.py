@@ -73,9 +73,13 @@ def simulate_log(cell: Cell, start_ns: int = START_NS, setups: tuple[str, ...] |
 def execute(cell: Cell, history: History, start_ns: int, setups: tuple[str, ...]) -> list[Run]:
     """Move through the plan, filling ``history``; returns the runs."""
     now, place, runs = start_ns, np.zeros(3), []
+    rest = point_to_point(0.0, 1.0, 1.0, 1.0)
+    # Power-up and each mounting of the mirror count as arrivals, as they do for the control.
+    history.append(now, place, place, rest, -1)
     for setup in setups:
         path = stops(cell.description, setup)
         number = cell.setup_names.index(setup)
+        history.append(now, place, place, rest, number)
         now += int(cell.motion.mount * 1e9)
         for repeat in range(cell.description.plan.repeats):
             for direction in (1, -1):

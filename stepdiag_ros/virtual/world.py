@@ -114,7 +114,7 @@ class World:
         state = self.state(time_ns)
         length, spot = sight(cell.description.machine, cell.description.setups[setup],
                              cell.misalignments[setup], *self.pose(state))
-        index = index_at(cell.air, state.seconds)
+        index = self.index(state.seconds)
         if cell.air.compensated:
             divided = index
         else:
@@ -124,6 +124,10 @@ class World:
         quality = 96.0 * np.exp(-(walk / WALK_LIMIT) ** 2)
         intensity = np.full(len(spot), cell.instruments.detector.sum_voltage)
         return Reading(length, spot + np.array(cell.psd_zero[setup]), quality, intensity, divided)
+
+    def index(self, seconds: np.ndarray) -> np.ndarray:
+        """Index of air (n,) after ``seconds`` (n,)."""
+        return index_at(self.cell.air, seconds)
 
     def displacement_noise(self, first: int, count: int, beams: int) -> np.ndarray:
         """(count, beams) [m]: noise of samples number ``first`` and following."""

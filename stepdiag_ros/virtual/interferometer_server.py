@@ -1,0 +1,237 @@
+"""A virtual attocube IDS3010: JSON-RPC 2.0 over TCP, with and without newlines.
+
+Requests that arrive together were sent on a time grid; they are answered with the
+positions at the times since the last ones, evenly spaced, as an instrument that works
+them off at a steady pace would have taken them.
+"""
+
+import asyncio
+import json
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stepdiag_ros.devices.jsonstream import JsonStream
+from stepdiag_ros.virtual.air import conditions
+from stepdiag_ros.virtual.cell import Cell
+from stepdiag_ros.virtual.draw import normals
+from stepdiag_ros.virtual.faults import Faults
+from stepdiag_ros.virtual.offline import SENSOR_SIGMA
+from stepdiag_ros.virtual.serving import announce, open_world, serve
+from stepdiag_ros.virtual.world import World
+
+AXES = 3
+PACE_NS = 20_000
+"""Time an idle instrument needs for a request."""
+GAP_NS = 20_000_000
+"""Requests further apart than this do not belong to one time grid."""
+METHOD_NOT_FOUND = {'code': -32601, 'message': 'Method not found'}
+INVALID_REQUEST = {'code': -32600, 'message': 'Invalid Request'}
+NO_SIGNAL_WARNING = 1001
+ECU_ERROR = 1002
+
+
+class Instrument:
+    """The state of the instrument, whoever is connected."""
+
+    def __init__(self, cell: Cell, world: World, faults: Faults):
+        self.cell, self.world, self.faults = cell, world, faults
+        self._measuring = False
+        self._taken = 0                # samples so far: addresses their noise
+        self._ecu_read = 0
+        self._last_ns = time.time_ns()
+        self._reference = np.zeros(AXES)
+        prefix = f'com.attocube.{cell.instruments.namespace}.'
+        self.fast = prefix + 'displacement.getAbsolutePositions'
+        self._methods = {
+            prefix + 'system.getCurrentMode': self._mode,
+            prefix + 'system.startMeasurement': self._start,
+            prefix + 'system.stopMeasurement': self._stop,
+            prefix + 'system.resetAxes': self._reset,
+            prefix + 'displacement.getAxesDisplacement':
+                lambda params: [*self._positions(1, self._reference)[0]],
+            prefix + 'displacement.getReferencePositions':
+                lambda params: [0, *np.rint(self._reference).astype(int).tolist()],
+            prefix + 'displacement.getAxisSignalQuality': self._quality,
+            prefix + 'adjustment.getContrastInPermille': lambda params: [*self._quality(params), 0],
+            'com.attocube.ecu.getConnected': lambda params: [0, bool(cell.air.sensors)],
+            'com.attocube.ecu.getTemperatureInDegrees':
+                lambda params: self._ecu('temperature', 'air_temperature', 0, 1.0),
+            'com.attocube.ecu.getPressureInHPa':
+                lambda params: self._ecu('pressure', 'air_pressure', 1, 0.01),
+            'com.attocube.ecu.getHumidityInPercent':
+                lambda params: self._ecu('humidity', 'humidity', 2, 100.0),
+            'com.attocube.ecu.getRefractiveIndex': lambda params: [0, self._index()],
+            'com.attocube.ecu.getRefractiveIndexForCompensation':
+                lambda params: [0, self._index() if cell.air.compensated else 1.0],
+            'com.attocube.system.getDeviceType': lambda params: [0, 'IDS3010'],
+            'com.attocube.system.getFirmwareVersion':
+                lambda params: [0, '1.9.0' if cell.instruments.namespace == 'sen' else '1.8.0'],
+        }
+
+    def answer(self, requests: list[Any]) -> list[dict]:
+        """Responses to requests that arrived together, in their order."""
+        answers, pending = [], []
+        for request in requests:
+            if isinstance(request, dict) and request.get('method') == self.fast:
+                pending.append(request.get('id'))
+                continue
+            answers += self._sampled(pending)
+            pending = []
+            answers.append(self._one(request))
+        return answers + self._sampled(pending)
+
+    def _one(self, request: Any) -> dict:
+        if not isinstance(request, dict) or not isinstance(request.get('method'), str):
+            number = request.get('id') if isinstance(request, dict) else None
+            return {'jsonrpc': '2.0', 'id': number, 'error': INVALID_REQUEST}
+        method = self._methods.get(request['method'])
+        reply = {'jsonrpc': '2.0', 'id': request.get('id')}
+        if method is None:
+            return reply | {'error': METHOD_NOT_FOUND}
+        try:
+            return reply | {'result': method(request.get('params') or [])}
+        except (TypeError, ValueError, IndexError):
+            return reply | {'error': {'code': -32602, 'message': 'Invalid params'}}
+
+    def _sampled(self, numbers: list) -> list[dict]:
+        if not numbers:
+            return []
+        return [{'jsonrpc': '2.0', 'id': number, 'result': row}
+                for number, row in zip(numbers, self._positions(len(numbers)), strict=True)]
+
+    def _times(self, count: int) -> np.ndarray:
+        now = time.time_ns()
+        since = now - self._last_ns
+        step = since // count if since < GAP_NS else PACE_NS
+        self._last_ns = now
+        return now - np.arange(count - 1, -1, -1) * step
+
+    def _positions(self, count: int, zero: np.ndarray | None = None) -> list[list[int]]:
+        """``[warning, pm, pm, pm]`` of ``count`` samples, absolute or from ``zero`` [pm]."""
+        self.world.history.follow()
+        times = self._times(count)
+        setup = self.world.setup_at(int(times[-1]))
+        first, self._taken = self._taken, self._taken + count
+        rows = np.zeros((count, 1 + AXES))
+        if setup is None or not self._measuring or self.faults.kind == 'no_signal':
+            rows[:, 0] = NO_SIGNAL_WARNING
+            return rows.astype(np.int64).tolist()
+        reading = self.world.read(times, setup)
+        beams = reading.length.shape[1]
+        noise = self.world.displacement_noise(first, count, beams)
+        rows[:, 1:1 + beams] = (reading.length + noise) * 1e12
+        if zero is not None:
+            rows[:, 1:1 + beams] -= zero[:beams]
+        rows[:, 0] = np.where(reading.quality < 1.0, NO_SIGNAL_WARNING, 0)
+        return np.rint(rows).astype(np.int64).tolist()
+
+    def _now(self) -> np.ndarray:
+        self.world.history.follow()
+        return np.array([time.time_ns()])
+
+    def _mode(self, params: list) -> list:
+        return [0, 'measurement running' if self._measuring else 'system idle']
+
+    def _start(self, params: list) -> list:
+        self._measuring = True
+        return [0]
+
+    def _stop(self, params: list) -> list:
+        self._measuring = False
+        return [0]
+
+    def _reset(self, params: list) -> list:
+        now = self._now()
+        setup = self.world.setup_at(int(now[0]))
+        if setup is not None:
+            length = self.world.read(now, setup).length[0]
+            self._reference[:len(length)] = length * 1e12
+        return [0]
+
+    def _quality(self, params: list) -> list:
+        """``[warning, contrast, baseline]`` in per mille."""
+        if int(params[0]) not in range(AXES):
+            raise ValueError('axis')
+        now = self._now()
+        setup = self.world.setup_at(int(now[0]))
+        if setup is None or self.faults.kind == 'no_signal':
+            return [NO_SIGNAL_WARNING, 0, 0]
+        contrast = round(10.0 * float(self.world.read(now, setup).quality[0]))
+        return [0, contrast, (1000 - contrast) // 2]
+
+    def _seconds(self) -> float:
+        return (time.time_ns() - self.world.epoch_ns) * 1e-9
+
+    def _ecu(self, sensor: str, stream: str, column: int, scale: float) -> list:
+        if sensor not in self.cell.air.sensors:
+            return [ECU_ERROR]
+        value = float(conditions(self.cell.air, np.array(self._seconds()))[column])
+        value += SENSOR_SIGMA[stream] * normals(self.cell.seed, f'ecu/{stream}', self._ecu_read,
+                                                1)[0, 0]
+        self._ecu_read += 1
+        return [0, value * scale]
+
+    def _index(self) -> float:
+        if not self.cell.air.sensors:
+            return 1.0
+        return float(self.world.index(np.array([self._seconds()]))[0])
+
+
+class Connection(asyncio.Protocol):
+    """One client."""
+
+    def __init__(self, instrument: Instrument):
+        self._instrument = instrument
+        self._stream = JsonStream()
+        self._end = '\n' if instrument.cell.instruments.newline else ''
+
+    def connection_made(self, transport) -> None:
+        self._transport = transport
+
+    def data_received(self, data: bytes) -> None:
+        fault = self._instrument.faults.kind
+        if fault == 'stall':
+            return
+        if fault == 'drop':
+            self._transport.abort()
+            return
+        if fault == 'nonsense':
+            self._transport.write(b'HTTP/1.1 418 I am a teapot\r\n\r\n')
+            return
+        try:
+            requests = self._stream.feed(data)
+        except ValueError:
+            self._transport.abort()   # as the device does with what is not JSON
+            return
+        self._transport.write(''.join(
+            _encode(answer) + self._end for answer in self._instrument.answer(requests)).encode())
+
+
+def _encode(answer: dict) -> str:
+    result = answer.get('result')
+    if result is not None and len(result) == 1 + AXES and type(result[1]) is int:
+        return f'{{"jsonrpc":"2.0","result":{result},"id":{_json(answer["id"])}}}'
+    return _json(answer)
+
+
+def _json(value: Any) -> str:
+    return json.dumps(value, separators=(',', ':'))
+
+
+async def main(cell: Cell, runtime: Path) -> None:
+    world = await open_world(cell, runtime)
+    instrument = Instrument(cell, world, Faults(runtime, 'interferometer', cell.faults))
+    where = cell.instruments.interferometer
+    server = await asyncio.get_running_loop().create_server(
+        lambda: Connection(instrument), where.host, where.port)
+    port = server.sockets[0].getsockname()[1]
+    announce(runtime, 'interferometer', {'host': where.host, 'port': port})
+    async with server:
+        await server.serve_forever()
+
+
+if __name__ == '__main__':
+    raise SystemExit(serve('interferometer_server', main))
