@@ -92,7 +92,7 @@ def imported(file: Path) -> set[str]:
     return names
 
 
-def test_contract_messages_have_the_contract_s_fields() -> None:
+def test_messages_have_the_fields_of_the_contract() -> None:
     """Field names, types and order as the wire contract fixes them."""
     from stepdiag_msgs.msg import Displacement, SpotPosition, Step
 

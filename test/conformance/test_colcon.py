@@ -1,0 +1,120 @@
+"""Where ROS 2 is installed people build with colcon; the same sources must build so here.
+
+The ROS wheels of the environment stand in for the installation, and the install tree is
+used as a user would: its setup file sourced, its executables started.
+"""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+BIN = Path(sys.executable).parent
+EXECUTABLES = {
+    'stepdiag',
+    'interferometer_driver',
+    'psd_driver',
+    'step_sequencer',
+    'evaluation_solver',
+    'recorder',
+    'gap_monitor',
+    'bringup',
+}
+
+
+def clean_environment() -> dict[str, str]:
+    """This process's environment with the wheels as the only ROS installation."""
+    environment = dict(os.environ)
+    for name in ('LD_LIBRARY_PATH', '_ROS_WHEELS_BOOTSTRAP_COMPLETE', 'PYTHONPATH', 'CMAKE_PREFIX_PATH'):
+        environment.pop(name, None)
+    environment['PATH'] = f'{BIN}{os.pathsep}{environment["PATH"]}'
+    environment['AMENT_PREFIX_PATH'] = sys.prefix
+    return environment
+
+
+@pytest.fixture(scope='module')
+def install(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The install tree of `colcon build --base-paths . msg_defs`."""
+    place = tmp_path_factory.mktemp('colcon')
+    command = [str(BIN / 'colcon'), '--log-base', str(place / 'log'), 'build', '--base-paths', '.', 'msg_defs']
+    command += ['--build-base', str(place / 'build'), '--install-base', str(place / 'install')]
+    command += ['--cmake-args', '-GNinja', '-DBUILD_TESTING=OFF', f'-DPython3_EXECUTABLE={sys.executable}']
+    result = subprocess.run(
+        command, cwd=ROOT, env=clean_environment(), capture_output=True, text=True, stdin=subprocess.DEVNULL
+    )
+    assert result.returncode == 0, result.stdout[-4000:] + result.stderr[-4000:]
+    return place / 'install'
+
+
+def sourced(install: Path, command: str) -> subprocess.CompletedProcess[str]:
+    """Runs a shell command with the install tree's setup file sourced."""
+    return subprocess.run(
+        ['sh', '-c', f'. "{install}/setup.sh" && {command}'],
+        cwd=install,
+        env=clean_environment(),
+        capture_output=True,
+        text=True,
+        stdin=subprocess.DEVNULL,
+        timeout=120,
+    )
+
+
+@pytest.mark.timeout(900)
+def test_both_packages_are_built(install: Path) -> None:
+    built = {path.name for path in install.iterdir() if path.is_dir()}
+    assert built == {'stepdiag_ros', 'stepdiag_msgs'}
+
+
+@pytest.mark.timeout(900)
+def test_executables_are_where_ros2_run_looks(install: Path) -> None:
+    folder = install / 'stepdiag_ros' / 'lib' / 'stepdiag_ros'
+    assert {path.name for path in folder.iterdir()} == EXECUTABLES
+    assert all(os.access(path, os.X_OK) for path in folder.iterdir())
+
+
+@pytest.mark.timeout(900)
+def test_launch_files_and_cells_are_shared(install: Path) -> None:
+    share = install / 'stepdiag_ros' / 'share' / 'stepdiag_ros'
+    for folder, pattern in (('launch', '*.launch.py'), ('cells', '*.yaml')):
+        ours = {path.name for path in (ROOT / folder).glob(pattern)}
+        assert ours, f'{folder}/ has no {pattern}'
+        assert {path.name for path in (share / folder).iterdir()} == ours
+    assert ElementTree.parse(share / 'package.xml').getroot().findtext('name') == 'stepdiag_ros'
+    index = install / 'stepdiag_ros' / 'share' / 'ament_index' / 'resource_index' / 'packages'
+    assert (index / 'stepdiag_ros').is_file()
+
+
+@pytest.mark.timeout(900)
+def test_every_data_file_of_the_package_is_installed(install: Path) -> None:
+    """Sources that are not Python (pages, tables) must travel with the package."""
+    (installed,) = install.glob('stepdiag_ros/lib/python3.*/site-packages/stepdiag_ros')
+    for file in (ROOT / 'stepdiag_ros').rglob('*'):
+        if file.is_file() and '__pycache__' not in file.parts:
+            assert (installed / file.relative_to(ROOT / 'stepdiag_ros')).is_file(), f'{file} is not installed'
+
+
+@pytest.mark.timeout(900)
+def test_the_built_messages_work(install: Path) -> None:
+    script = (
+        'import stepdiag_msgs, rclpy.serialization as s\n'
+        'from stepdiag_msgs.msg import Step\n'
+        'from stepdiag_msgs.action import RunStepDiagonal\n'
+        'from stepdiag_msgs.srv import SelectSetup\n'
+        'message = Step(run_id="ppp/0/+", index=7)\n'
+        'assert s.deserialize_message(s.serialize_message(message), Step) == message\n'
+        'print(stepdiag_msgs.__file__)\n'
+    )
+    result = sourced(install, f"'{sys.executable}' -c '{script}'")
+    assert result.returncode == 0, result.stderr
+    assert Path(result.stdout.strip()).is_relative_to(install)
+
+
+@pytest.mark.timeout(900)
+def test_the_built_command_answers(install: Path) -> None:
+    result = sourced(install, 'stepdiag_ros/lib/stepdiag_ros/stepdiag --help')
+    assert result.returncode == 0, result.stderr
+    assert 'evaluate' in result.stdout
