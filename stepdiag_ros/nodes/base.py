@@ -1,0 +1,248 @@
+"""What every node of the graph is: a lifecycle node in a process of its own.
+
+A node declares its parameters, says how it is (``health``), and does its work in
+``configure``, ``activate``, ``deactivate`` and ``cleanup``, which raise
+:class:`StepdiagError` where they cannot.  The rest is here: diagnostics once a
+second, the lifecycle's return codes, signals, spinning.
+"""
+
+import signal
+import sys
+import traceback
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from stepdiag_ros.nodes import environment
+
+environment.prepare()
+
+import rclpy  # noqa: E402 - the environment has to be set before
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue  # noqa: E402
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor  # noqa: E402
+from rclpy.exceptions import InvalidParameterValueException  # noqa: E402
+from rclpy.experimental.events_executor import EventsExecutor  # noqa: E402
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn  # noqa: E402
+from rclpy.qos import (  # noqa: E402
+    DurabilityPolicy,
+    HistoryPolicy,
+    QoSPolicyKind,
+    QoSProfile,
+    ReliabilityPolicy,
+)
+from rclpy.qos_overriding_options import QoSOverridingOptions  # noqa: E402
+from rclpy.signals import SignalHandlerOptions  # noqa: E402
+from rclpy.task import Future  # noqa: E402
+
+from stepdiag_ros.errors import StepdiagError  # noqa: E402
+
+OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
+
+#: Messages that wait for a slow reader before the oldest is lost.
+DEPTH = 2000
+#: How long the executor waits at a time.  The one in the wheel spins idly and deaf when
+#: it is told to wait for ever (decision 0031); a finite wait is what it does well.
+SPIN_S = 0.2
+
+
+def reliable(depth: int = DEPTH, latched: bool = False) -> QoSProfile:
+    """Reliable and deep; ``latched`` also reaches those who come later."""
+    return QoSProfile(
+        depth=depth, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.RELIABLE,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE)
+
+
+def overridable() -> QoSOverridingOptions:
+    """Let parameters ``qos_overrides.<topic>.…`` change history, depth, reliability, durability."""
+    return QoSOverridingOptions((QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH,
+                                 QoSPolicyKind.RELIABILITY, QoSPolicyKind.DURABILITY))
+
+
+@dataclass(frozen=True)
+class Health:
+    """What goes to ``/diagnostics``: a level, one phrase, numbers by name."""
+
+    level: bytes = OK
+    message: str = 'ok'
+    values: Mapping[str, Any] = field(default_factory=dict)
+
+
+class StepdiagNode(LifecycleNode):
+    """A lifecycle node with described parameters and diagnostics."""
+
+    def __init__(self, name: str, **kwargs):
+        super().__init__(name, **kwargs)
+        self.state = 'unconfigured'
+        self._fault = ''
+        autostart = self.text('autostart', False, 'configure and activate without being asked')
+        self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
+        self._diagnostics_timer = self.create_timer(1.0, self.publish_diagnostics)
+        self._autostart_timer = self.create_timer(1.0, self._start_by_itself) if autostart else None
+
+    # -- for the node in question to fill ----------------------------------------
+
+    def configure(self) -> None:
+        """Open what is needed; :class:`StepdiagError` if it cannot be had."""
+
+    def activate(self) -> None:
+        """Begin to work; publishers are open when this is called."""
+
+    def deactivate(self) -> None:
+        """Stop working; publishers are still open."""
+
+    def cleanup(self) -> None:
+        """Give back what ``configure`` took; may be called twice."""
+
+    def health(self) -> Health:
+        """How the node is; called once a second in every state."""
+        return Health()
+
+    # -- parameters --------------------------------------------------------------
+
+    def number(self, name: str, default: float, description: str, low: float, high: float,
+               unit: str = '') -> float:
+        """Declare a floating-point parameter with its range; returns its value."""
+        described = f'{description} [{unit}]' if unit else description
+        return self.declare_parameter(name, float(default), ParameterDescriptor(
+            description=described,
+            floating_point_range=[FloatingPointRange(from_value=float(low), to_value=float(high))])).value
+
+    def count(self, name: str, default: int, description: str, low: int, high: int) -> int:
+        """Declare a whole-number parameter with its range; returns its value."""
+        return self.declare_parameter(name, int(default), ParameterDescriptor(
+            description=description,
+            integer_range=[IntegerRange(from_value=low, to_value=high, step=1)])).value
+
+    def text(self, name: str, default: Any, description: str) -> Any:
+        """Declare a parameter without a range (text, switch or list); returns its value."""
+        return self.declare_parameter(name, default, ParameterDescriptor(description=description)).value
+
+    def value(self, name: str) -> Any:
+        """The parameter as it stands now."""
+        return self.get_parameter(name).value
+
+    # -- lifecycle ---------------------------------------------------------------
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        parent = super().on_configure
+        return self._transition('inactive', self.configure, lambda: parent(state))
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        parent, back = super().on_activate, super().on_deactivate
+        return self._transition('active', lambda: parent(state), self.activate,
+                                undo=lambda: back(state))
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        parent = super().on_deactivate
+        return self._transition('inactive', self.deactivate, lambda: parent(state))
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        parent = super().on_cleanup
+        return self._transition('unconfigured', self.cleanup, lambda: parent(state))
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        parent = super().on_shutdown
+        work = (self.deactivate, self.cleanup) if self.state == 'active' else (self.cleanup,)
+        return self._transition('finalized', *work, lambda: parent(state))
+
+    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
+        parent, fault = super().on_error, self._fault
+        result = self._transition('unconfigured', self.cleanup, lambda: parent(state))
+        self._fault = fault
+        return result
+
+    def _transition(self, target: str, *steps: Callable[[], Any],
+                    undo: Callable[[], Any] | None = None) -> TransitionCallbackReturn:
+        """Run the steps; bad input is one line and a refusal, anything else is an error."""
+        try:
+            for step in steps:
+                result = step()
+                if result not in (None, TransitionCallbackReturn.SUCCESS):
+                    return result
+        except StepdiagError as error:
+            self._fault = str(error)
+            self.get_logger().error(str(error))
+            if undo is not None:
+                undo()
+            return TransitionCallbackReturn.FAILURE
+        except Exception as error:
+            # rclpy would swallow it (its lifecycle says nothing about what was raised).
+            self._fault = f'{type(error).__name__}: {error}'
+            self.get_logger().error(traceback.format_exc())
+            return TransitionCallbackReturn.ERROR
+        self._fault = ''
+        self.state = target
+        return TransitionCallbackReturn.SUCCESS
+
+    def _start_by_itself(self) -> None:
+        if self.state == 'unconfigured':
+            self.trigger_configure()
+        if self.state == 'inactive':
+            self.trigger_activate()
+        if self.state == 'active':
+            self._autostart_timer.cancel()
+
+    def close(self) -> None:
+        """Wind down on the way out, whatever the state."""
+        if self.state == 'active':
+            self.trigger_deactivate()
+        if self.state == 'inactive':
+            self.trigger_cleanup()
+
+    # -- diagnostics -------------------------------------------------------------
+
+    def publish_diagnostics(self) -> None:
+        """Publish the health; a refused transition shows as an error until the next one."""
+        health = self.health()
+        level, message = health.level, health.message
+        if self._fault:
+            level, message = ERROR, self._fault
+        status = DiagnosticStatus(
+            level=level, name=f'{self.get_namespace().strip("/")}/{self.get_name()}'.lstrip('/'),
+            message=message, hardware_id=str(health.values.get('device', '')),
+            values=[KeyValue(key='state', value=self.state),
+                    *(KeyValue(key=k, value=_short(v)) for k, v in health.values.items())])
+        array = DiagnosticArray(status=[status])
+        array.header.stamp = self.get_clock().now().to_msg()
+        self._diagnostics.publish(array)
+
+
+def _short(value: Any) -> str:
+    return f'{value:.6g}' if isinstance(value, float) else str(value)
+
+
+def spin(executor, until: Callable[[], bool]) -> None:
+    """Serve callbacks until ``until()`` is true, which is asked at least five times a second."""
+    never = Future(executor=executor)
+    while not until():
+        executor.spin_until_future_complete(never, timeout_sec=SPIN_S)
+
+
+def run_node(make: Callable[[], StepdiagNode]) -> int:
+    """The ``main`` of a node: make it, spin until SIGINT or SIGTERM, wind down.
+
+    rclpy's own signal handlers would close the context at once, before a recorder has
+    drained and an axis has stopped; so the node takes the signals itself.
+    """
+    asked: list[int] = []
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda got, _frame: asked.append(got))
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    node = None
+    try:
+        node = make()
+        executor = EventsExecutor()
+        executor.add_node(node)
+        spin(executor, lambda: bool(asked))
+        return 0
+    except StepdiagError as error:
+        print(f'stepdiag: {error}', file=sys.stderr)
+        return 2
+    except InvalidParameterValueException as error:
+        print(f'stepdiag: {error}'.replace('\n', ' '), file=sys.stderr)
+        return 2
+    finally:
+        if node is not None:
+            node.close()
+            node.destroy_node()
+        rclpy.try_shutdown()

@@ -1,0 +1,71 @@
+"""What a goal asks for, stop by stop.  Pure: no ROS, no clock."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.model.description import Description
+from stepdiag_ros.model.log import NONE
+from stepdiag_ros.model.path import stops
+
+
+@dataclass(frozen=True)
+class Stop:
+    """One stop of a run: its index along the path, the axis that moved to it, position (3,) [m]."""
+
+    index: int
+    axis: int
+    position_m: np.ndarray
+
+
+@dataclass(frozen=True)
+class Run:
+    """One traverse without a reset."""
+
+    run_id: str
+    setup: str
+    repeat: int
+    direction: int
+    stops: tuple[Stop, ...]
+
+
+def with_steps(description: Description, steps: int) -> Description:
+    """The description with another number of steps; 0 leaves the plan's."""
+    if steps == 0 or steps == description.plan.steps:
+        return description
+    return replace(description, plan=replace(description.plan, steps=steps))
+
+
+def course(description: Description, setups: Sequence[str] = (), repeats: int = 0,
+           first_repeat: Mapping[str, int] | None = None) -> list[Run]:
+    """The runs of a calibration: each setup, each repeat, forward then backward.
+
+    ``setups`` empty: all of the description; ``repeats`` 0: the plan's.  Repeats of a setup
+    count on from ``first_repeat``, so that no two runs of a log bear one name.
+    """
+    names = list(setups) or list(description.setups)
+    unknown = [name for name in names if name not in description.setups]
+    if unknown:
+        raise StepdiagError(f'unknown setup {unknown[0]!r}; the cell description has '
+                            f'{", ".join(description.setups)}')
+    if len(set(names)) < len(names):
+        raise StepdiagError('a setup is named twice; repeats are asked for with the field repeats')
+    runs = []
+    for name in names:
+        path = stops(description, name)
+        forward = tuple(Stop(i, int(axis), position) for i, (axis, position)
+                        in enumerate(zip(path.axis, path.positions, strict=True)))
+        begin = (first_repeat or {}).get(name, 0)
+        for repeat in range(begin, begin + (repeats or description.plan.repeats)):
+            runs.append(Run(f'{name}/{repeat}/+', name, repeat, 1, forward))
+            runs.append(Run(f'{name}/{repeat}/-', name, repeat, -1, _backward(forward)))
+    return runs
+
+
+def _backward(forward: tuple[Stop, ...]) -> tuple[Stop, ...]:
+    """The same stops in falling order: the axis is that of the step between two stops."""
+    axes = [NONE, *(stop.axis for stop in reversed(forward[1:]))]
+    return tuple(replace(stop, axis=axis)
+                 for stop, axis in zip(reversed(forward), axes, strict=True))

@@ -1,0 +1,130 @@
+"""What both sensor drivers share: one instrument, its thread, the setup in the stamps."""
+
+from abc import abstractmethod
+from collections.abc import Callable
+from typing import Any
+
+from rclpy.task import Future
+from stepdiag_msgs.srv import SelectSetup
+
+from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.nodes.acquisition import Acquisition
+from stepdiag_ros.nodes.base import ERROR, OK, WARN, Health, StepdiagNode
+
+
+class DriverNode(StepdiagNode):
+    """A sensor's node.  Configure connects, activate samples and publishes."""
+
+    #: Name of the node's topics and services, and of the device in messages.
+    sensor = ''
+
+    def __init__(self, name: str, port: int):
+        super().__init__(name)
+        self.text('host', '127.0.0.1', 'host name or address of the instrument')
+        self.count('port', port, 'TCP port of the instrument', 1, 65535)
+        self.number('timeout', 5.0, 'silence after which the instrument counts as stalled',
+                    0.1, 120.0, 's')
+        self.number('sample_rate', 1000.0, 'samples a second', 1.0, 1.0e6, 'Hz')
+        self.count('block_samples', 50, 'samples in one message', 1, 100_000)
+        self.text('setup', '', 'the setup that is mounted at the start, e.g. ppp')
+        self.instrument: Any = None
+        self.acquisition: Acquisition | None = None
+        self.setup = self.value('setup')
+
+    @abstractmethod
+    def build(self) -> Any:
+        """The client of the instrument, from the parameters, not connected."""
+
+    @abstractmethod
+    def publish(self, block: Any) -> None:
+        """Publish one block."""
+
+    @abstractmethod
+    def size(self, block: Any) -> int:
+        """Samples in a block."""
+
+    def read(self) -> Any:
+        """One block from the instrument."""
+        return self.instrument.read_block(self.value('block_samples'),
+                                          1.0 / self.value('sample_rate'))
+
+    def lost(self) -> None:
+        """The connection broke (in the acquisition's thread)."""
+
+    def serve_select(self, name: str, prefix: str = '') -> None:
+        """Offer the service that changes the setup (of the machine below ``prefix``)."""
+        async def answer(request, response):
+            if not request.setup:
+                response.message = f'{self.sensor}: no setup was named'
+                return response
+            return await self.between_blocks(lambda: self.select(request.setup, prefix), response)
+        self.create_service(SelectSetup, name, answer)
+
+    def select(self, setup: str, prefix: str) -> None:
+        """Another setup from the next block on (in the acquisition's thread)."""
+        if hasattr(self.instrument, 'select_setup'):
+            self.instrument.select_setup(setup)
+        self.setup = setup
+
+    async def between_blocks(self, command: Callable[[], None], response: Any) -> Any:
+        """Have the acquisition's thread do ``command`` and fill ``response`` with how it went."""
+        if self.acquisition is None or not self.acquisition.running:
+            response.success = False
+            response.message = f'{self.get_name()} is not active'
+            return response
+        done = Future(executor=self.executor)
+        self.acquisition.call(command).add_done_callback(lambda f: done.set_result(f.exception()))
+        error = await done
+        response.success = error is None
+        response.message = '' if error is None else str(error)
+        return response
+
+    def configure(self) -> None:
+        self.instrument = self.build()
+        try:
+            self.instrument.connect()
+        except StepdiagError:
+            self.cleanup()
+            raise
+
+    def activate(self) -> None:
+        self.acquisition = Acquisition(self.instrument, self.read, self.size, self.publish,
+                                       self.get_logger().warning, self.lost)
+        self.acquisition.start()
+
+    def deactivate(self) -> None:
+        if self.acquisition is not None:
+            self.acquisition.stop()
+
+    def cleanup(self) -> None:
+        self.deactivate()
+        self.acquisition = None
+        if self.instrument is not None:
+            self.instrument.close()
+            self.instrument = None
+
+    def health(self) -> Health:
+        device = f'{self.value("host")}:{self.value("port")}'
+        values: dict[str, Any] = {'device': device, 'setup': self.setup}
+        work = self.acquisition
+        if work is None or self.state != 'active':
+            return Health(OK, self.state, values)
+        values |= {'rate_Hz': work.rate, 'samples': work.samples, 'blocks': work.blocks,
+                   'gaps': work.gaps, 'gap_s': work.gap_s, 'reconnects': work.reconnects}
+        values |= self.more_values()
+        if not work.running:
+            return Health(ERROR, 'the acquisition has stopped', values)
+        if work.error:
+            return Health(ERROR, work.error, values)
+        return self.judge(values)
+
+    def more_values(self) -> dict[str, Any]:
+        """Numbers of the sensor in question for the diagnostics."""
+        return {}
+
+    def judge(self, values: dict[str, Any]) -> Health:
+        """The health of a sensor that delivers."""
+        wanted = self.value('sample_rate')
+        if values['blocks'] > 2 and values['rate_Hz'] < 0.9 * wanted:
+            return Health(WARN, f'{values["rate_Hz"]:.0f} of {wanted:.0f} samples a second', values)
+        return Health(OK, 'measuring', values)
