@@ -35,7 +35,8 @@ class Air:
 
     ``compensated``: the interferometer divides the present index of air out of its
     readings (and says so); otherwise it reports vacuum lengths.  ``sensors`` names the
-    quantities that are measured.  ``scale_temperature`` [°C] of X, Y, Z, ``None``: no sensors.
+    quantities that are measured; ``scale`` are the temperatures of the axes' scales,
+    ``scale_temperature`` [°C] of X, Y, Z at the start with ``scale_drift`` [°C/h].
     """
 
     temperature: float = 20.0
@@ -46,7 +47,8 @@ class Air:
     humidity_drift: float = 0.0      # 1/h
     compensated: bool = True
     sensors: tuple[str, ...] = ('temperature', 'pressure', 'humidity')
-    scale_temperature: tuple[float, float, float] | None = None
+    scale_temperature: tuple[float, float, float] = (20.0, 20.0, 20.0)
+    scale_drift: tuple[float, float, float] = (0.0, 0.0, 0.0)
     period: float = 2.0
 
 
@@ -247,7 +249,7 @@ def _air(node: Reader | None) -> Air:
     if node is None or node.is_null:
         return Air()
     keys = node.mapping(('temperature', 'pressure', 'humidity', 'drift', 'compensated', 'sensors',
-                         'scale_temperature', 'period'))
+                         'scale_temperature', 'scale_drift', 'period'))
     given: dict[str, Any] = {}
     for key, rule in {'temperature': {'minimum': -20.0, 'maximum': 60.0, 'unit': '°C'},
                       'pressure': {'minimum': 5.0e4, 'maximum': 1.2e5, 'unit': 'Pa'},
@@ -261,10 +263,11 @@ def _air(node: Reader | None) -> Air:
     if 'compensated' in keys:
         given['compensated'] = keys['compensated'].boolean()
     if 'sensors' in keys:
-        given['sensors'] = tuple(item.text(('temperature', 'pressure', 'humidity'))
+        given['sensors'] = tuple(item.text(('temperature', 'pressure', 'humidity', 'scale'))
                                  for item in keys['sensors'].items())
-    if 'scale_temperature' in keys and not keys['scale_temperature'].is_null:
-        given['scale_temperature'] = keys['scale_temperature'].vector(3, unit='°C')
+    for key, unit in (('scale_temperature', '°C'), ('scale_drift', '°C/h')):
+        if key in keys:
+            given[key] = keys[key].vector(3, unit=unit)
     return Air(**given)
 
 

@@ -38,6 +38,7 @@ class Instrument:
 
     def __init__(self, cell: Cell, world: World, faults: Faults):
         self.cell, self.world, self.faults = cell, world, faults
+        self._late_ns = round(world.clock_offset('interferometer') * 1e9)
         self._measuring = False
         self._taken = 0                # samples so far: addresses their noise
         self._ecu_read = 0
@@ -119,7 +120,7 @@ class Instrument:
         if setup is None or not self._measuring or self.faults.kind == 'no_signal':
             rows[:, 0] = NO_SIGNAL_WARNING
             return rows.astype(np.int64).tolist()
-        reading = self.world.read(times, setup)
+        reading = self.world.read(times - self._late_ns, setup)
         beams = reading.length.shape[1]
         noise = self.world.displacement_noise(first, count, beams)
         rows[:, 1:1 + beams] = (reading.length + noise) * 1e12
@@ -147,7 +148,7 @@ class Instrument:
         now = self._now()
         setup = self.world.setup_at(int(now[0]))
         if setup is not None:
-            length = self.world.read(now, setup).length[0]
+            length = self.world.read(now - self._late_ns, setup).length[0]
             self._reference[:len(length)] = length * 1e12
         return [0]
 

@@ -19,12 +19,12 @@ from stepdiag_ros.model.log import (
     StepEvents,
 )
 from stepdiag_ros.model.path import SetupPath, stops
-from stepdiag_ros.virtual.air import conditions
+from stepdiag_ros.virtual.air import conditions, scale_temperature
 from stepdiag_ros.virtual.cell import Cell, Motion
 from stepdiag_ros.virtual.draw import normals
 from stepdiag_ros.virtual.history import History
 from stepdiag_ros.virtual.motion import point_to_point, settling_time, tabulate
-from stepdiag_ros.virtual.world import World
+from stepdiag_ros.virtual.world import Reading, World
 
 START_NS = 1_780_000_000_000_000_000
 COMMAND_DELAY_NS = 2_000_000
@@ -62,8 +62,9 @@ def simulate_log(cell: Cell, start_ns: int = START_NS, setups: tuple[str, ...] |
     world = World(cell, history, start_ns)
     moving = cell.sampling.in_motion if in_motion is None else in_motion
     spans = [(run, *span) for run in runs for span in _spans(run, moving)]
-    displacement = _displacement(world, spans, rate or cell.sampling.interferometer)
-    spot = _spot(world, spans, rate or cell.sampling.psd)
+    memory: dict = {}
+    displacement = _displacement(world, spans, rate or cell.sampling.interferometer, memory)
+    spot = _spot(world, spans, rate or cell.sampling.psd, memory)
     return CalibrationLog(cell.description, _events(cell, runs), displacement, spot,
                           _environment(cell, start_ns, int(runs[-1].done_ns[-1])),
                           source=f'simulated from {cell.source}',
@@ -140,26 +141,38 @@ def _collect(world: World, spans: list, rate: float, columns: int, look) -> Samp
     return Samples(times, values, health, index, names, setup, block)
 
 
-def _displacement(world: World, spans: list, rate: float) -> Samples:
+def _displacement(world: World, spans: list, rate: float, memory: dict) -> Samples:
     setups = world.cell.description.setups
     beams = max(len(s.beams) for s in setups.values())
+    late_ns = round(world.clock_offset('interferometer') * 1e9)
     zero: dict[str, np.ndarray] = {}
 
     def look(times, run, first):
         if run.run_id not in zero:
-            zero[run.run_id] = world.read(run.dwell_ns[:1], run.setup).length
-        reading = world.read(times, run.setup)
+            zero[run.run_id] = world.read(run.dwell_ns[:1] - late_ns, run.setup).length
+        reading = _read(world, times - late_ns, run.setup, memory)
         noise = world.displacement_noise(first, len(times), reading.length.shape[1])
         return (reading.length - zero[run.run_id] + noise, np.rint(reading.quality), reading.index)
     return _collect(world, spans, rate, beams, look)
 
 
-def _spot(world: World, spans: list, rate: float) -> Samples:
+def _spot(world: World, spans: list, rate: float, memory: dict) -> Samples:
+    late_ns = round(world.clock_offset('psd') * 1e9)
+
     def look(times, run, first):
-        reading = world.read(times, run.setup)
+        reading = _read(world, times - late_ns, run.setup, memory)
         return (reading.spot + world.spot_noise(first, len(times)), reading.intensity,
                 np.ones(len(times)))
     return _collect(world, spans, rate, 2, look)
+
+
+def _read(world: World, times: np.ndarray, setup: str, memory: dict) -> Reading:
+    """What both sensors see, traced once when they sample at the same times."""
+    key = (setup, int(times[0]), int(times[-1]), len(times))
+    if key in memory:
+        return memory.pop(key)
+    memory[key] = reading = world.read(times, setup)
+    return reading
 
 
 def _events(cell: Cell, runs: list[Run]) -> StepEvents:
@@ -193,10 +206,10 @@ def _environment(cell: Cell, begin: int, end: int) -> dict[str, ScalarSeries]:
     quantities = dict(zip(('temperature', 'pressure', 'humidity'),
                           conditions(cell.air, seconds), strict=True))
     topics = {'temperature': 'air_temperature', 'pressure': 'air_pressure', 'humidity': 'humidity'}
-    series = {topics[name]: quantities[name] for name in cell.air.sensors}
-    if cell.air.scale_temperature is not None:
-        series |= {f'scale_temperature/{letter}': np.full(len(times), value)
-                   for letter, value in zip('xyz', cell.air.scale_temperature, strict=True)}
+    series = {topics[name]: quantities[name] for name in cell.air.sensors if name in topics}
+    if 'scale' in cell.air.sensors:
+        series |= {f'scale_temperature/{letter}': value for letter, value in zip(
+            'xyz', scale_temperature(cell.air, seconds).T, strict=True)}
     out = {}
     for name, value in series.items():
         sigma = SENSOR_SIGMA[name.split('/')[0]]

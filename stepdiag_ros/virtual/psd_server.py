@@ -41,6 +41,7 @@ class Box:
         self._channels = detector.channels
         self._optics = SpotOptics(detector.length, detector.rotation, detector.gain, detector.zero)
         self._calibration = t7.Calibration()
+        self._late_ns = round(world.clock_offset('psd') * 1e9)
         self._taken = 0            # scans so far: addresses their noise
         self.stream: Stream | None = None
         self.clients: set[asyncio.StreamWriter] = set()
@@ -54,7 +55,7 @@ class Box:
         first, self._taken = self._taken, self._taken + len(times)
         inputs[:, self._channels] = DARK_V
         if setup is not None and self.faults.kind != 'no_signal':
-            reading = self.world.read(times, setup)
+            reading = self.world.read(times - self._late_ns, setup)
             spot = reading.spot + self.world.spot_noise(first, len(times))
             inputs[:, self._channels] = np.maximum(
                 self._optics.volts(spot, reading.intensity), DARK_V)

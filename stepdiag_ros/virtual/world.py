@@ -1,43 +1,31 @@
 """The one machine that every virtual instrument looks at.
 
 From the history of moves and a set of times follow the axes' positions (servo lag,
-repeatability), the tool pose (21 geometric errors), and what the sensors see.  The
-world keeps no state between calls but a cache: what it says of a time and a sample
-number depends on the cell's seed, the history and those alone.
+repeatability), the tool pose (21 geometric errors), and, by tracing rays, what the
+sensors see.  The cell's effects act on the way.  The world keeps no state between calls
+but a cache: what it says of a time and a sample number depends on the cell's seed, the
+history and those alone.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
+from stepdiag_ros.effects.base import Moment
 from stepdiag_ros.model.machine import compose, rotation
-from stepdiag_ros.virtual.air import index_at
+from stepdiag_ros.model.log import NONE
+from stepdiag_ros.virtual.acting import Draws, create_effects
+from stepdiag_ros.virtual.air import index_at, scale_temperature
 from stepdiag_ros.virtual.cell import Cell
 from stepdiag_ros.virtual.draw import normals
 from stepdiag_ros.virtual.history import History
-from stepdiag_ros.virtual.optics import sight
+from stepdiag_ros.virtual.motion import settling_time, tabulate
+from stepdiag_ros.virtual.scene import SensorScene
 
 WALK_LIMIT = 4.0e-3
 """Return beam's walk [m] at which the interferometer's contrast has fallen to 1/e."""
-
-
-@dataclass(frozen=True)
-class State:
-    """The machine at ``n`` times.
-
-    ``time_ns`` (n,); ``seconds`` (n,) since the world began; ``arrival`` (n,) number of the
-    move under way or last finished; ``commanded`` and ``position`` (n, 3) [m]: where the
-    axes should be and are; ``approach`` (n, 3) sign of each axis's last motion, 0 before
-    the first; ``angle`` (n, 3) [rad] irreproducible turn of the tool.
-    """
-
-    time_ns: np.ndarray
-    seconds: np.ndarray
-    arrival: np.ndarray
-    commanded: np.ndarray
-    position: np.ndarray
-    approach: np.ndarray
-    angle: np.ndarray
+CONTRAST = 96.0
+"""Signal quality of a beam that returns into itself."""
 
 
 @dataclass(frozen=True)
@@ -61,10 +49,23 @@ class World:
 
     def __init__(self, cell: Cell, history: History, epoch_ns: int):
         self.cell, self.history, self.epoch_ns = cell, history, epoch_ns
+        description = cell.description
+        self._scenes = {name: SensorScene.of_setup(description.machine, setup)
+                        for name, setup in description.setups.items()}
+        self.effects = create_effects(cell)
+        self._draws = {effect.name: Draws(cell.seed, effect.name) for effect in self.effects}
         self._known = 0
         self._error = np.zeros((1, 3))      # position error after each arrival, [0]: before any
         self._angle = np.zeros((1, 3))
         self._approach = np.zeros((1, 3))
+        self._moved = np.full(1, NONE)
+        self._settled_ns = np.zeros(0, np.int64)   # when each move was in position
+        self._mounted_ns = np.zeros(0, np.int64)   # when the setup of each move was mounted
+        self._mounted = -2
+
+    def clock_offset(self, sensor: str) -> float:
+        """Seconds that the stamps of ``sensor`` are late."""
+        return sum(effect.clock_offset(sensor) for effect in self.effects)
 
     def _catch_up(self) -> None:
         """Draw what the arrivals since the last call bring."""
@@ -72,58 +73,94 @@ class World:
         if count == self._known:
             return
         first, fresh = self._known, count - self._known
-        noise, seed = self.cell.description.noise, self.cell.seed
+        records = self.history.records[first:]
+        noise, seed, motion = self.cell.description.noise, self.cell.seed, self.cell.motion
         draws = noise.position_repeatability * normals(seed, 'position', first, fresh, 3)
         turns = noise.angle_repeatability * normals(seed, 'angle', first, fresh, 3)
-        sign = np.sign(self.history.records['direction'][first:])
+        sign = np.sign(records['direction'])
         error, approach = np.empty((fresh, 3)), np.empty((fresh, 3))
-        last_error, last_approach = self._error[-1], self._approach[-1]
+        moved, mounted = np.empty(fresh, int), np.empty(fresh, np.int64)
+        last_error, last_approach, last_moved = self._error[-1], self._approach[-1], self._moved[-1]
+        last_mounted = self._mounted_ns[-1] if first else 0
         for i in range(fresh):
+            moving = np.flatnonzero(sign[i])
             # The first arrival sets all axes: before it nobody knows where they stood.
-            moved = (sign[i] != 0.0) | (first + i == 0)
-            error[i] = last_error = np.where(moved, draws[i], last_error)
+            error[i] = last_error = np.where((sign[i] != 0.0) | (first + i == 0), draws[i], last_error)
             approach[i] = last_approach = np.where(sign[i] != 0.0, sign[i], last_approach)
+            if len(moving):
+                last_moved = moving[0] if len(moving) == 1 else NONE
+            moved[i] = last_moved
+            if records['setup'][i] != self._mounted:
+                self._mounted, last_mounted = records['setup'][i], records['start_ns'][i]
+            mounted[i] = last_mounted
+        table = tabulate(records['duration'], records['jerk'], records['speed'],
+                         records['acceleration'])
+        settled = records['start_ns'] + np.rint(settling_time(
+            table, motion.settling, motion.in_position) * 1e9).astype(np.int64)
         self._error = np.concatenate([self._error, error])
         self._approach = np.concatenate([self._approach, approach])
         self._angle = np.concatenate([self._angle, turns])
+        self._moved = np.concatenate([self._moved, moved])
+        self._settled_ns = np.concatenate([self._settled_ns, settled])
+        self._mounted_ns = np.concatenate([self._mounted_ns, mounted])
         self._known = count
 
-    def state(self, time_ns: np.ndarray) -> State:
-        """The machine at ``time_ns`` (n,)."""
+    def moment(self, time_ns: np.ndarray, setup: str) -> tuple[Moment, np.ndarray]:
+        """The machine at ``time_ns`` (n,) before any effect acts, and the tool's irreproducible
+        turn (n, 3) [rad]."""
         self._catch_up()
+        cell = self.cell
         time_ns = np.asarray(time_ns, np.int64)
-        arrival, commanded, actual, share = self.history.locate(
-            time_ns, self.cell.motion.settling)
+        arrival, commanded, actual, share = self.history.locate(time_ns, cell.motion.settling)
         share = share[:, None]
         error = self._error[arrival] * (1.0 - share) + self._error[arrival + 1] * share
         angle = self._angle[arrival] * (1.0 - share) + self._angle[arrival + 1] * share
-        return State(time_ns, (time_ns - self.epoch_ns) * 1e-9, arrival, commanded,
-                     actual + error, self._approach[arrival + 1], angle)
+        n = len(time_ns)
+        seconds = (time_ns - self.epoch_ns) * 1e-9
+        index = index_at(cell.air, seconds)
+        return Moment(
+            description=cell.description, setup=setup, seconds=seconds,
+            mount_seconds=(time_ns - self._mounted_ns[arrival]) * 1e-9, arrival=arrival,
+            since_arrival=(time_ns - self._settled_ns[arrival]) * 1e-9,
+            moved=self._moved[arrival + 1], commanded=commanded,
+            approach=self._approach[arrival + 1],
+            scale_temperature=scale_temperature(cell.air, seconds), rng=None,
+            position=actual + error, shift=np.zeros((n, 3)), turn=np.zeros((n, 3)),
+            laser=np.zeros((n, 2)), mirror=np.zeros((n, 2)),
+            index=np.ones(n) if cell.air.compensated else index), angle
 
-    def pose(self, state: State) -> tuple[np.ndarray, np.ndarray]:
+    def _act(self, stage: str, moment: Moment) -> None:
+        for effect in self.effects:
+            moment.rng = self._draws[effect.name]
+            getattr(effect, stage)(moment)
+
+    def pose(self, moment: Moment, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Mirror's reference point (n, 3) [m] and attitude (n, 3, 3)."""
         machine = self.cell.description.machine
-        motions = [self.cell.geometry.motions(axis, state.position[:, axis]) for axis in range(3)]
+        motions = [self.cell.geometry.motions(axis, moment.position[:, axis]) for axis in range(3)]
         point, attitude = compose(machine.chain, np.array([shift for shift, _ in motions]),
                                   np.array([turn for _, turn in motions]), machine.tool)
-        return point, rotation(state.angle) @ attitude
+        return point + moment.shift, rotation(angle + moment.turn) @ attitude
 
     def read(self, time_ns: np.ndarray, setup: str) -> Reading:
-        """What the base unit of ``setup`` reports at ``time_ns`` (n,)."""
+        """What the base unit of ``setup`` reports at the true times ``time_ns`` (n,)."""
         cell = self.cell
-        state = self.state(time_ns)
-        length, spot = sight(cell.description.machine, cell.description.setups[setup],
-                             cell.misalignments[setup], *self.pose(state))
-        index = self.index(state.seconds)
-        if cell.air.compensated:
-            divided = index
-        else:
-            divided = np.ones_like(index)
-            length = length * index[:, None]
-        walk = np.linalg.norm(spot, axis=1)
-        quality = 96.0 * np.exp(-(walk / WALK_LIMIT) ** 2)
-        intensity = np.full(len(spot), cell.instruments.detector.sum_voltage)
-        return Reading(length, spot + np.array(cell.psd_zero[setup]), quality, intensity, divided)
+        moment, angle = self.moment(time_ns, setup)
+        self._act('before_pose', moment)
+        point, attitude = self.pose(moment, angle)
+        self._act('before_light', moment)
+        misalignment = cell.misalignments[setup]
+        seen = self._scenes[setup].measure(
+            point, attitude, beam_tilt=moment.laser + np.array(misalignment.laser),
+            mirror_tilt=moment.mirror + np.array(misalignment.mirror), mirror_form=moment.form,
+            psd_zero=cell.psd_zero[setup], ambient=moment.index)
+        walk = np.linalg.norm(seen.spot - np.array(cell.psd_zero[setup]), axis=1)
+        moment.length, moment.spot = seen.distance, seen.spot
+        moment.quality = CONTRAST * np.exp(-(walk / WALK_LIMIT) ** 2)
+        moment.intensity = np.full(len(walk), cell.instruments.detector.sum_voltage)
+        self._act('after_light', moment)
+        divided = self.index(moment.seconds) if cell.air.compensated else np.ones(len(walk))
+        return Reading(moment.length, moment.spot, moment.quality, moment.intensity, divided)
 
     def index(self, seconds: np.ndarray) -> np.ndarray:
         """Index of air (n,) after ``seconds`` (n,)."""

@@ -10,7 +10,6 @@ from stepdiag_ros.model.mirror_form import FlatForm, SphericalForm, quadratic_fo
 from stepdiag_ros.model.optics import Body, Plane
 from stepdiag_ros.model.sensor import Misalignment
 from stepdiag_ros.virtual import scene as scene_module
-from stepdiag_ros.virtual.optics import sight
 from stepdiag_ros.virtual.scene import SensorScene
 
 MACHINE = Machine('paper', 'FXYZ', (0.8, 0.6, 0.5), (0.01, -0.02, -0.15))
@@ -38,15 +37,6 @@ def test_a_flat_mirror_reads_as_the_contract_says(name, laser, mount):
     got = SensorScene.of_setup(MACHINE, setup(name)).measure(p, R, beam_tilt=laser, mirror_tilt=mount)
     assert np.abs(got.distance - want).max() < 1e-14
     assert np.abs(got.spot - spots).max() < 1e-14
-
-
-def test_sight_of_the_virtual_cell_is_the_traced_scene():
-    p, R = poses(7)
-    given = setup('npp')
-    length, spot = sight(MACHINE, given, Misalignment(LASER, MOUNT), p, R)
-    traced = SensorScene.of_setup(MACHINE, given).measure(p, R, beam_tilt=LASER, mirror_tilt=MOUNT)
-    np.testing.assert_array_equal(length, traced.distance)
-    np.testing.assert_array_equal(spot, traced.spot)
 
 
 def test_a_turned_mirror_moves_the_spot_as_the_contract_says():
