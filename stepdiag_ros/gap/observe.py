@@ -1,0 +1,189 @@
+"""Everything that the diagnosis looks at, brought into one shape.
+
+A log is reduced to stops, the rigid-body model is fitted, and what an effect may depend on is laid
+beside: times, directions of approach, strikes on the mirror, derivatives, the environment.  Inside
+each dwell the samples are averaged in a few bins, so that what creeps or settles is kept.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from stepdiag_ros.effects.base import StopView
+from stepdiag_ros.estimate.enhanced import Fit, fit, readings_of
+from stepdiag_ros.estimate.reduce import StopTable, reduce_log
+from stepdiag_ros.model.air import refractive_index
+from stepdiag_ros.model.log import CalibrationLog, ScalarSeries
+
+BINS = 5
+GROSS = 4.0
+"""Reduced χ² above which the noise is scaled up for the fit, so that a gross effect bends it less."""
+
+
+@dataclass(frozen=True)
+class Observation:
+    """A log made ready: ``table`` and nominal ``fit``; ``view`` for effects.
+
+    ``bins`` (n, b, c) [m]: means of the dwell's bins minus the dwell's mean, NaN where a bin is empty;
+    ``bin_sigma`` (n, c) [m]: noise of one bin's mean.
+    """
+
+    log: CalibrationLog
+    table: StopTable
+    fit: Fit
+    view: StopView
+    bins: np.ndarray
+    bin_sigma: np.ndarray
+
+
+def observe(log: CalibrationLog) -> Observation:
+    """Reduce, fit and lay out; raises :class:`~stepdiag_ros.errors.StepdiagError` as the reduction does."""
+    table = reduce_log(log)
+    nominal = sane_fit(log, table)
+    bins, sigma, time = _bins(log, table)
+    return Observation(log, table, nominal, view_of(log, table, nominal, time), bins, sigma)
+
+
+def sane_fit(log: CalibrationLog, table: StopTable, readings: np.ndarray | None = None) -> Fit:
+    """The nominal fit; where the model fails grossly, with the noise scaled up until it does not.
+
+    The widths of the unknowns then hold machine and misalignments to plausible sizes instead of
+    letting them explain the gap away.
+    """
+    result = fit(log.description, table, readings=readings)
+    noise, scale = result.noise, 1.0
+    for _ in range(6):
+        reduced = result.chi2 / max(result.dof, 1)
+        if np.isfinite(reduced) and reduced < GROSS and result.converged:
+            break
+        scale *= np.sqrt(max(reduced, GROSS)) if np.isfinite(reduced) else 100.0
+        softened = replace(noise, position=noise.position * scale, angle=noise.angle * scale,
+                           sensor=noise.sensor * scale)
+        result = fit(log.description, table, noise=softened, readings=readings)
+    return result
+
+
+def view_of(log: CalibrationLog, table: StopTable, nominal: Fit,
+            bin_time: np.ndarray) -> StopView:
+    """What effects depend on, at the nominal fit."""
+    model = nominal.model
+    readings, local, arrival = model.local_derivatives(nominal.theta)
+    setups = np.array(table.setup_names, dtype=object)[table.setup]
+    beams = model.beams
+    offsets = nominal.theta[model._offset_column]
+    return StopView(
+        log.description, table.run_ids, table.setup_names, table.time_s,
+        _since(table.time_s, table.run), _since(table.time_s, table.setup),
+        table.run, table.setup, table.repeat, table.direction, table.index, table.axis,
+        _approach(table), table.commanded, readings[:, :beams] - offsets, readings_of(table),
+        readings, _strikes(log, table, nominal, setups), local[:18], local[18:20], local[20:22],
+        arrival[2:5], table.intensity, _quality(log, table), table.refractive_index,
+        _air(log, table), _scales(log, table), bin_time)
+
+
+def _since(time: np.ndarray, group: np.ndarray) -> np.ndarray:
+    result = np.empty_like(time)
+    for g in np.unique(group):
+        rows = group == g
+        result[rows] = time[rows] - time[rows].min()
+    return result
+
+
+def _approach(table: StopTable) -> np.ndarray:
+    """Sign of each axis's last motion at each stop (n, 3), followed from stop to stop over the whole log."""
+    sign = np.zeros((len(table), 3))
+    step = np.sign(np.diff(table.commanded, axis=0, prepend=table.commanded[:1]))
+    last = np.zeros(3)
+    for i in range(len(table)):
+        last = np.where(step[i] != 0.0, step[i], last)
+        sign[i] = last
+    # Where an axis stood before its first move is seen only from where it goes: the same side.
+    for axis in range(3):
+        moved = np.flatnonzero(sign[:, axis])
+        if len(moved):
+            sign[:moved[0], axis] = 0.0
+    return sign
+
+
+def _strikes(log: CalibrationLog, table: StopTable, nominal: Fit, setups: np.ndarray) -> np.ndarray:
+    """Where beams meet the mirror, from its reference point along (u, v): (n, beams + 1, 2) [m]."""
+    model, theta = nominal.model, nominal.theta
+    point, attitude, _, _ = model._pose(*model.motions(theta), derivative=False)
+    beam, _, mounted, _ = model._directions(theta)
+    normal = np.einsum('nij,nj->ni', attitude, mounted)
+    result = np.empty((len(table), model.beams + 1, 2))
+    for k in range(model.beams + 1):
+        origin = model._origin[k]
+        length = np.sum((point - origin) * normal, -1) / np.sum(beam * normal, -1)
+        strike = origin + length[:, None] * beam - point
+        result[:, k] = np.einsum('nki,ni->nk', model._triad[:, :2], strike)
+    return result
+
+
+def _quality(log: CalibrationLog, table: StopTable) -> np.ndarray:
+    health = log.displacement.health
+    return np.array([health[lo:hi].mean() if hi > lo else np.nan
+                     for lo, hi in table.displacement_rows])
+
+
+def _interpolate(series: ScalarSeries, table: StopTable) -> np.ndarray:
+    """A quantity at the stops, smoothed over a few readings so that sensor noise stays out."""
+    time = (series.time_ns - table.dwell_ns[0]) * 1e-9
+    value = series.value
+    if len(value) >= 15:
+        kernel = np.hanning(13)[1:-1]
+        padded = np.concatenate([2 * value[0] - value[5:0:-1], value, 2 * value[-1] - value[-2:-7:-1]])
+        value = np.convolve(padded, kernel / kernel.sum(), mode='valid')
+    return np.interp(table.time_s, time, value)
+
+
+def _air(log: CalibrationLog, table: StopTable) -> np.ndarray | None:
+    """Index of air at the stops from temperature, pressure and humidity; None without the first two."""
+    environment = log.environment
+    if 'air_temperature' not in environment or 'air_pressure' not in environment:
+        return None
+    humidity = (_interpolate(environment['humidity'], table) if 'humidity' in environment
+                else np.full(len(table), 0.45))
+    return refractive_index(_interpolate(environment['air_temperature'], table),
+                            _interpolate(environment['air_pressure'], table), humidity)
+
+
+def _scales(log: CalibrationLog, table: StopTable) -> np.ndarray | None:
+    found = [log.environment.get(f'scale_temperature/{axis}') for axis in 'xyz']
+    if all(series is None for series in found):
+        return None
+    return np.stack([np.full(len(table), np.nan) if series is None else _interpolate(series, table)
+                     for series in found], axis=1)
+
+
+def _bins(log: CalibrationLog, table: StopTable) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Bin means minus dwell means (n, b, c) [m], their noise (n, c) [m], middles of the bins (n, b) [s]."""
+    n, beams = len(table), table.displacement.shape[1]
+    bins = np.full((n, BINS, beams + 2), np.nan)
+    sigma = np.full((n, beams + 2), np.nan)
+    length = (table.done_ns - table.dwell_ns) * 1e-9
+    time = length[:, None] * (np.arange(BINS) + 0.5) / BINS
+    for samples, rows, columns in ((log.displacement, table.displacement_rows, slice(0, beams)),
+                                   (log.spot, table.spot_rows, slice(beams, None))):
+        differences = []
+        for i, (lo, hi) in enumerate(rows):
+            if hi - lo < 2 * BINS or length[i] <= 0.0:
+                continue
+            values = samples.values[lo:hi]
+            values = values - values[0]
+            place = ((samples.time_ns[lo:hi] - table.dwell_ns[i]) * 1e-9 / length[i] * BINS)
+            place = np.clip(place.astype(int), 0, BINS - 1)
+            count = np.bincount(place, minlength=BINS)
+            if np.any(count == 0) or not np.isfinite(values).all():
+                continue
+            sums = np.stack([np.bincount(place, values[:, k], BINS)
+                             for k in range(values.shape[1])], axis=1)
+            bins[i, :, columns] = sums / count[:, None] - values.mean(axis=0)
+            differences.append((i, np.median(np.abs(np.diff(values, axis=0)), axis=0),
+                                count.mean()))
+        if differences:
+            # The noise of one sample from neighbours in time, which creep and slow motion leave alone.
+            middle = np.median([d for _, d, _ in differences], axis=0) / (0.6745 * np.sqrt(2.0))
+            for i, _, count in differences:
+                sigma[i, columns] = np.maximum(middle, 1e-12) / np.sqrt(count)
+    return bins, sigma, time
