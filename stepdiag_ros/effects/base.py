@@ -173,6 +173,8 @@ class Effect:
     sources: tuple[str, ...] = ()
     remedy: str = ''
     """What to do about it at the machine."""
+    repeatable: bool = False
+    """Whether it may act more than once in a log, each time in a form of its own."""
 
     def __init__(self, **values: object):
         known = {p.name: p for p in self.parameters}

@@ -1,0 +1,98 @@
+"""Parity space: what the fitted model leaves free, in units of the noise.
+
+Readings are whitened with the noise of the log and everything that a change of the 21 errors,
+the misalignments or a reset can imitate is projected out.  What an effect adds to the log is
+seen here and only here; judged on plain residuals it would be mistaken for what the fit made of it.
+The bins of the dwells, which the rigid-body model does not touch, are appended as contrasts.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg
+
+from stepdiag_ros.effects.base import Form
+from stepdiag_ros.estimate.enhanced import Fit
+from stepdiag_ros.estimate.noise import NoiseModel, whiteners
+from stepdiag_ros.gap.observe import Observation
+
+RANK = 1e-9
+
+
+@dataclass(frozen=True)
+class Parity:
+    """The projection for one linearisation.
+
+    ``data`` (N,): white residuals, stops first (``stops`` of them), then bins.  ``dof``: of the stops'
+    part and of the bins' part.  ``channel`` (N,): channel of each row (0 … beams + 1), ``row`` (N,): its
+    stop.  ``bin_scale``: factor by which the bins' noise was found above the sensors' own.
+    """
+
+    data: np.ndarray
+    stops: int
+    dof: tuple[int, int]
+    channel: np.ndarray
+    row: np.ndarray
+    bin_scale: float
+    _white: list
+    _basis: np.ndarray
+    _contrast: np.ndarray
+    _bin_sigma: np.ndarray
+    _bin_present: np.ndarray
+
+    @property
+    def size(self) -> int:
+        return len(self.data)
+
+    def stop_part(self, columns: np.ndarray) -> np.ndarray:
+        """White, projected columns: (k, n, c) → (stops, k)."""
+        flat = columns.reshape(len(columns), -1).T
+        white = np.concatenate([w(flat) for w in self._white])
+        return white - self._basis @ (self._basis.T @ white)
+
+    def bin_part(self, inside: np.ndarray) -> np.ndarray:
+        """White contrasts of bins: (k, n, b, c) → (N − stops, k)."""
+        contrasts = np.einsum('hb,knbc->knhc', self._contrast, inside)
+        white = contrasts / (self.bin_scale * self._bin_sigma[:, None, :])
+        return white[:, self._bin_present].T
+
+    def project(self, form: Form) -> np.ndarray:
+        """What a form looks like here, per unit of its ``scale``: (N, k)."""
+        result = np.zeros((self.size, len(form.columns)))
+        result[:self.stops] = self.stop_part(form.columns)
+        if form.inside is not None:
+            result[self.stops:] = self.bin_part(form.inside)
+        return result * form.scale
+
+
+def parity(observation: Observation, result: Fit, noise: NoiseModel,
+           readings: np.ndarray, bin_scale: float | None = None) -> Parity:
+    """Set up the projection at ``result`` with ``noise``; data are ``readings`` minus its prediction."""
+    present = result.present
+    white = whiteners(observation.table, noise, result.arrival, present)
+    jacobian = np.concatenate([w(result.jacobian.toarray()) for w in white])
+    norms = np.linalg.norm(jacobian, axis=0)
+    jacobian = jacobian[:, norms > 0] / norms[norms > 0]
+    basis, triangle, _ = linalg.qr(jacobian, mode='economic', pivoting=True, check_finite=False)
+    diagonal = np.abs(np.diag(triangle))
+    basis = basis[:, diagonal > RANK * diagonal[0]]
+    # What the fit has put into its residual is gone already; only the rest is left to look at.
+    residual = np.where(present, readings - result.model.predict(result.theta), 0.0).ravel()
+    data = np.concatenate([w(residual) for w in white])
+    data = data - basis @ (basis.T @ data)
+
+    n, bins, channels = observation.bins.shape
+    contrast = linalg.helmert(bins)
+    values = np.einsum('hb,nbc->nhc', contrast, observation.bins) / observation.bin_sigma[:, None, :]
+    bin_present = np.isfinite(values)
+    inside = values[bin_present]
+    if bin_scale is None:
+        # Neighbouring samples may be alike: the level of the quiet majority sets the unit.
+        bin_scale = max(1.0, float(np.median(np.abs(inside)) / 0.6745)) if len(inside) else 1.0
+    rows = np.concatenate([w.rows for w in white])
+    stop, _, channel = np.nonzero(bin_present)
+    return Parity(np.concatenate([data, inside / bin_scale]), len(data),
+                  (len(data) - basis.shape[1], len(inside)),
+                  np.concatenate([rows % channels, channel]),
+                  np.concatenate([rows // channels, stop]), bin_scale,
+                  white, basis, contrast, observation.bin_sigma, bin_present)

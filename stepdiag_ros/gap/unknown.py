@@ -1,0 +1,147 @@
+"""Structure of no known cause: what "something else" may look like.
+
+Broad, nameless patterns in the three channels.  They stand against the named effects with the
+same price of complexity, so that a name must foretell the log better than a shapeless pattern
+does, and what a name leaves behind is noticed although no name fits it.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from stepdiag_ros.effects.base import Form, StopView
+
+NAME = 'unknown'
+
+
+def unknown_forms(view: StopView) -> list[Form]:
+    """All nameless patterns of a log."""
+    return [*_static(view), *_in_time(view), *_jumps(view), *_mirror_jumps(view), *_inside(view)]
+
+
+def _channels(view: StopView) -> list[tuple[str, slice, float]]:
+    """Channel groups: name, columns, typical size [m]."""
+    b = view.beams
+    return [('displacement', slice(0, b), 1e-6), ('spot_x', slice(b, b + 1), 3e-6),
+            ('spot_y', slice(b + 1, b + 2), 3e-6)]
+
+
+def _form(view: StopView, label: str, patterns: np.ndarray, columns: slice, scale: float) -> Form:
+    """Patterns (k, n) put into some channels."""
+    full = view.zeros(len(patterns))
+    full[:, :, columns] = patterns[:, :, None]
+    return Form(label, full, tuple(str(i) for i in range(len(patterns))),
+                np.full(len(patterns), scale))
+
+
+def _static(view: StopView) -> Iterator[Form]:
+    """Errors that belong to a place: to a stop of a setup, alike or opposite in the two directions."""
+    place = view.setup * 100000 + view.index
+    for name, columns, scale in _channels(view):
+        for setup in range(len(view.setup_names)):
+            mine = view.setup == setup
+            if mine.sum() < 8:
+                continue
+            keys = np.unique(place[mine])
+            patterns = (place[None] == keys[:, None]).astype(float)
+            setup_name = view.setup_names[setup]
+            yield _form(view, f'{name}: places in {setup_name}', patterns, columns, scale)
+            yield _form(view, f'{name}: places by direction in {setup_name}',
+                        patterns * view.direction, columns, scale)
+        keys = np.unique(place)
+        patterns = (place[None] == keys[:, None]).astype(float)
+        yield _form(view, f'{name}: places', patterns, columns, scale)
+        yield _form(view, f'{name}: places by direction', patterns * view.direction, columns, scale)
+    # Few-parameter shapes along the travel, the same in all setups, by direction.
+    share = view.commanded.T / np.array(view.description.machine.volume)[:, None]
+    waves = np.concatenate([np.cos(np.pi * k * share) for k in (1, 2, 3)])
+    for name, columns, scale in _channels(view):
+        for setup in range(len(view.setup_names)):
+            mine = (view.setup == setup).astype(float)
+            if mine.sum() >= 8:
+                yield _form(view, f'{name}: slow shape along {view.setup_names[setup]}',
+                            waves[::3] * mine, columns, scale)
+        yield _form(view, f'{name}: slow shape by direction', waves * view.direction, columns, scale)
+
+
+def _in_time(view: StopView) -> Iterator[Form]:
+    """Errors that belong to a time: inside a run, from run to run, over the whole log."""
+    runs = np.unique(view.run)
+    span = max(float(np.ptp(view.time)), 1e-9)
+    scaled = 2.0 * (view.time - view.time.min()) / span - 1.0
+    slow = np.stack([np.cos(np.pi * k * (scaled + 1.0) / 2.0) for k in range(1, 13)])
+    for name, columns, scale in _channels(view):
+        ramps = []
+        for run in runs:
+            mine = view.run == run
+            if mine.sum() < 5:
+                continue
+            time = view.run_time * mine
+            time = time / max(time.max(), 1e-9)
+            ramps += [time, np.where(mine, time**2, 0.0)]
+        if ramps:
+            yield _form(view, f'{name}: drift inside the runs', np.array(ramps), columns, scale)
+            yield _form(view, f'{name}: ramp inside the runs', np.array(ramps[::2]), columns, scale)
+        yield _form(view, f'{name}: slow in time', slow, columns, scale)
+        for setup in range(len(view.setup_names)):
+            mine = (view.setup == setup).astype(float)
+            if mine.sum() < 8:
+                continue
+            start = view.mount_time * mine
+            start = start / max(start.max(), 1e-9)
+            yield _form(view, f'{name}: slow in time in {view.setup_names[setup]}',
+                        np.stack([start, start**2, start**3]) * mine, columns, scale)
+    for label, derivative, scale in (('tool point', view.by_shift, 1e-6),
+                                     ('beam', view.by_laser, 1e-6), ('mirror', view.by_mirror, 1e-6)):
+        for run_wise in (False, True):
+            courses = ([(view.run == run).astype(float) * view.run_time / 30.0 for run in runs]
+                       if run_wise else list(slow))
+            courses = [c for c in courses if np.any(c)]
+            columns = np.einsum('tn,anc->tanc', np.array(courses), derivative)
+            columns = columns.reshape(-1, *view.reading.shape)
+            yield Form(f'{label}: wandering {"inside the runs" if run_wise else "in time"}', columns,
+                       tuple(str(i) for i in range(len(columns))), np.full(len(columns), scale))
+
+
+def _jumps(view: StopView) -> Iterator[Form]:
+    """One stop off, or a spot that jumps and stays for the rest of the setup."""
+    order = np.argsort(view.time, kind='stable')
+    for name, columns, scale in _channels(view):
+        for i in order:
+            single = np.zeros((1, len(view.time)))
+            single[0, i] = 1.0
+            yield _form(view, f'{name}: one stop, {view.run_ids[view.run[i]]} stop {view.index[i]}',
+                        single, columns, scale)
+        if name == 'displacement':
+            continue
+        for i in order:
+            after = (view.setup == view.setup[i]) & (view.time >= view.time[i])
+            yield _form(view, f'{name}: jump at {view.run_ids[view.run[i]]} stop {view.index[i]}',
+                        after[None].astype(float), columns, scale)
+
+
+def _mirror_jumps(view: StopView) -> Iterator[Form]:
+    """The mirror, the beam or the tool point jumps and stays for the rest of the setup."""
+    for i in np.argsort(view.time, kind='stable'):
+        after = (view.setup == view.setup[i]) & (view.time >= view.time[i])
+        where = f'{view.run_ids[view.run[i]]} stop {view.index[i]}'
+        for label, derivative, scale in (('mirror', view.by_mirror, 1e-5),
+                                         ('tool point', view.by_shift, 1e-6)):
+            columns = derivative * after[None, :, None]
+            yield Form(f'{label}: jump at {where}', columns,
+                       tuple(str(k) for k in range(len(columns))), np.full(len(columns), scale))
+
+
+def _inside(view: StopView) -> Iterator[Form]:
+    """Something happens inside the dwells: alike in all, by direction, by axis, or setup by setup."""
+    n, b = view.bin_time.shape
+    pattern = np.eye(b) - 1.0 / b
+    signs = {'alike': np.ones(n), 'by direction': view.direction.astype(float)}
+    for axis, letter in enumerate('XYZ'):
+        signs[f'after moves of {letter}'] = (view.axis == axis) * view.approach[:, axis]
+    for name, columns, scale in _channels(view):
+        for what, sign in signs.items():
+            inside = np.zeros((b, n, b, view.reading.shape[1]))
+            inside[:, :, :, columns] = (sign[None, :, None] * pattern[:, None, :])[..., None]
+            yield Form(f'{name}: inside the dwells, {what}', view.zeros(b),
+                       tuple(str(i) for i in range(b)), np.full(b, scale), inside=inside)
