@@ -11,7 +11,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-
 from stepdiag_ros.model.description import (
     DIAGONALS,
     LINEAR,

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from stepdiag_ros.effects.base import Moment
-from stepdiag_ros.model.machine import compose, rotation
 from stepdiag_ros.model.log import NONE
+from stepdiag_ros.model.machine import compose, rotation
 from stepdiag_ros.virtual.acting import Draws, create_effects
 from stepdiag_ros.virtual.air import index_at, scale_temperature
 from stepdiag_ros.virtual.cell import Cell
