@@ -82,12 +82,11 @@ def dwell_spans(steps: StepEvents) -> np.ndarray:
 def samples_in_dwells(steps: StepEvents, samples: Samples) -> np.ndarray:
     """Samples of the dwell's own setup within each dwell, (m,)."""
     spans = dwell_spans(steps)
-    counts = np.zeros(len(spans), np.int64)
-    for setup in np.unique(steps.setup[spans[:, 0]]) if len(spans) else ():
-        mine = steps.setup[spans[:, 0]] == setup
-        time = samples.time_ns[samples.setup == setup] if len(samples) else np.zeros(0, np.int64)
-        counts[mine] = np.searchsorted(time, spans[mine, 2]) - np.searchsorted(time, spans[mine, 1])
-    return counts
+    begin = np.searchsorted(samples.time_ns, spans[:, 1])
+    end = np.searchsorted(samples.time_ns, spans[:, 2])
+    setup = steps.setup[spans[:, 0]]
+    return np.array([np.count_nonzero(samples.setup[a:b] == s)
+                     for a, b, s in zip(begin, end, setup, strict=True)], np.int64)
 
 
 def listed(numbers: tuple[int, ...] | list[int], most: int = 6) -> str:

@@ -39,7 +39,7 @@ def read_log(path: str | Path, namespace: str | None = None,
     """
     source = open_bag(path)
     wanted = None if namespace is None else '/' + namespace.strip('/') if namespace.strip('/') else ''
-    tables = collect(source.files, lambda topic: _wanted(topic, wanted))
+    tables = collect(source, lambda topic: _wanted(topic, wanted))
     return build_log(source, tables, namespace, description)
 
 

@@ -10,6 +10,7 @@ import io
 import os
 import struct
 import zlib
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -68,12 +69,14 @@ class McapFile:
 
     Strict (default): the first damage raises :class:`StepdiagError` with the remedy.
     ``tolerant``: damage is noted in ``faults`` and what can be read is read.
-    ``complete`` says that footer and closing magic were there, ``checked`` that a CRC
-    covers every message.
+    ``bag`` is what the remedy names.  ``complete`` says that footer and closing magic
+    were there, ``checked`` that a CRC covers every message; ``lost`` counts, by channel,
+    messages of chunks that could not be read, as far as their indexes tell.
     """
 
     path: Path
     tolerant: bool = False
+    bag: Path | None = None
     header: Header | None = None
     channels: dict[int, Channel] = field(default_factory=dict)
     schemas: dict[int, Schema] = field(default_factory=dict)
@@ -82,6 +85,7 @@ class McapFile:
     faults: list[str] = field(default_factory=list)
     complete: bool = False
     checked: bool = True
+    lost: Counter = field(default_factory=Counter)
     _guarded: bool = False
 
     def segments(self) -> Iterator[Segment]:
@@ -103,7 +107,8 @@ class McapFile:
         self._guarded = expected != 0
         running = zlib.crc32(MAGIC)
         loose: list[bytes] = []
-        chunks = 0
+        starts = self._summary(stream, size) if self.tolerant else []
+        found = chunks = 0
         chunk: _Chunk | None = None
         while True:
             begin = stream.tell()
@@ -114,21 +119,33 @@ class McapFile:
             if begin + _RECORD.size + length > size:
                 self._fault(f'ends in the middle of a record at byte {begin} of {size}: '
                             'it is truncated or damaged')
-                break
+                later = [start for start in starts if start > begin]
+                if not later:
+                    if chunk is not None:
+                        yield self._walk(chunk)
+                    chunk = self._salvage(stream.read()) if opcode == Opcode.CHUNK else None
+                    break
+                stream.seek(later[0])
+                continue
             body = stream.read(length)
             if expected and opcode != Opcode.DATA_END:
                 running = zlib.crc32(body, zlib.crc32(head, running))
             if opcode == Opcode.MESSAGE_INDEX:
                 if chunk is not None:
                     chunk.hints.append(body)
+                elif len(body) >= 6:
+                    self.lost[int.from_bytes(body[:2], 'little')] += (len(body) - 6) // 16
                 continue
             if chunk is not None:
-                yield self._walk(chunk)
+                segment = self._walk(chunk)
+                found += len(segment)
+                yield segment
                 chunk = None
             if opcode == Opcode.CHUNK:
                 chunks += 1
                 chunk = self._chunk(body, f'chunk {chunks} at byte {begin}')
             elif opcode == Opcode.MESSAGE:
+                found += 1
                 loose.append(head + body)
                 if len(loose) >= 100_000:
                     yield _join(loose)
@@ -149,11 +166,59 @@ class McapFile:
             yield _join(loose)
         if not self.complete and not self.faults:
             self._fault('has no footer: its recording was not closed')
+        if self.complete and self.statistics and self.statistics.message_count != found:
+            self._fault(f'announces {self.statistics.message_count} messages and holds {found}')
 
     def _fault(self, what: str) -> None:
         if not self.tolerant:
-            raise StepdiagError(f'{self.path}: {what}; mend it with: stepdiag recover {self.path}')
+            raise StepdiagError(f'{self.path}: {what}; mend it with: stepdiag recover {self.bag or self.path}')
         self.faults.append(what)
+
+    def _summary(self, stream, size: int) -> list[int]:
+        """Take in the summary, if there is one, and give the places of the chunks."""
+        here, starts = stream.tell(), []
+        stream.seek(max(0, size - _TAIL.size))
+        tail = stream.read(_TAIL.size)
+        if len(tail) == _TAIL.size and tail.endswith(MAGIC) and tail[0] == Opcode.FOOTER:
+            summary = _TAIL.unpack(tail)[2]
+            stream.seek(summary)
+            data = stream.read(size - summary) if summary else b''
+            position = 0
+            while position + 9 <= len(data):
+                opcode, length = _RECORD.unpack_from(data, position)
+                body = data[position + 9:position + 9 + length]
+                if opcode == Opcode.CHUNK_INDEX and len(body) >= 24:
+                    starts.append(int.from_bytes(body[16:24], 'little'))
+                elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                    self._small(opcode, body, summary + position)
+                position += 9 + length
+        stream.seek(here)
+        return sorted(start for start in starts if start < size)
+
+    def _salvage(self, body: bytes) -> '_Chunk | None':
+        """What a chunk holds that was cut off: no CRC can vouch for it, only its records."""
+        named = int.from_bytes(body[_CHUNK.size:_CHUNK.size + 4], 'little')
+        compression = body[_CHUNK.size + 4:_CHUNK.size + 4 + named]
+        data = body[_CHUNK.size + 12 + named:]
+        if compression == b'zstd':
+            import zstandard
+            pieces = bytearray()
+            unpacker = zstandard.ZstdDecompressor().decompressobj()
+            try:
+                for at in range(0, len(data), 4096):
+                    pieces += unpacker.decompress(data[at:at + 4096])
+            except zstandard.ZstdError:
+                pass    # what came out before stays good
+            data = bytes(pieces)
+        elif compression != b'':
+            return None
+        position = 0
+        while position + 9 <= len(data):
+            length = _RECORD.unpack_from(data, position)[1]
+            if position + 9 + length > len(data):
+                break
+            position += 9 + length
+        return _Chunk(data[:position], 'the chunk that is cut off') if position else None
 
     def _data_crc(self, stream, size: int) -> int:
         """CRC of the data section that the record before the summary holds; 0 if none."""
@@ -233,7 +298,7 @@ class McapFile:
             position, end = int(ends[gap]), int(begins[gap])
             while position + 9 <= end:
                 opcode, length = unpack(data, position)
-                if position + 9 + length > end or opcode == message and length < extra:
+                if position + 9 + length > end or (opcode == message and length < extra):
                     break
                 if opcode == message:
                     found.append((position, length - extra))

@@ -4,10 +4,8 @@ Messages of several files and chunks are brought together until some 32 MiB are
 at hand, grouped by topic and length, and each group is decoded at once.
 """
 
-from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numpy as np
 
@@ -15,6 +13,7 @@ from stepdiag_ros.bag.cdr import decode
 from stepdiag_ros.bag.msgdef import Field, layout, long_name
 from stepdiag_ros.bag.scan import HEADER_SIZE, McapFile, Segment, gather
 from stepdiag_ros.bag.schemas import TOPICS, split_topic
+from stepdiag_ros.bag.source import BagSource
 from stepdiag_ros.errors import StepdiagError
 
 BATCH = 32 << 20
@@ -70,22 +69,22 @@ class Tables:
     metadata: dict[str, str] = field(default_factory=dict)
 
 
-def collect(files: Iterable[Path], wanted: Callable[[str], bool], tolerant: bool = False) -> Tables:
-    """Scan ``files`` in order; decode the contract topics that ``wanted`` lets pass.
+def collect(source: BagSource, wanted: Callable[[str], bool], tolerant: bool = False) -> Tables:
+    """Scan the files of a bag in order; decode the contract topics that ``wanted`` lets pass.
 
     Others are counted.  ``tolerant`` turns damage into warnings (used by ``info``).
     """
     tables = Tables()
     number = 0
-    for path in files:
-        file = McapFile(Path(path), tolerant)
+    for path in source.files:
+        file = McapFile(path, tolerant, source.path)
         batch = _Batch(file, tables, wanted, number)
         for segment in file.segments():
             batch.add(segment)
         number = batch.finish()
-        tables.warnings += [f'{Path(path).name} {fault}' for fault in file.faults]
+        tables.warnings += [f'{path.name} {fault}' for fault in file.faults]
         tables.checked = tables.checked and file.checked
-        tables.bytes += Path(path).stat().st_size
+        tables.bytes += path.stat().st_size
         for channel in file.channels.values():
             batch.table(channel.id)
         for record in file.metadata:
@@ -153,7 +152,7 @@ class _Batch:
         if channel is None:
             raise StepdiagError(f'{self.file.path}: holds messages of channel {channel_id}, which is '
                                 'nowhere described: the file is damaged; mend it with: '
-                                f'stepdiag recover {self.file.path}')
+                                f'stepdiag recover {self.file.bag or self.file.path}')
         schema = self.file.schemas.get(channel.schema_id)
         name = long_name(schema.name) if schema and '/' in schema.name else \
             (schema.name if schema else 'unknown')

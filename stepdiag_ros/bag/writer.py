@@ -24,7 +24,8 @@ from stepdiag_ros.errors import StepdiagError
 
 COMPRESSIONS = {'none': CompressionType.NONE, 'zstd': CompressionType.ZSTD,
                 'lz4': CompressionType.LZ4}
-CHUNK_SIZE = 1 << 20
+#: Small, because a damaged chunk is lost as a whole.
+CHUNK_SIZE = 1 << 18
 ROS_DISTRO = 'jazzy'
 _MASK = 0xFFFFFFFF
 
@@ -101,7 +102,8 @@ class BagWriter:
             return {topic.name: topic.count for topic in self._topics.values()}
 
     def add_topic(self, name: str, type: str, qos_yaml: str = RELIABLE,
-                  schema_text: str | None = None, type_hash: str | None = None) -> None:
+                  schema_text: str | None = None, type_hash: str | None = None,
+                  schema_encoding: str = 'ros2msg') -> None:
         """Announce a topic.  Schema and hash of the contract's types are built in.
 
         ``qos_yaml`` is a YAML list of the publishers' profiles (:mod:`qos`).  A topic that
@@ -120,7 +122,7 @@ class BagWriter:
                 return
             key = (type, text)
             if key not in self._schemas:
-                self._schemas[key] = self._writer.register_schema(type, 'ros2msg', text.encode())
+                self._schemas[key] = self._writer.register_schema(type, schema_encoding, text.encode())
             channel = self._writer.register_channel(
                 name, 'cdr', self._schemas[key],
                 {'offered_qos_profiles': _dump(qos).strip(), 'topic_type_hash': hashed})
