@@ -77,7 +77,9 @@ def solution(method: str, positions: Mapping[str, np.ndarray], curves: Mapping[s
             block = np.concatenate([block, sensitivity[name]], axis=1)
         if name in STRAIGHTNESS:
             slopes[name] = slope_weights(position) @ block
-            block = block - np.outer(position - position[0], slopes[name])
+            # The line passes through the knot at coordinate 0, where curves are zero by definition.
+            origin = position[np.argmin(np.abs(position))]
+            block = block - np.outer(position - origin, slopes[name])
         names += [(name, i) for i in range(len(position))]
         values.append(block[:, 0])
         rows.append(block[:, 1:])
