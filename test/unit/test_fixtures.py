@@ -1,0 +1,66 @@
+"""The safety net of the tests themselves: it must catch what it is there for."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def run_tests(folder: Path, source: str) -> subprocess.CompletedProcess[str]:
+    """Runs a test module with the repository's conftest and options in a process of its own."""
+    (folder / 'conftest.py').write_text((ROOT / 'test' / 'conftest.py').read_text())
+    (folder / 'test_it.py').write_text(source)
+    (folder / 'pyproject.toml').write_text((ROOT / 'pyproject.toml').read_text())
+    return subprocess.run(
+        [sys.executable, '-m', 'pytest', '-q', '-p', 'no:cacheprovider', str(folder / 'test_it.py')],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        env={**os.environ, 'STEPDIAG_SHARED': str(folder / 'nowhere')},
+    )
+
+
+def test_a_process_left_behind_fails_and_is_ended(tmp_path: Path) -> None:
+    seconds = str(10_000_000 + os.getpid())  # nobody else sleeps so long
+    result = run_tests(
+        tmp_path,
+        'import subprocess\n'
+        'def test_leaves_a_grandchild():\n'
+        f'    subprocess.run(["sh", "-c", "sleep {seconds} >/dev/null 2>&1 &"], check=True)\n',
+    )
+    assert result.returncode == 1
+    assert 'processes left behind' in result.stdout and f'sleep {seconds}' in result.stdout
+    for entry in Path('/proc').glob('[0-9]*/cmdline'):
+        try:
+            assert entry.read_bytes() != f'sleep\0{seconds}\0'.encode()
+        except OSError:
+            continue
+
+
+def test_a_warning_fails(tmp_path: Path) -> None:
+    result = run_tests(tmp_path, 'import warnings\ndef test_warns():\n    warnings.warn("old")\n')
+    assert result.returncode == 1 and 'UserWarning: old' in result.stdout
+
+
+def test_missing_shared_data_skips_with_a_reason(tmp_path: Path) -> None:
+    result = run_tests(tmp_path, 'def test_needs_data(shared):\n    raise AssertionError\n')
+    assert result.returncode == 0
+    assert f'shared data missing: no folder {tmp_path / "nowhere"}' in result.stdout
+
+
+def test_ros_domains_are_not_shared(tmp_path: Path) -> None:
+    """A domain in use here is not handed out to a test elsewhere."""
+    script = (
+        'import os, subprocess, sys\n'
+        'def test_outer(ros_domain):\n'
+        '    assert os.environ["ROS_DOMAIN_ID"] == str(ros_domain)\n'
+        '    if "STEPDIAG_OUTER" in os.environ:\n'
+        '        assert os.environ["STEPDIAG_OUTER"] != str(ros_domain)\n'
+        '        return\n'
+        '    os.environ["STEPDIAG_OUTER"] = str(ros_domain)\n'
+        '    subprocess.run([sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", __file__], check=True)\n'
+    )
+    result = run_tests(tmp_path, script)
+    assert result.returncode == 0, result.stdout
