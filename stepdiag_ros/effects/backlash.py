@@ -20,11 +20,38 @@ class Backlash(Effect):
         moment.position = moment.position - 0.5 * self.B * moment.approach
 
     def appearance(self, view: StopView) -> list[Form]:
-        half = -0.5 * view.approach.T[:, :, None] * view.by_shift
-        # Wind-up that grows along the travel: the reversal differs from end to end.
-        share = view.commanded.T / np.array(view.description.machine.volume)[:, None] - 0.5
-        both = np.concatenate([half, half * share[:, :, None]])
-        names = ('X', 'Y', 'Z')
-        return [Form('constant reversal', half, names, np.full(3, 3e-6)),
-                Form('reversal changing along the axis', both,
-                     names + tuple(f'{a} along travel' for a in names), np.full(6, 3e-6))]
+        forms = []
+        for how, approach in _starts(view).items():
+            half = -0.5 * approach.T[:, :, None] * view.by_shift
+            forms.append(Form(f'constant reversal, {how}', half, AXES, np.full(3, 3e-6)))
+            # Wind-up that grows along the travel: the reversal differs from end to end.
+            share = view.commanded.T / np.array(view.description.machine.volume)[:, None] - 0.5
+            forms.append(Form(f'reversal changing along the axis, {how}',
+                              np.concatenate([half, half * share[:, :, None]]),
+                              AXES + tuple(f'{a} along travel' for a in AXES), np.full(6, 3e-6)))
+        return forms
+
+
+AXES = ('X', 'Y', 'Z')
+
+
+def _starts(view: StopView) -> dict[str, np.ndarray]:
+    """Signs of approach (n, 3) by what may have been before a setup's first moves."""
+    unknown = view.approach == 0.0
+    onward = view.approach.copy()
+    travelled = view.approach.copy()
+    kept = view.approach.copy()
+    last = own = np.zeros(3)
+    for i in range(len(onward)):
+        step = np.sign(view.commanded[i] - view.commanded[i - 1]) if i else np.zeros(3)
+        last = np.where(step != 0.0, step, last)
+        own = np.where(unknown[i], own, view.approach[i])
+        travelled[i] = np.where(unknown[i], last, travelled[i])
+        kept[i] = own
+    for i in range(len(onward) - 2, -1, -1):
+        if view.setup[i] == view.setup[i + 1]:
+            onward[i] = np.where(unknown[i], onward[i + 1], onward[i])
+    return {'released before the first move': view.approach,
+            'carried over between setups': travelled,
+            'kept from the last run': kept,
+            'as if moved on': onward}

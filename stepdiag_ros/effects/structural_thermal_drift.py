@@ -7,7 +7,7 @@ each run's start takes away what came before it; what is left is the drift insid
 import numpy as np
 
 from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
-from stepdiag_ros.effects.timeforms import courses
+from stepdiag_ros.effects.timeforms import courses, drift_form
 
 
 class StructuralThermalDrift(Effect):
@@ -23,11 +23,5 @@ class StructuralThermalDrift(Effect):
         moment.shift = moment.shift + grown[:, None] * self.amp
 
     def appearance(self, view: StopView) -> list[Form]:
-        forms = []
-        for course in courses(view.time):
-            columns = np.einsum('tn,anc->tanc', course.values, view.by_shift)
-            columns = columns.reshape(-1, *view.reading.shape)
-            names = tuple(f'{axis}{i or ""}' for i in range(len(course.values)) for axis in 'XYZ')
-            forms.append(Form(course.label, columns, names, np.full(len(names), 1e-5),
-                              shape=course.shape))
-        return forms
+        return [drift_form(view, course, view.by_shift, ('X', 'Y', 'Z'), np.full(3, 1e-5))
+                for course in courses(view.time)]

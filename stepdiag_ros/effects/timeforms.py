@@ -9,16 +9,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from stepdiag_ros.effects.base import Form, StopView
+
 TAU_FRACTIONS = (0.03, 0.06, 0.12, 0.25, 0.5, 1.0)
 PERIOD_FRACTIONS = (1.0, 0.7, 0.5, 0.35, 0.25)
 
 
 @dataclass(frozen=True)
 class Course:
-    """``values`` (k, n) over the times; ``label``; ``shape`` parameters."""
+    """``values`` (k, n) over the times and their ``rates`` (k, n) [1/s]; ``label``; ``shape`` parameters."""
 
     label: str
     values: np.ndarray
+    rates: np.ndarray
     shape: dict[str, float]
 
 
@@ -27,18 +30,43 @@ def courses(time: np.ndarray, flexible: bool = True) -> list[Course]:
     and (``flexible``) a smooth polynomial of fifth degree."""
     span = max(float(np.ptp(time)), 1e-9)
     since = time - time.min()
-    result = [Course('linear', (since / span)[None], {})]
+    result = [Course('linear', (since / span)[None], np.full((1, len(time)), 1.0 / span), {})]
     for fraction in TAU_FRACTIONS:
         tau = fraction * span
-        result.append(Course(f'exponential, τ = {tau:.0f} s',
-                             (1.0 - np.exp(-since / tau))[None], {'tau_s': tau}))
+        fading = np.exp(-since / tau)[None]
+        result.append(Course(f'exponential, τ = {tau:.0f} s', 1.0 - fading, fading / tau,
+                             {'tau_s': tau}))
     for fraction in PERIOD_FRACTIONS:
         period = fraction * span
-        phase = 2.0 * np.pi * since / period
+        angular = 2.0 * np.pi / period
+        phase = angular * since
         result.append(Course(f'cycle of {period:.0f} s',
-                             np.stack([np.sin(phase), np.cos(phase) - 1.0]), {'period_s': period}))
+                             np.stack([np.sin(phase), np.cos(phase) - 1.0]),
+                             angular * np.stack([np.cos(phase), -np.sin(phase)]),
+                             {'period_s': period}))
     if flexible:
         scaled = 2.0 * since / span - 1.0
-        smooth = [np.polynomial.legendre.Legendre.basis(d)(scaled) / d for d in range(1, 6)]
-        result.append(Course('smooth', np.stack(smooth), {}))
+        basis = [np.polynomial.legendre.Legendre.basis(d) for d in range(1, 6)]
+        result.append(Course('smooth', np.stack([p(scaled) / d for d, p in enumerate(basis, 1)]),
+                             np.stack([p.deriv()(scaled) * 2.0 / span / d
+                                       for d, p in enumerate(basis, 1)]), {}))
     return result
+
+
+def drift_form(view: StopView, course: Course, signature: np.ndarray, names: tuple[str, ...],
+               scale: np.ndarray, label: str = '', units: str = 'm') -> Form:
+    """A signature (m, n, c) that follows a course: columns at the stops and the slope inside the dwells.
+
+    ``names`` (m,) and ``scale`` (m,) belong to the signature; each is repeated for every function
+    of the course.
+    """
+    count = len(course.values)
+    columns = np.einsum('tn,anc->tanc', course.values, signature)
+    rates = np.einsum('tn,anc->tanc', course.rates, signature)
+    columns = columns.reshape(-1, *view.reading.shape)
+    rates = rates.reshape(-1, *view.reading.shape)
+    away = view.bin_time - view.bin_time.mean(axis=1, keepdims=True)
+    inside = rates[:, :, None, :] * away[None, :, :, None]
+    return Form(f'{label}{", " if label else ""}{course.label}', columns,
+                tuple(f'{name}{i or ""}' for i in range(count) for name in names),
+                np.tile(scale, count), units, inside, course.shape)

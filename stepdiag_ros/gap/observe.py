@@ -90,18 +90,16 @@ def _since(time: np.ndarray, group: np.ndarray) -> np.ndarray:
 
 
 def _approach(table: StopTable) -> np.ndarray:
-    """Sign of each axis's last motion at each stop (n, 3), followed from stop to stop over the whole log."""
+    """Sign of each axis's last motion at each stop (n, 3), followed from stop to stop in a setup.
+
+    How the machine came to a setup's first stop is not in the log: 0 until an axis has moved.
+    """
     sign = np.zeros((len(table), 3))
     step = np.sign(np.diff(table.commanded, axis=0, prepend=table.commanded[:1]))
-    last = np.zeros(3)
-    for i in range(len(table)):
-        last = np.where(step[i] != 0.0, step[i], last)
-        sign[i] = last
-    # Where an axis stood before its first move is seen only from where it goes: the same side.
-    for axis in range(3):
-        moved = np.flatnonzero(sign[:, axis])
-        if len(moved):
-            sign[:moved[0], axis] = 0.0
+    step[np.concatenate([[True], np.diff(table.setup) != 0])] = 0.0
+    for i in range(1, len(table)):
+        known = sign[i - 1] if table.setup[i] == table.setup[i - 1] else np.zeros(3)
+        sign[i] = np.where(step[i] != 0.0, step[i], known)
     return sign
 
 

@@ -14,9 +14,11 @@ from stepdiag_ros.effects.base import Form, StopView
 NAME = 'unknown'
 
 
-def unknown_forms(view: StopView) -> list[Form]:
-    """All nameless patterns of a log."""
-    return [*_static(view), *_in_time(view), *_jumps(view), *_mirror_jumps(view), *_inside(view)]
+def unknown_families(view: StopView) -> dict[str, list[Form]]:
+    """All nameless patterns of a log by family; families count alike, however many they are."""
+    return {'places': list(_static(view)), 'times': list(_in_time(view)),
+            'jumps': list(_jumps(view)), 'mirror': list(_mirror_jumps(view)),
+            'dwells': list(_inside(view))}
 
 
 def _channels(view: StopView) -> list[tuple[str, slice, float]]:

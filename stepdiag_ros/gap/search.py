@@ -1,0 +1,212 @@
+"""Which effects act: evidence for sets of effects, and probabilities from it.
+
+All forms of all effects are brought into parity space once.  Sets grow by one effect at a time
+from the best of those found (a beam search); the evidence for a set is that of its first member plus
+that of each further one given those before, the largest over the orders.  A form's coefficients, once
+its effect is in the set, are free: what is left is what nothing in the set can explain.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from stepdiag_ros.effects.base import Form
+from stepdiag_ros.gap.evidence import Judged, judge_gram, log_mean
+from stepdiag_ros.gap.parity import Parity
+from stepdiag_ros.gap.unknown import NAME as UNKNOWN
+
+BEAM = 4
+LARGEST = 3
+PRIOR_NUMBER = (0.5, 0.32, 0.14, 0.04)
+"""Prior probability that none, one, two, three effects act."""
+GAIN = 3.0
+"""Least growth of log evidence for which a set is carried on with a further member."""
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One form of one effect: ``family`` splits an effect's forms into groups of equal weight."""
+
+    effect: str
+    family: str
+    form: Form
+
+
+@dataclass(frozen=True)
+class Member:
+    """An effect in a set, in the form that suits best, and its evidence given those before it."""
+
+    effect: str
+    candidate: int
+    log_bayes: float
+
+
+@dataclass(frozen=True)
+class EffectSet:
+    """A set of effects with ``log_bayes`` against nothing; ``fall`` of zᵀz by all its columns."""
+
+    members: tuple[Member, ...]
+    log_bayes: float
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(m.effect for m in self.members)
+
+    @property
+    def key(self) -> frozenset:
+        return frozenset(m.effect for m in self.members)
+
+
+@dataclass
+class Screen:
+    """All candidates of a log in one parity space, ready to be judged given a set.
+
+    ``repeatable``: effects that may enter a set more than once.
+    """
+
+    parity: Parity
+    candidates: Sequence[Candidate]
+    noise_dof: float
+    repeatable: frozenset = frozenset()
+    _columns: np.ndarray = field(init=False)
+    _bins: dict = field(init=False)
+    _slices: list = field(init=False)
+    _gram: list = field(init=False)
+    _along: list = field(init=False)
+
+    def __post_init__(self):
+        stops = self.parity.stops
+        data = self.parity.data
+        sizes = [len(c.form.columns) for c in self.candidates]
+        edges = np.concatenate([[0], np.cumsum(sizes)]).astype(int)
+        self._slices = [slice(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+        stacked = np.concatenate([c.form.columns * c.form.scale[:, None, None]
+                                  for c in self.candidates])
+        self._columns = self.parity.stop_part(stacked)
+        along = self._columns.T @ data[:stops]
+        self._bins, self._gram, self._along = {}, [], []
+        for number, (candidate, part) in enumerate(zip(self.candidates, self._slices, strict=True)):
+            columns = self._columns[:, part]
+            gram, projected = columns.T @ columns, along[part].copy()
+            if candidate.form.inside is not None:
+                inside = self.parity.bin_part(candidate.form.inside) * candidate.form.scale
+                self._bins[number] = inside
+                gram = gram + inside.T @ inside
+                projected += inside.T @ data[stops:]
+            self._gram.append(gram)
+            self._along.append(projected)
+
+    def columns_of(self, number: int) -> np.ndarray:
+        """Columns (N, k) of one candidate, per unit of its scale."""
+        full = np.zeros((self.parity.size, self._gram[number].shape[0]))
+        full[:self.parity.stops] = self._columns[:, self._slices[number]]
+        if number in self._bins:
+            full[self.parity.stops:] = self._bins[number]
+        return full
+
+    def basis(self, members: Sequence[int]) -> np.ndarray:
+        """Orthonormal basis (N, r) of the columns of several candidates."""
+        if not members:
+            return np.zeros((self.parity.size, 0))
+        columns = np.concatenate([self.columns_of(m) for m in members], axis=1)
+        columns = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+        vector, value, _ = np.linalg.svd(columns, full_matrices=False)
+        return vector[:, value > 1e-6 * value.max()]
+
+    def judge_all(self, members: Sequence[int] = ()) -> list[Judged]:
+        """Every candidate given the set ``members``."""
+        basis, data, stops = self.basis(members), self.parity.data, self.parity.stops
+        taken = basis.T @ data
+        total = float(data @ data - taken @ taken)
+        dof = sum(self.parity.dof) - basis.shape[1]
+        overlap = basis[:stops].T @ self._columns
+        judged = []
+        for number, part in enumerate(self._slices):
+            cross = overlap[:, part]
+            if number in self._bins:
+                cross = cross + basis[stops:].T @ self._bins[number]
+            judged.append(judge_gram(self._gram[number] - cross.T @ cross,
+                                     self._along[number] - cross.T @ taken, total, dof,
+                                     self.noise_dof))
+        return judged
+
+    def by_effect(self, members: Sequence[int] = ()) -> dict[str, Member]:
+        """The evidence of every effect given ``members``, averaged over its forms; the best form."""
+        judged = self.judge_all(members)
+        groups: dict[str, dict[str, list[int]]] = {}
+        for number, candidate in enumerate(self.candidates):
+            groups.setdefault(candidate.effect, {}).setdefault(candidate.family, []).append(number)
+        result = {}
+        for effect, families in groups.items():
+            logs = [log_mean([judged[i].log_bayes for i in numbers]) for numbers in families.values()]
+            best = max((i for numbers in families.values() for i in numbers),
+                       key=lambda i: judged[i].log_bayes)
+            result[effect] = Member(effect, best, log_mean(logs))
+        return result
+
+    def residual(self, members: Sequence[int]) -> np.ndarray:
+        """What the set leaves of the data (N,)."""
+        basis = self.basis(members)
+        return self.parity.data - basis @ (basis.T @ self.parity.data)
+
+
+def search(screen: Screen) -> list[EffectSet]:
+    """Sets of effects worth a thought, best first; the empty set is among them."""
+    first = screen.by_effect()
+    sets: dict[tuple, EffectSet] = {(): EffectSet((), 0.0)}
+    front = []
+    for member in first.values():
+        found = EffectSet((member,), member.log_bayes)
+        sets[_identity(found)] = found
+        front.append(found)
+    for _ in range(1, LARGEST):
+        front = sorted(front, key=lambda s: -s.log_bayes)[:BEAM]
+        grown = []
+        for found in front:
+            if found.log_bayes < GAIN or UNKNOWN in found.names:
+                continue
+            further = screen.by_effect([m.candidate for m in found.members])
+            for member in further.values():
+                if member.effect in found.names and member.effect not in screen.repeatable:
+                    continue
+                larger = EffectSet((*found.members, member), found.log_bayes + member.log_bayes)
+                identity = _identity(larger)
+                if identity not in sets or sets[identity].log_bayes < larger.log_bayes:
+                    sets[identity] = larger
+                    if member.log_bayes > GAIN:
+                        grown.append(larger)
+        if not grown:
+            break
+        front = grown
+    return sorted(sets.values(), key=lambda s: -(s.log_bayes + log_prior(s, len(first))))
+
+
+def _identity(found: EffectSet) -> tuple:
+    return tuple(sorted(found.names))
+
+
+def log_prior(found: EffectSet, effects: int) -> float:
+    """Logarithm of the prior probability of a set among ``effects`` possible ones."""
+    number = len(found.members)
+    ways = 1.0
+    for i in range(number):
+        ways *= (effects - i) / (i + 1)
+    return float(np.log(PRIOR_NUMBER[number]) - np.log(max(ways, 1.0)))
+
+
+def probabilities(sets: Sequence[EffectSet], effects: int,
+                  temper: float = 1.0) -> tuple[Mapping[str, float], float, list[float]]:
+    """Probability of each effect, of nothing, and of each set.
+
+    ``temper`` below 1 flattens: evidence counts only as far as forms are known to hold.
+    """
+    logs = np.array([temper * s.log_bayes + log_prior(s, effects) for s in sets])
+    weights = np.exp(logs - logs.max())
+    weights /= weights.sum()
+    names: dict[str, float] = {}
+    for found, weight in zip(sets, weights, strict=True):
+        for name in found.key:
+            names[name] = names.get(name, 0.0) + float(weight)
+    nothing = float(sum(w for s, w in zip(sets, weights, strict=True) if not s.members))
+    return names, nothing, [float(w) for w in weights]
