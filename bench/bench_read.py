@@ -5,7 +5,7 @@ One bag by our own writer, three readers in turn in one process, each timed over
 Each must end with the same seven arrays (times, values and health of both sensors;
 checked), so nobody is paid for work left undone.
 
-    python bench/bench_read.py [--samples 400000] [--block 25 --block 1000] [--out docs/bench]
+    python bench/bench_read.py [--samples 400000] [--block 25 --block 1000]
 """
 
 import argparse
@@ -138,7 +138,8 @@ def main() -> None:
     parser.add_argument('--block', type=int, action='append', help='samples a block, repeatable')
     parser.add_argument('--rounds', type=int, default=3)
     parser.add_argument('--compression', default='zstd', choices=('none', 'zstd', 'lz4'))
-    parser.add_argument('--out', type=Path, help='folder for read.json and read.md')
+    parser.add_argument('--out', type=Path, default=Path(__file__).parents[1] / 'docs' / 'bench',
+                        help='folder for read.json and read.md (default: docs/bench)')
     args = parser.parse_args()
     rows = []
     names = list(READERS)
@@ -154,17 +155,16 @@ def main() -> None:
                      + f' | {rate[names[0]] / rate[names[1]]:.1f}'
                      + f' | {rate[names[0]] / rate[names[2]]:.1f} |')
         print('\n'.join(lines) if len(rows) == 1 else lines[-1], flush=True)
-    if args.out:
-        args.out.mkdir(parents=True, exist_ok=True)
-        machine = {'python': platform.python_version(), 'machine': platform.machine()} | {
-            p: version(p) for p in ('numpy', 'mcap', 'rosbags', 'mcap-ros2-support-fast')}
-        (args.out / 'read.json').write_text(json.dumps({'environment': machine, 'rows': rows}, indent=1)
-                                            + '\n')
-        (args.out / 'read.md').write_text(
-            '# Reading a bag into arrays\n\nMade by `python bench/bench_read.py --out docs/bench`; both '
-            f'sensors counted, CRCs checked where the reader can, chunks {args.compression}, best of '
-            f'{args.rounds} rounds, same arrays demanded of all.\n\n' + '\n'.join(lines) + '\n\n'
-            + ', '.join(f'{k} {v}' for k, v in machine.items()) + '\n')
+    args.out.mkdir(parents=True, exist_ok=True)
+    machine = {'python': platform.python_version(), 'machine': platform.machine()} | {
+        p: version(p) for p in ('numpy', 'mcap', 'rosbags', 'mcap-ros2-support-fast')}
+    (args.out / 'read.json').write_text(json.dumps({'environment': machine, 'rows': rows}, indent=1)
+                                        + '\n')
+    (args.out / 'read.md').write_text(
+        '# Reading a bag into arrays\n\nMade by `python bench/bench_read.py`; both '
+        f'sensors counted, CRCs checked where the reader can, chunks {args.compression}, best of '
+        f'{args.rounds} rounds, same arrays demanded of all.\n\n' + '\n'.join(lines) + '\n\n'
+        + ', '.join(f'{k} {v}' for k, v in machine.items()) + '\n')
 
 
 if __name__ == '__main__':

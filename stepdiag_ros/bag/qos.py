@@ -18,7 +18,7 @@ def qos_profile(depth: int = 1000, reliability: str = 'reliable', durability: st
 def qos_yaml(*profiles: dict) -> str:
     """The text for channel metadata and ``metadata.yaml``: a YAML list of profiles."""
     return yaml.dump(list(profiles), Dumper=PlainDumper, sort_keys=False,
-                     default_flow_style=False).strip()
+                     default_flow_style=False, width=1 << 20).strip()
 
 
 def parse_qos(text: str, topic: str) -> list[dict]:

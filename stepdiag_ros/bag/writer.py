@@ -226,5 +226,6 @@ class BagWriter:
 
 
 def _dump(data) -> str:
+    # No folded lines: readers with a YAML of their own do not know them.
     return yaml.dump(data, Dumper=PlainDumper, sort_keys=False, default_flow_style=False,
-                     allow_unicode=True)
+                     allow_unicode=True, width=1 << 20)
