@@ -15,6 +15,8 @@ class Backlash(Effect):
     parameters = (Parameter('B', 'm', 0.0, 3e-5, 3, 'reversal error of X, Y, Z'),)
     sources = ('ISO 230-2, reversal error B',)
     remedy = 'Check the ball screw, its bearings and the scale mount; set the reversal compensation.'
+    signature = 'Steps by the same amount whenever an axis turns round.'
+    neighbours = 'count_slip steps once; servo_settling creeps inside the dwell; structural_thermal_drift is smooth.'
 
     def before_pose(self, moment: Moment) -> None:
         moment.position = moment.position - 0.5 * self.B * moment.approach

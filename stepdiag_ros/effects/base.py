@@ -45,7 +45,8 @@ class Moment:
     To change: ``position`` (n, 3) [m] of the axes; ``shift`` (n, 3) [m] and ``turn`` (n, 3) [rad] of the
     tool against the workpiece, machine frame, added after the machine's own errors; ``laser`` and
     ``mirror`` (n, 2) [rad], further turns about (u, v) of beams and mirror mount; ``form``: the mirror's
-    shape; ``index`` (n,): the true index of air over the index that the instrument corrects for;
+    shape; ``index`` (n,): the true index of air over ``divided`` (n,), the one that the instrument
+    takes out;
     ``length`` (n, beams) [m] and, after the reading, ``spot`` (n, 2) [m], ``intensity`` (n,) [V],
     ``quality`` (n,).
     """
@@ -67,6 +68,7 @@ class Moment:
     laser: np.ndarray
     mirror: np.ndarray
     index: np.ndarray
+    divided: np.ndarray
     form: MirrorForm | None = None
     length: np.ndarray | None = None
     spot: np.ndarray | None = None
@@ -173,6 +175,10 @@ class Effect:
     sources: tuple[str, ...] = ()
     remedy: str = ''
     """What to do about it at the machine."""
+    signature: str = ''
+    """By what it shows in a log."""
+    neighbours: str = ''
+    """What looks alike, and what tells them apart."""
     repeatable: bool = False
     """Whether it may act more than once in a log, each time in a form of its own."""
 
@@ -186,6 +192,15 @@ class Effect:
             middle = np.full(parameter.size, (parameter.low + parameter.high) / 2.0)
             value = np.broadcast_to(np.asarray(values.get(name, middle), float), (parameter.size,))
             setattr(self, name, value.copy() if parameter.size > 1 else float(value[0]))
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator) -> Mapping[str, object]:
+        """Plausible parameters for :class:`Effect`, drawn: evenly between the bounds where not overridden."""
+        drawn = {}
+        for p in cls.parameters:
+            value = rng.uniform(p.low, p.high, p.size)
+            drawn[p.name] = value.tolist() if p.size > 1 else float(value[0])
+        return drawn
 
     # Physical face, in the order in which the simulator asks.
 
@@ -201,6 +216,11 @@ class Effect:
     def clock_offset(self, sensor: str) -> float:
         """Seconds that the stamps of ``'interferometer'`` or ``'psd'`` are late (early: negative)."""
         return 0.0
+
+    def environment(self, seconds: np.ndarray) -> Mapping[str, np.ndarray]:
+        """What it adds to the environment (n,) ``seconds`` after the log began, by the names of
+        :attr:`~stepdiag_ros.model.log.CalibrationLog.environment`: sensors there will show it."""
+        return {}
 
     # The diagnosis's face.
 

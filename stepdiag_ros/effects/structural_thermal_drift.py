@@ -17,6 +17,9 @@ class StructuralThermalDrift(Effect):
                   Parameter('tau', 's', 100.0, 5000.0, meaning='time constant'))
     sources = ('ISO 230-3', 'Mayr et al. 2012, Thermal issues in machine tools')
     remedy = 'Warm the machine up before measuring, or measure in a shorter time.'
+    signature = 'A shift of the tool that follows the clock, the same at all positions.'
+    neighbours = ('air_refraction_drift grows with the distance; squareness_drift and scale_thermal_expansion '
+                  'with a position; drifts of mirror and beam show in the spot.')
 
     def before_pose(self, moment: Moment) -> None:
         grown = 1.0 - np.exp(-moment.seconds / self.tau)

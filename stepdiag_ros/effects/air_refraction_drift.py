@@ -1,0 +1,74 @@
+"""The index of air changes during a run and the reading is not corrected for it.
+
+A laser counts wavelengths; in air of index ``n`` the length ``L`` counts as ``n L``.  What the
+instrument divides out is an index it believes; the rest, ``(n/n₀ − 1)`` of the whole way of the light
+that air fills, dead path included, is read as displacement.  1 K is about −0.95e-6, 100 Pa +0.27e-6.
+The spot does not notice.
+"""
+
+import numpy as np
+
+from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
+from stepdiag_ros.effects.patterns import Drawn, drawn_size, follow, on_lengths, saturating
+from stepdiag_ros.effects.timeforms import courses
+from stepdiag_ros.model.air import refractive_index
+
+TEMPERATURE, PRESSURE, HUMIDITY = 20.0, 101325.0, 0.5
+"""Air from which the parameters' changes are counted [°C, Pa, 1]: what a kelvin does hardly depends on it."""
+NOTICEABLE = 2.0e-8
+"""Standard deviation of an index over the log that is more than a sensor's noise."""
+
+
+class AirRefractionDrift(Effect):
+    name = 'air_refraction_drift'
+    title = 'The air changes while the laser measures, and the reading is not corrected for it.'
+    parameters = (Parameter('dT', 'K', -5.0, 5.0, meaning='rise of the air temperature in the end'),
+                  Parameter('dP', 'Pa', -1000.0, 1000.0, meaning='rise of the air pressure in the end'),
+                  Parameter('tau', 's', 100.0, 5000.0, meaning='time constant'))
+    sources = ('Bönsch & Potulski 1998, Metrologia 35, 133', 'ISO 230-1:2012, laser interferometers',
+               'Dahlem et al. 2018, environment')
+    remedy = ('Let the instrument compensate with sensors of temperature, pressure and humidity beside the '
+              'beam, keep draughts away, and put the base unit close to the machine (dead path).')
+    signature = 'Grows with the whole distance to the mirror and with time; displacement only.'
+    neighbours = ('scale_thermal_expansion follows one axis\'s position, not the distance, and has no dead '
+                  'path; structural_thermal_drift does not grow with the distance.')
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator) -> Drawn:
+        return {'dT': drawn_size(rng, 0.3, 5.0), 'dP': drawn_size(rng, 30.0, 1000.0),
+                'tau': float(np.exp(rng.uniform(np.log(200.0), np.log(4000.0))))}
+
+    def environment(self, seconds: np.ndarray) -> dict[str, np.ndarray]:
+        grown = saturating(seconds, self.tau)
+        return {'air_temperature': self.dT * grown, 'air_pressure': self.dP * grown}
+
+    def before_light(self, moment: Moment) -> None:
+        change = self.environment(moment.seconds)
+        moment.index = moment.index * (
+            refractive_index(TEMPERATURE + change['air_temperature'],
+                             PRESSURE + change['air_pressure'], HUMIDITY)
+            / refractive_index(TEMPERATURE, PRESSURE, HUMIDITY))
+
+    def appearance(self, view: StopView) -> list[Form]:
+        way = on_lengths(view, view.distance)[None]
+        forms = [follow(view, course, way, ('index',), 1e-6, '1') for course in courses(view.time)]
+        # Sources that hold or correct their own dead path, or stand elsewhere than the description says.
+        both = np.concatenate([way, on_lengths(view, np.ones(len(view.time)))[None]])
+        forms += [follow(view, course, both, ('index', 'dead path'), 1e-6, '1, m', 'dead path unknown')
+                  for course in courses(view.time) if course.label in ('linear', 'smooth')]
+        logged = self._logged(view)
+        if logged is not None:
+            column = on_lengths(view, view.distance * logged[:, None])[None]
+            forms.insert(0, Form('logged air, not divided out', column, ('share',), np.ones(1), '1'))
+        return forms
+
+    @staticmethod
+    def _logged(view: StopView) -> np.ndarray | None:
+        """Logged index over the divided one, less its mean (n,); None where that says nothing."""
+        if view.air_index is None:
+            return None
+        ratio = view.air_index / view.divided_index
+        ratio = ratio - np.nanmean(ratio)
+        if not np.isfinite(ratio).all() or ratio.std() < NOTICEABLE:
+            return None
+        return ratio

@@ -1,0 +1,63 @@
+"""Background light pulls the spot to the detector's centre, by an amount that varies with time.
+
+The detector weighs all light that falls on it.  Light spread evenly has its centre in the middle: with a
+share ``f`` of it in the sum the spot is read ``(1 − f)`` times where it is.  Sun and lamps change; the
+sum signal rises with them, and where it is recorded steadily enough it tells how much.
+"""
+
+import numpy as np
+
+from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
+from stepdiag_ros.effects.patterns import Drawn, follow
+from stepdiag_ros.effects.timeforms import Course, courses
+
+NOTICEABLE = 2.0e-4
+"""Relative standard deviation of the sum signal over the stops from which it may be background."""
+
+
+class AmbientLight(Effect):
+    name = 'ambient_light'
+    title = 'Changing room light on the position sensor pulls the spot towards its centre.'
+    parameters = (Parameter('level', '1', 0.0, 0.2, meaning='background at the start, as a share of the beam'),
+                  Parameter('swing', '1', 0.0, 0.2, meaning='most that comes and goes on top of it'),
+                  Parameter('period', 's', 300.0, 7200.0, meaning='of coming and going'))
+    sources = ('Andersson 2008, Position sensitive detectors: background light',)
+    remedy = 'Shade the detector, use an interference filter, or modulate the beam and detect in phase.'
+    signature = 'The spot shrinks towards the centre by a share that follows the clock; the sum signal rises.'
+    neighbours = 'psd_gain is a share that does not change; a constant background cannot be told from it.'
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator) -> Drawn:
+        return {'level': float(rng.uniform(0.0, 0.05)),
+                'swing': float(np.exp(rng.uniform(np.log(0.005), np.log(0.15)))),
+                'period': float(np.exp(rng.uniform(np.log(400.0), np.log(7200.0))))}
+
+    def after_light(self, moment: Moment) -> None:
+        background = self.level + self.swing * np.sin(np.pi * moment.seconds / self.period) ** 2
+        moment.spot = moment.spot / (1.0 + background)[:, None]
+        moment.intensity = moment.intensity * (1.0 + background)
+
+    def appearance(self, view: StopView) -> list[Form]:
+        pull = view.zeros(1)
+        pull[0, :, view.beams:] = -view.spot_reading
+        forms = []
+        for course in courses(view.time):
+            one = np.ones(len(view.time))
+            with_constant = Course(course.label, np.vstack([one, course.values]),
+                                   np.vstack([0.0 * one, course.rates]), course.shape)
+            forms.append(follow(view, with_constant, pull, ('share',), 0.02, '1'))
+        return self._from_intensity(view, pull) + forms
+
+    @staticmethod
+    def _from_intensity(view: StopView, pull: np.ndarray) -> list[Form]:
+        """With the sum I = beam + background: f = (I − min)/I, and what was there at the minimum."""
+        total = view.intensity
+        if not np.isfinite(total).all() or total.min() <= 0.0 \
+                or total.std() < NOTICEABLE * total.mean():
+            return []
+        least = total.min()
+        rising = pull * ((total - least) / total)[:, None]
+        always = pull * (least / total)[:, None]
+        return [Form('as the sum signal says', rising, ('trust',), np.ones(1), '1'),
+                Form('as the sum signal says, and a constant', np.concatenate([rising, always]),
+                     ('trust', 'share at least'), np.array([1.0, 0.02]), '1')]

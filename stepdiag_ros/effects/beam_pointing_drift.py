@@ -1,0 +1,41 @@
+"""The source's beams slowly turn.
+
+A collimator or its mount warms up and points elsewhere.  The length changes with the cosine, hardly,
+and with where the beams strike a tilted mirror; the returning spot walks by about twice the path for
+a mirror's turn but by what the geometry leaves of a beam's turn: derivatives of the model tell.
+"""
+
+import numpy as np
+
+from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
+from stepdiag_ros.effects.patterns import Drawn, by_setup, drawn_size, follow, relaxations, saturating
+from stepdiag_ros.effects.timeforms import courses
+
+
+class BeamPointingDrift(Effect):
+    name = 'beam_pointing_drift'
+    title = 'The laser beam slowly changes its direction.'
+    parameters = (Parameter('amp', 'rad', -1e-4, 1e-4, 2, 'turn about u, v reached in the end'),
+                  Parameter('tau', 's', 100.0, 5000.0, meaning='time constant'))
+    sources = ('Dahlem et al. 2018, section 4 (laser misalignment)',)
+    remedy = 'Switch the laser on hours before, fix the base unit on a stiff stand, keep warm air away.'
+    signature = 'Spot and length move as if the laser had been turned, more and more with time.'
+    neighbours = ('mirror_mount_creep turns the mirror: its spot grows with the distance in another way and '
+                  'it begins at each mounting; structural_thermal_drift moves lengths, hardly spots.')
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator) -> Drawn:
+        return {'amp': drawn_size(rng, 1e-6, 1e-4, 2),
+                'tau': float(np.exp(rng.uniform(np.log(200.0), np.log(4000.0))))}
+
+    def before_light(self, moment: Moment) -> None:
+        moment.laser = moment.laser + saturating(moment.seconds, self.tau)[:, None] * self.amp
+
+    def appearance(self, view: StopView) -> list[Form]:
+        forms = [follow(view, course, view.by_laser, ('u', 'v'), 1e-5, 'rad')
+                 for course in courses(view.time)]
+        if len(np.unique(view.setup)) > 1:
+            own, names = by_setup(view, view.by_laser, ('u', 'v'))
+            forms += [follow(view, course, own, names, 1e-5, 'rad', 'each setup on its own')
+                      for course in relaxations(view.mount_time)[:4]]
+        return forms

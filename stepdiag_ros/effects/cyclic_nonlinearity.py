@@ -1,0 +1,82 @@
+"""The reading swings with the fringe phase, a few nanometres to tens of nanometres.
+
+Stray reflections and mixed polarisations add to the beam that is counted; the reading then errs by
+``A cos φ + B sin φ`` with ``φ = 2π·(optical length)/(λ/2)``, and at twice the phase where quadrature
+signals are not round.  The phase of each stop is in the reading itself, to nanometres; the phase at a
+run's reset is not, because every arrival errs by more than a fringe, so that it may be free in each run.
+"""
+
+import numpy as np
+
+from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
+from stepdiag_ros.effects.patterns import Drawn
+
+WAVELENGTHS = (632.8e-9, 632.991e-9, 1530e-9, 1550e-9)
+"""Vacuum wavelengths [m] of common sources: He-Ne (rounded, exact), diode lasers of the IDS3010 kind."""
+MIN_STOPS = 6
+"""A run with fewer stops has none to spare for a phase of its own."""
+
+
+class CyclicNonlinearity(Effect):
+    name = 'cyclic_nonlinearity'
+    title = 'The laser reading swings by nanometres with every fringe.'
+    parameters = (Parameter('amp', 'm', 0.0, 1e-7, meaning='swing, once a fringe'),
+                  Parameter('amp2', 'm', -2e-8, 2e-8, meaning='swing, twice a fringe'),
+                  Parameter('phase', 'rad', -np.pi, np.pi, meaning='phase at zero length'),
+                  Parameter('wavelength', 'm', 5e-7, 2.56e-6, meaning='vacuum wavelength'))
+    sources = ('Quenelle 1983; Bobroff 1993, Meas. Sci. Technol. 4, 907', 'Heydemann 1981, Appl. Opt. 20, 3382')
+    remedy = ('Align the interferometer and keep stray light out (tilt windows); correct the quadrature '
+              'signals (Heydemann).')
+    signature = 'Swings with λ/2 of travel in displacement; the same at every stop of equal phase.'
+    neighbours = ('vibration swings with time, not with length; from stops of one step alone the swing looks '
+                  'like repeatability, samples in motion or finer steps tell.')
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator) -> Drawn:
+        return {'amp': float(np.exp(rng.uniform(np.log(3e-9), np.log(8e-8)))), 'amp2': 0.0,
+                'phase': float(rng.uniform(-np.pi, np.pi)),
+                'wavelength': float(rng.choice([632.991e-9, 1530e-9]))}
+
+    def after_light(self, moment: Moment) -> None:
+        path = moment.length * moment.divided[:, None]
+        phase = 4.0 * np.pi * path / self.wavelength + self.phase
+        moment.length = moment.length + self.amp * np.sin(phase) + self.amp2 * np.sin(2.0 * phase)
+
+    def appearance(self, view: StopView) -> list[Form]:
+        measured = view.reading[:, :view.beams]
+        reading = np.where(np.isfinite(measured), measured, view.model[:, :view.beams])
+        forms = []
+        for wavelength in WAVELENGTHS:
+            for kind, length in (('optical', reading * view.divided_index[:, None]),
+                                 ('geometric', reading)):
+                forms += self._of_length(view, f'λ = {wavelength * 1e9:.3f} nm, {kind} length',
+                                         length, wavelength)
+        return forms
+
+    def _of_length(self, view: StopView, label: str, length: np.ndarray,
+                   wavelength: float) -> list[Form]:
+        def form(kind: str, columns: np.ndarray, names: tuple[str, ...]) -> Form:
+            return Form(f'{label}, {kind}', columns, names, np.full(len(names), 1e-8),
+                        shape={'wavelength_m': wavelength})
+
+        once = self._swing(view, 4.0 * np.pi * length / wavelength)
+        twice = self._swing(view, 8.0 * np.pi * length / wavelength)
+        names = ('cos', 'sin')
+        forms = [form('one phase', np.concatenate([once, twice]), (*names, 'cos 2', 'sin 2'))]
+        columns, own = self._by_run(view, once)
+        if own:
+            forms.append(form('phase by run', columns, own))
+        return forms
+
+    @staticmethod
+    def _swing(view: StopView, phase: np.ndarray) -> np.ndarray:
+        columns = view.zeros(2)
+        columns[0, :, :view.beams], columns[1, :, :view.beams] = np.cos(phase), np.sin(phase)
+        return columns
+
+    @staticmethod
+    def _by_run(view: StopView, once: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
+        runs = [r for r in np.unique(view.run) if np.sum(view.run == r) >= MIN_STOPS]
+        parts = [once * (view.run == r)[:, None] for r in runs]
+        names = tuple(f'{view.run_ids[r]} {part}' for r in runs for part in ('cos', 'sin'))
+        return (np.concatenate(parts) if parts else view.zeros(0)), names

@@ -1,0 +1,45 @@
+"""The mirror's mount relaxes after mounting.
+
+Glue, spring or magnet give way, fast at first, then slower: the mirror turns on the tool.  It begins anew
+whenever the mirror is mounted for a setup, by another amount.  A turn ``α u + β v`` moves the spot by
+``(−2Lβ, 2Lα)`` and the length by what the strike's lever makes of it.
+"""
+
+import numpy as np
+
+from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
+from stepdiag_ros.effects.patterns import Drawn, by_setup, drawn_size, follow, relaxations, saturating
+
+
+class MirrorMountCreep(Effect):
+    name = 'mirror_mount_creep'
+    title = "The mirror's mount gives way slowly after mounting."
+    parameters = (Parameter('amp', 'rad', -1e-4, 1e-4, 2, 'turn about u, v reached in the end'),
+                  Parameter('tau', 's', 20.0, 2000.0, meaning='time constant'),
+                  Parameter('spread', '1', 0.0, 1.0,
+                            meaning='standard deviation of the amount from mounting to mounting'))
+    sources = ('Yoder, Mounting Optics in Optical Instruments, 2nd ed., ch. on adhesives',)
+    remedy = 'Wait after mounting, clamp harder on three points, do not glue.'
+    signature = 'Spot grows as 2 L times a turn that relaxes from the start of each setup.'
+    neighbours = ('beam_pointing_drift turns the light, not the mirror; psd_zero_offset does not change; '
+                  'the nominal misalignment does not relax.')
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator) -> Drawn:
+        return {'amp': drawn_size(rng, 1e-6, 1e-4, 2),
+                'tau': float(np.exp(rng.uniform(np.log(30.0), np.log(1500.0)))),
+                'spread': float(rng.choice([0.0, 0.3]))}
+
+    def before_light(self, moment: Moment) -> None:
+        amount = 1.0 + self.spread * moment.rng.normals(f'mounting/{moment.setup}', 0, 1, 2)[0]
+        moment.mirror = moment.mirror + (saturating(moment.mount_seconds, self.tau)[:, None]
+                                         * self.amp * amount)
+
+    def appearance(self, view: StopView) -> list[Form]:
+        courses = relaxations(view.mount_time)
+        forms = [follow(view, course, view.by_mirror, ('u', 'v'), 1e-5, 'rad') for course in courses]
+        if len(np.unique(view.setup)) > 1:
+            own, names = by_setup(view, view.by_mirror, ('u', 'v'))
+            forms += [follow(view, course, own, names, 1e-5, 'rad', 'each mounting another amount')
+                      for course in courses]
+        return forms

@@ -1,0 +1,99 @@
+"""An axis's error motion depends on where another axis stands.
+
+A slide that runs out bends the beam that carries it: the error motion of axis ``a`` then depends on the
+position of axis ``b`` too.  In the simplest case it is the product of both positions; what depends on
+one of them alone is an ordinary error curve of that axis, or next to it, and is absorbed.
+"""
+
+from itertools import combinations
+
+import numpy as np
+
+from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
+from stepdiag_ros.effects.patterns import Drawn, drawn_size
+from stepdiag_ros.model.machine import AXES, CURVES, compose
+
+SHIFT, TURN = 5e-6, 1e-5
+"""Typical sizes with both axes at their ends [m], [rad]."""
+
+
+class NonRigidCoupling(Effect):
+    name = 'non_rigid_coupling'
+    title = 'The machine bends: an error of one axis depends on where another axis stands.'
+    parameters = (Parameter('motion', '1', 0.0, 17.0, meaning='which error motion: EXX … ECZ, or its number'),
+                  Parameter('by', '1', 0.0, 2.0, meaning='on which other axis it depends: X, Y, Z, or its number'),
+                  Parameter('amp', 'm or rad', -5e-5, 5e-5, meaning='size with both axes at their ends'),
+                  Parameter('power', '1', 1.0, 2.0, meaning='of the other axis\'s position'))
+    sources = ('Schwenke et al. 2008, CIRP Annals 57, 660, non-rigid behaviour', 'ISO 230-1:2012, 3.1')
+    remedy = ('Compensate in the volume with a grid instead of axis by axis; look for overhanging slides '
+              'and weak guideways.')
+    signature = 'Grows with the product of two axes\' positions, the same at every time and direction.'
+    neighbours = ('squareness_drift grows with one axis\'s position and time; mirror_curvature follows the '
+                  'strike point and is also in the spot.')
+
+    def __init__(self, **values: object):
+        number = {'motion': CURVES, 'by': tuple(AXES)}
+        for name, known in number.items():
+            given = values.get(name, 0 if name == 'motion' else 1)
+            if isinstance(given, str):
+                if given not in known:
+                    raise ValueError(f'{self.name}: {name} is {given!r}; known are {", ".join(known)}')
+                given = known.index(given)
+            values[name] = given
+        super().__init__(**({'power': 1.0} | values))
+        self.axis = round(self.motion) // 6
+        if round(self.by) == self.axis:
+            raise ValueError(f'{self.name}: {CURVES[round(self.motion)]} cannot depend on its own axis once more; '
+                             'name another axis in "by"')
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator) -> Drawn:
+        motion = int(rng.integers(18))
+        by = int(rng.choice([b for b in range(3) if b != motion // 6]))
+        turning = motion % 6 > 2
+        size = drawn_size(rng, 2e-6, 8e-5) if turning else drawn_size(rng, 1e-6, 3e-5)
+        return {'motion': CURVES[motion], 'by': AXES[by], 'amp': size,
+                'power': float(rng.choice([1.0, 2.0]))}
+
+    def before_pose(self, moment: Moment) -> None:
+        machine = moment.description.machine
+        motion, by = round(self.motion), round(self.by)
+        share = moment.commanded / np.array(machine.volume)
+        size = self.amp * share[:, self.axis] * share[:, by] ** self.power
+        travel = moment.commanded.T[:, :, None] * np.eye(3)[:, None]
+        none = np.zeros((3, len(size), 3))
+        straight, _ = compose(machine.chain, travel, none, machine.tool)
+        shifts, turns = travel.copy(), none.copy()
+        (turns if motion % 6 > 2 else shifts)[self.axis, :, motion % 3] += size
+        bent, _ = compose(machine.chain, shifts, turns, machine.tool)
+        moment.shift = moment.shift + bent - straight
+        moment.turn = moment.turn + turns[self.axis]
+
+    def appearance(self, view: StopView) -> list[Form]:
+        share = view.commanded / np.array(view.description.machine.volume)
+        forms = []
+        for a, b in combinations(range(3), 2):
+            product = share[:, a] * share[:, b]
+            pair = f'{AXES[a]}·{AXES[b]}'
+            columns, names, scales = [], [], []
+            for axis, other in ((a, b), (b, a)):
+                for k in range(6):
+                    # A shift by a product is the same motion whichever of the two axes it is given to.
+                    if k < 3 and axis == b:
+                        continue
+                    motion = view.by_motion[6 * axis + k]
+                    name = f'{CURVES[6 * axis + k]} by {AXES[other]}'
+                    scale = SHIFT if k < 3 else TURN
+                    column = product[:, None] * motion
+                    bent = [column, column * share[:, [axis]], column * share[:, [other]]]
+                    units = 'm' if k < 3 else 'rad'
+                    forms.append(Form(f'{name}, product', column[None], (name,), np.full(1, scale), units))
+                    forms.append(Form(f'{name}, bent', np.stack(bent),
+                                      (name, f'{name} ({axis + 1}²)', f'{name} ({other + 1}²)'),
+                                      np.full(3, scale), units))
+                    columns.append(column)
+                    names.append(name)
+                    scales.append(scale)
+            forms.append(Form(f'all motions by {pair}', np.stack(columns), tuple(names),
+                              np.array(scales), 'm, rad'))
+        return forms

@@ -1,0 +1,63 @@
+"""Columns that several effects share: a signature that follows a course in time, one for each setup."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from stepdiag_ros.effects.base import Form, StopView
+from stepdiag_ros.effects.timeforms import Course, drift_form
+
+
+def follow(view: StopView, course: Course, signature: np.ndarray, names: tuple[str, ...], scale: float,
+           units: str = 'm', label: str = '') -> Form:
+    """:func:`~stepdiag_ros.effects.timeforms.drift_form` with one typical size for all coefficients."""
+    return drift_form(view, course, signature, names, np.full(len(names), scale), label, units)
+
+
+def by_setup(view: StopView, columns: np.ndarray,
+             names: tuple[str, ...]) -> tuple[np.ndarray, tuple[str, ...]]:
+    """``columns`` (k, n, c) with coefficients of their own in each setup that was measured."""
+    parts, own = [], []
+    for number in np.unique(view.setup):
+        parts.append(columns * (view.setup == number)[:, None])
+        own += [f'{view.setup_names[number]} {name}' for name in names]
+    return np.concatenate(parts), tuple(own)
+
+
+def on_lengths(view: StopView, values: np.ndarray) -> np.ndarray:
+    """A column (n, c) that holds ``values`` (n,) or (n, beams) on every beam, nothing on the spot."""
+    column = np.zeros(view.reading.shape)
+    column[:, :view.beams] = values if values.ndim == 2 else values[:, None]
+    return column
+
+
+def saturating(seconds: np.ndarray, tau: float) -> np.ndarray:
+    """``1 − exp(−t/τ)`` (n,), zero before the start."""
+    return -np.expm1(-np.maximum(seconds, 0.0) / tau)
+
+
+def relaxations(time: np.ndarray) -> list[Course]:
+    """What relaxes after a beginning at time 0: linear, exponential, logarithmic; ``time`` (n,) [s]."""
+    span = max(float(time.max()), 1e-9)
+    result = [Course('linear', (time / span)[None], np.full((1, len(time)), 1.0 / span), {})]
+    for fraction in (0.03, 0.1, 0.3, 1.0):
+        tau = fraction * span
+        result.append(Course(f'exponential, τ = {tau:.0f} s', saturating(time, tau)[None],
+                             np.exp(-time / tau)[None] / tau, {'tau_s': tau}))
+    for fraction in (0.01, 0.1):
+        start = fraction * span
+        size = np.log1p(1.0 / fraction)
+        result.append(Course(f'logarithmic from {start:.0f} s', np.log1p(time / start)[None] / size,
+                             1.0 / (start + time)[None] / size, {'start_s': start}))
+    return result
+
+
+def drawn_size(rng: np.random.Generator, low: float, high: float, size: int | None = None
+               ) -> float | list[float]:
+    """Sizes spread evenly over the orders of magnitude from ``low`` to ``high``, of either sign."""
+    value = np.exp(rng.uniform(np.log(low), np.log(high), size)) * rng.choice([-1.0, 1.0], size)
+    return float(value) if size is None else value.tolist()
+
+
+Drawn = Mapping[str, object]
+"""Parameters of an effect by name, as :meth:`Effect.draw` gives and a cell file holds them."""

@@ -1,0 +1,38 @@
+"""The detector's scale is wrong, alike or apart in x and y.
+
+Read is ``(1 + g)`` times the spot.  The gain of a lateral-effect diode is set by its length and by
+the amplifiers' resistors; a wrong length in the driver makes both axes wrong alike.
+"""
+
+import numpy as np
+
+from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
+from stepdiag_ros.effects.patterns import Drawn, drawn_size
+
+
+class PsdGain(Effect):
+    name = 'psd_gain'
+    title = "The position sensor's scale is wrong."
+    parameters = (Parameter('x', '1', -0.1, 0.1, meaning='gain error along u'),
+                  Parameter('y', '1', -0.1, 0.1, meaning='gain error along v'))
+    sources = ('Dahlem et al. 2018, section 4', 'Andersson 2008, Position sensitive detectors')
+    remedy = 'Calibrate the detector on a stage with known shifts, or enter its gain.'
+    signature = 'The spot is too large or too small by a fixed share, wherever it lies.'
+    neighbours = ('ambient_light shrinks the spot by a share that varies with time; psd_nonlinearity by a '
+                  'share that grows with the spot; a constant share of light cannot be told from a gain.')
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator) -> Drawn:
+        x = drawn_size(rng, 0.003, 0.1)
+        return {'x': x, 'y': x if rng.random() < 0.5 else drawn_size(rng, 0.003, 0.1)}
+
+    def after_light(self, moment: Moment) -> None:
+        moment.spot = moment.spot * (1.0 + np.array([self.x, self.y]))
+
+    def appearance(self, view: StopView) -> list[Form]:
+        spot, first = view.spot_reading, view.beams
+        columns = view.zeros(2)
+        columns[0, :, first], columns[1, :, first + 1] = spot[:, 0], spot[:, 1]
+        return [Form('alike in x and y', columns.sum(axis=0, keepdims=True), ('both',),
+                     np.full(1, 0.02), '1'),
+                Form('apart in x and y', columns, ('x', 'y'), np.full(2, 0.02), '1')]

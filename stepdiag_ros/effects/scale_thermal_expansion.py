@@ -1,0 +1,72 @@
+"""An axis's scale grows with its temperature during the log.
+
+A scale that is warmer by ``ΔT`` is longer by ``α ΔT`` of its length: the axis goes ``α ΔT x`` too far.
+What it was at the start belongs to the positioning error; what changes during the log does not.  Glass
+scales have 8e-6/K, steel 11e-6/K.  Without sensors the course of the temperature is open.
+"""
+
+import numpy as np
+
+from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
+from stepdiag_ros.effects.patterns import Drawn, drawn_size, follow, saturating
+from stepdiag_ros.effects.timeforms import courses
+
+NOTICEABLE = 0.03
+"""Standard deviation of a scale's temperature over the log [K] that is more than its sensor's noise."""
+
+
+class ScaleThermalExpansion(Effect):
+    name = 'scale_thermal_expansion'
+    title = "An axis's scale warms up and grows while the log is taken."
+    parameters = (Parameter('alpha', '1/K', 0.0, 2e-5, 3, 'expansion coefficient of the scales of X, Y, Z'),
+                  Parameter('dT', 'K', -3.0, 3.0, 3, 'rise of their temperature in the end'),
+                  Parameter('tau', 's', 100.0, 5000.0, meaning='time constant'))
+    sources = ('ISO 230-3', 'ISO 230-2:2014, annex on thermal correction of scales')
+    remedy = ('Warm the axes up, measure the scales\' temperature and correct for it, let the scales rest '
+              'between runs.')
+    signature = "Grows with one axis's position and with time or its scale's temperature."
+    neighbours = ('air_refraction_drift grows with the distance in all directions alike; '
+                  'structural_thermal_drift does not depend on position.')
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator) -> Drawn:
+        return {'alpha': [float(rng.choice([8e-6, 1.1e-5]))] * 3, 'dT': drawn_size(rng, 0.1, 3.0, 3),
+                'tau': float(np.exp(rng.uniform(np.log(200.0), np.log(4000.0))))}
+
+    def environment(self, seconds: np.ndarray) -> dict[str, np.ndarray]:
+        grown = saturating(seconds, self.tau)
+        return {f'scale_temperature/{axis}': rise * grown
+                for axis, rise in zip('xyz', self.dT, strict=True)}
+
+    def before_pose(self, moment: Moment) -> None:
+        grown = saturating(moment.seconds, self.tau)[:, None] * self.dT
+        moment.position = moment.position + self.alpha * grown * moment.commanded
+
+    def appearance(self, view: StopView) -> list[Form]:
+        axes = ('X', 'Y', 'Z')
+        growth = view.commanded.T[:, :, None] * view.by_shift
+        forms = [follow(view, course, growth, axes, 1e-5, '1') for course in courses(view.time)]
+        # A scale that is held elsewhere than at its zero also shifts the axis as a whole.
+        both = np.concatenate([growth, view.by_shift])
+        named = axes + tuple(f'{axis} shift' for axis in axes)
+        forms += [follow(view, course, both, named, 1e-5, '1, m', 'held elsewhere than at zero')
+                  for course in courses(view.time, flexible=False)
+                  if course.label == 'linear' or course.shape.get('tau_s', 0.0) > 0.2 * np.ptp(view.time)]
+        return self._logged(view, growth) + forms
+
+    @staticmethod
+    def _logged(view: StopView, growth: np.ndarray) -> list[Form]:
+        """The expansion that the logged temperatures foretell, with open coefficients."""
+        if view.scale_temperature is None:
+            return []
+        warm = view.scale_temperature - np.nanmean(view.scale_temperature, axis=0)
+        use = [a for a in range(3) if np.isfinite(warm[:, a]).all() and warm[:, a].std() > NOTICEABLE]
+        if not use:
+            return []
+        columns = growth[use] * warm.T[use][:, :, None]
+        forms = [Form('logged temperatures', columns, tuple('XYZ'[a] for a in use),
+                      np.full(len(use), 1e-5), '1/K')]
+        if len(use) > 1:
+            forms.append(Form('logged temperatures, one material', columns.sum(axis=0, keepdims=True),
+                              ('all',), np.full(1, 1e-5), '1/K'))
+        return forms

@@ -1,0 +1,66 @@
+"""The axis is still creeping in when the dwell begins.
+
+The control says in position while the slide still lags behind: by ``amp`` at the dwell's start, dying
+away as ``exp(−t/τ)``, on the side it came from.  The mean of the dwell keeps a part of it; inside
+the dwell the readings creep, which nothing else does in step with the moves.
+"""
+
+import numpy as np
+
+from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
+from stepdiag_ros.effects.patterns import Drawn
+from stepdiag_ros.model.log import NONE
+
+TAUS = (0.03, 0.05, 0.08, 0.13, 0.2, 0.35, 0.6, 1.0)
+"""Time constants [s] that are tried."""
+
+
+class ServoSettling(Effect):
+    name = 'servo_settling'
+    title = 'An axis still creeps towards its position when the measurement at a stop begins.'
+    parameters = (Parameter('amp', 'm', 0.0, 2e-5, meaning='lag when the dwell begins'),
+                  Parameter('tau', 's', 0.03, 1.0, meaning='time constant'))
+    sources = ('Altintas et al. 2011, CIRP Annals 60, 779 (feed drives)', 'ISO 230-2, dwell at the target')
+    remedy = 'Wait longer before the dwell, narrow the in-position window, tune the servo.'
+    signature = 'Exponential creep inside each dwell, along the axis that moved, towards where it went.'
+    neighbours = ('backlash is as large but still; vibration swings to both sides; '
+                  'structural_thermal_drift is slow against a dwell.')
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator) -> Drawn:
+        return {'amp': float(np.exp(rng.uniform(np.log(3e-7), np.log(2e-5)))),
+                'tau': float(np.exp(rng.uniform(np.log(0.04), np.log(0.8))))}
+
+    def before_pose(self, moment: Moment) -> None:
+        creeping = moment.since_arrival >= 0.0
+        left = np.where(creeping, np.exp(-np.maximum(moment.since_arrival, 0.0) / self.tau), 0.0)
+        # Before arrival the lag rises to its full size, so that nothing jumps when the dwell begins.
+        near = np.exp(np.minimum(moment.since_arrival, 0.0) / min(self.tau, 0.05))
+        left = np.where(creeping, left, near)
+        moving = moment.moved[:, None] == np.arange(3)
+        moving = np.where(moment.moved[:, None] == NONE, moment.approach != 0.0, moving)
+        moment.position = moment.position - self.amp * left[:, None] * moving * moment.approach
+
+    def appearance(self, view: StopView) -> list[Form]:
+        moved = view.axis[:, None] == np.arange(3)
+        along = -(moved * view.approach).T[:, :, None] * view.by_shift
+        forms = []
+        for tau in TAUS:
+            binned = self._bin_means(view.bin_time, tau)
+            mean = binned.mean(axis=1)
+            columns = along * mean[:, None]
+            inside = along[:, :, None, :] * (binned - mean[:, None])[:, :, None]
+            label, shape = f'τ = {tau:g} s', {'tau_s': tau}
+            forms.append(Form(f'{label}, all axes alike', columns.sum(axis=0, keepdims=True), ('all',),
+                              np.full(1, 3e-6), inside=inside.sum(axis=0, keepdims=True), shape=shape))
+            forms.append(Form(f'{label}, each axis', columns, ('X', 'Y', 'Z'), np.full(3, 3e-6),
+                              inside=inside, shape=shape))
+        return forms
+
+    @staticmethod
+    def _bin_means(middle: np.ndarray, tau: float) -> np.ndarray:
+        """Means of ``exp(−t/τ)`` (n, b) over bins of equal width that begin with the dwell."""
+        width = 2.0 * middle[:, :1]
+        begin = middle - 0.5 * width
+        share = np.where(width > 0.0, width, 1.0) / tau
+        return np.exp(-begin / tau) * -np.expm1(-share) / share
