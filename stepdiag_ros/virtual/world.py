@@ -127,7 +127,8 @@ class World:
             scale_temperature=scale_temperature(cell.air, seconds), rng=None,
             position=actual + error, shift=np.zeros((n, 3)), turn=np.zeros((n, 3)),
             laser=np.zeros((n, 2)), mirror=np.zeros((n, 2)),
-            index=np.ones(n) if cell.air.compensated else index), angle
+            index=np.ones(n) if cell.air.compensated else index,
+            divided=index if cell.air.compensated else np.ones(n)), angle
 
     def _act(self, stage: str, moment: Moment) -> None:
         for effect in self.effects:
@@ -159,8 +160,7 @@ class World:
         moment.quality = CONTRAST * np.exp(-(walk / WALK_LIMIT) ** 2)
         moment.intensity = np.full(len(walk), cell.instruments.detector.sum_voltage)
         self._act('after_light', moment)
-        divided = self.index(moment.seconds) if cell.air.compensated else np.ones(len(walk))
-        return Reading(moment.length, moment.spot, moment.quality, moment.intensity, divided)
+        return Reading(moment.length, moment.spot, moment.quality, moment.intensity, moment.divided)
 
     def index(self, seconds: np.ndarray) -> np.ndarray:
         """Index of air (n,) after ``seconds`` (n,)."""
