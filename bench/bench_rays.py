@@ -185,8 +185,8 @@ def main() -> None:
                   f'Within 2× of the formula: {rate * formula_s / args.poses:.2f}× its rate, '
                   f'{"met" if rate * formula_s >= args.poses / 2 else "MISSED"}.', '',
                   'The row "rays moved by hand" is what a patient user of batoid gets: as only one body moves here,',
-                  'NumPy code of his own carries every pose\'s rays into the mirror\'s frame, so that one call traces all.',
-                  'It is no scene any more, and it does not carry over to two bodies that move apart.']
+                  "NumPy code of his own carries every pose's rays into the mirror's frame, so that one call traces",
+                  'all. It is no scene any more, and it does not carry over to two bodies that move apart.']
     lines += [note, '## How it grows, and what a form costs', '', '| poses | scene | ms | poses/s | peak MB |',
               '|---:|---|---:|---:|---:|']
     glass = Body.glass('window', 1.5168, Plane((0.0, 0.0, 0.05), (0.0, 0.0, -1.0)),

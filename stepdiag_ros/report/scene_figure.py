@@ -2,12 +2,11 @@
 
 The caller traces the beams; this draws them.  Everything is at true scale in the machine frame,
 at the mirror's reference point: the box is the working volume moved by the tool vector.  The
-projection is our own, a parallel one: lengths along an axis stay comparable, nothing is cut off at
-a frame, and a vector picture holds lines instead of a rendered image.
+projection is that of :mod:`stepdiag_ros.report.space`.
 """
 
 from dataclasses import dataclass
-from itertools import combinations, product
+from itertools import product
 from pathlib import Path
 
 import matplotlib
@@ -18,7 +17,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Polygon, Rectangle
 
-INK, FAINT, BOX = '#22303c', '#8a97a3', '#b9c3cc'
+from stepdiag_ros.report.space import BOX, FAINT, INK, Camera, draw_box
+
 BEAM, PSD, MIRROR, MIRROR_FILL = '#d1304b', '#e08e0b', '#2f7fb5', '#d7e8f4'
 AXIS_COLOURS = {0: '#1b6ca8', 1: '#2e9e6b', 2: '#7a5195'}
 SHOWN_MIRRORS = 9
@@ -96,25 +96,11 @@ def _longest(scene: SetupScene) -> float:
     return float(max(np.linalg.norm(b[1] - b[0], axis=-1).max() for b in scene.beams))
 
 
-class _Camera:
-    """Parallel projection from the side of the beam, a little from above; mm in, mm on paper out."""
-
-    def __init__(self, direction: np.ndarray):
-        heading = np.arctan2(direction[1], direction[0]) if np.hypot(*direction[:2]) > 1e-6 else np.radians(-8.0)
-        side, rise = heading - np.radians(62.0), np.radians(21.0)
-        self.eye = np.array([np.cos(side) * np.cos(rise), np.sin(side) * np.cos(rise), np.sin(rise)])
-        right = np.array([-np.sin(side), np.cos(side), 0.0])
-        self.screen = np.stack([right, np.cross(self.eye, right)])
-
-    def __call__(self, points: np.ndarray) -> np.ndarray:
-        return points @ self.screen.T * 1e3
-
-
 def _space(axes: Axes, scene: SetupScene, large: bool) -> None:
     """The setup in space; what is nearer to the eye is drawn later."""
-    camera = _Camera(scene.triad[2])
+    camera = Camera(scene.triad[2])
     width = 1.0 if large else 0.75
-    _box(axes, camera, scene, width, behind=True)
+    draw_box(axes, camera, scene.tool, scene.volume, width, behind=True)
 
     shown = np.unique(np.linspace(0, len(scene.course) - 1, min(SHOWN_MIRRORS, len(scene.course))).round().astype(int))
     centre, half = scene.mirror_half
@@ -134,7 +120,7 @@ def _space(axes: Axes, scene: SetupScene, large: bool) -> None:
         axes.plot(*camera(beam[:, far]).T, color=BEAM, linewidth=1.4 * width, zorder=5)
         axes.plot(*camera(beam[1, shown]).T, 'o', color=BEAM, markersize=3.6 * width, zorder=6)
     _base_unit(axes, camera, scene)
-    _box(axes, camera, scene, width, behind=False)
+    draw_box(axes, camera, scene.tool, scene.volume, width, behind=False)
     if large:
         _legend(axes, scene)
     axes.set_aspect('equal', adjustable='datalim')
@@ -142,36 +128,7 @@ def _space(axes: Axes, scene: SetupScene, large: bool) -> None:
     axes.set_axis_off()
 
 
-def _box(axes: Axes, camera: _Camera, scene: SetupScene, width: float, behind: bool) -> None:
-    """Edges of the working volume, those behind the rest or those before it, and the floor."""
-    unit = np.array(list(product((0.0, 1.0), repeat=3)))
-    corners = scene.tool + unit * scene.volume
-    hidden = int(np.argmin(unit @ camera.eye))
-    for a, b in combinations(range(8), 2):
-        if np.count_nonzero(unit[a] != unit[b]) == 1 and (hidden in (a, b)) == behind:
-            axes.plot(*camera(corners[[a, b]]).T, color=BOX, linewidth=1.0 * width, zorder=1 if behind else 7,
-                      linestyle=(0, (4, 3)) if behind else '-')
-    if behind:
-        axes.add_patch(Polygon(camera(corners[[0, 2, 6, 4]]), facecolor='#f1f4f7', edgecolor='none', zorder=0))
-        return
-    # Name each axis at the edge of the outline nearest to the eye: floor edges for X and Y, the left one for Z.
-    flat = camera(corners)
-    middle = flat.mean(axis=0)
-    for axis, name in enumerate('XYZ'):
-        edges = [(a, b) for a, b in combinations(range(8), 2)
-                 if unit[a, axis] != unit[b, axis] and np.count_nonzero(unit[a] != unit[b]) == 1]
-        score = (lambda e: flat[list(e), 0].sum()) if axis == 2 else (lambda e: flat[list(e), 1].sum())
-        edge = flat[list(min(edges, key=score))]
-        along = (edge[1] - edge[0]) / np.linalg.norm(edge[1] - edge[0])
-        out = np.array([-along[1], along[0]])
-        out = out if out @ (edge.mean(axis=0) - middle) > 0 else -out
-        slope = np.degrees(np.arctan2(along[1], along[0]))
-        axes.annotate(f'{name}  {scene.volume[axis] * 1e3:.0f} mm', edge.mean(axis=0), tuple(13.0 * width * out),
-                      textcoords='offset points', ha='center', va='center', fontsize=10 * width, color=INK,
-                      rotation=90.0 - (90.0 - slope) % 180.0, rotation_mode='anchor')
-
-
-def _base_unit(axes: Axes, camera: _Camera, scene: SetupScene) -> None:
+def _base_unit(axes: Axes, camera: Camera, scene: SetupScene) -> None:
     """A box behind the beams' start; only the faces turned to the eye."""
     starts = [line[0, 0] for line in scene.beams] + ([] if scene.psd is None else [scene.psd[0, 0]])
     local = (np.array(starts) - scene.origin) @ scene.triad.T

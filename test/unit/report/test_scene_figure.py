@@ -8,7 +8,7 @@ from matplotlib.image import imread
 
 from stepdiag_ros.cli.main import main
 from stepdiag_ros.cli.scene import traced
-from stepdiag_ros.report.scene_figure import _Camera
+from stepdiag_ros.report.space import Camera
 from stepdiag_ros.virtual.cell import load_cell
 
 DEMO = Path(__file__).parents[3] / 'cells' / 'demo.yaml'
@@ -44,7 +44,7 @@ def test_the_mirror_covers_every_strike():
 
 
 def test_the_projection_keeps_lengths_square_to_the_eye():
-    camera = _Camera(np.array([0.8, 0.6, 0.5]))
+    camera = Camera(np.array([0.8, 0.6, 0.5]))
     for row in camera.screen:
         assert np.linalg.norm(camera(row)) == pytest.approx(1e3)
     assert np.linalg.norm(camera(camera.eye)) < 1e-9
