@@ -5,12 +5,15 @@ used as a user would: its setup file sourced, its executables started.
 """
 
 import os
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
+import rclpy
 
 ROOT = Path(__file__).resolve().parents[2]
 BIN = Path(sys.executable).parent
@@ -100,17 +103,19 @@ def test_every_data_file_of_the_package_is_installed(install: Path) -> None:
 @pytest.mark.timeout(900)
 def test_the_built_messages_work(install: Path) -> None:
     script = (
-        'import stepdiag_msgs, rclpy.serialization as s\n'
+        'import stepdiag_msgs, stepdiag_ros, rclpy.serialization as s\n'
         'from stepdiag_msgs.msg import Step\n'
         'from stepdiag_msgs.action import RunStepDiagonal\n'
         'from stepdiag_msgs.srv import SelectSetup\n'
         'message = Step(run_id="ppp/0/+", index=7)\n'
         'assert s.deserialize_message(s.serialize_message(message), Step) == message\n'
         'print(stepdiag_msgs.__file__)\n'
+        'print(stepdiag_ros.__file__)\n'
     )
     result = sourced(install, f"'{sys.executable}' -c '{script}'")
     assert result.returncode == 0, result.stderr
-    assert Path(result.stdout.strip()).is_relative_to(install)
+    for module in result.stdout.splitlines():
+        assert Path(module).is_relative_to(install), 'the editable package was found instead of the built one'
 
 
 @pytest.mark.timeout(900)
@@ -118,3 +123,38 @@ def test_the_built_command_answers(install: Path) -> None:
     result = sourced(install, 'stepdiag_ros/lib/stepdiag_ros/stepdiag --help')
     assert result.returncode == 0, result.stderr
     assert 'evaluate' in result.stdout
+
+
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize('name', sorted(EXECUTABLES - {'stepdiag', 'bringup'}))
+def test_every_node_starts_and_stops(install: Path, ros_domain: int, name: str) -> None:
+    """Started as `ros2 run stepdiag_ros NAME` does, it is seen in the graph; SIGINT ends it well."""
+    executable = install / 'stepdiag_ros' / 'lib' / 'stepdiag_ros' / name
+    context = rclpy.Context()
+    rclpy.init(context=context, domain_id=ros_domain)
+    observer = rclpy.create_node('observer', context=context)
+    command = f'. "{install}/setup.sh" && exec "{executable}" --ros-args -r __ns:=/cell7'
+    process = subprocess.Popen(
+        ['sh', '-c', command],
+        cwd=install,
+        env=clean_environment() | {'ROS_DOMAIN_ID': str(ros_domain)},
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    try:
+        deadline = time.monotonic() + 60
+        while (name, '/cell7') not in observer.get_node_names_and_namespaces():
+            assert process.poll() is None, f'{name} ended by itself:\n{process.stdout.read()}'
+            assert time.monotonic() < deadline, f'{name} is not seen in the graph'
+            time.sleep(0.1)
+        process.send_signal(signal.SIGINT)
+        output, _ = process.communicate(timeout=60)
+        assert process.returncode in (0, 130, -signal.SIGINT), output
+        assert 'Traceback' not in output, output
+    finally:
+        process.kill()
+        process.communicate()
+        observer.destroy_node()
+        rclpy.shutdown(context=context)
