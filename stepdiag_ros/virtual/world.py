@@ -7,11 +7,12 @@ but a cache: what it says of a time and a sample number depends on the cell's se
 history and those alone.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from stepdiag_ros.effects.base import Moment
+from stepdiag_ros.effects.base import Effect, Moment
 from stepdiag_ros.model.log import NONE
 from stepdiag_ros.model.machine import compose, rotation
 from stepdiag_ros.virtual.acting import Draws, create_effects
@@ -45,14 +46,16 @@ class Reading:
 
 
 class World:
-    """A cell in motion.  ``epoch_ns`` is the time at which drifts begin."""
+    """A cell in motion.  ``epoch_ns`` is the time at which drifts begin; ``effects`` act instead of
+    those that the cell names."""
 
-    def __init__(self, cell: Cell, history: History, epoch_ns: int):
+    def __init__(self, cell: Cell, history: History, epoch_ns: int,
+                 effects: Sequence[Effect] | None = None):
         self.cell, self.history, self.epoch_ns = cell, history, epoch_ns
         description = cell.description
         self._scenes = {name: SensorScene.of_setup(description.machine, setup)
                         for name, setup in description.setups.items()}
-        self.effects = create_effects(cell)
+        self.effects = create_effects(cell) if effects is None else list(effects)
         self._draws = {effect.name: Draws(cell.seed, effect.name) for effect in self.effects}
         self._known = 0
         self._error = np.zeros((1, 3))      # position error after each arrival, [0]: before any
