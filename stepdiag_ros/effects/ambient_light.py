@@ -39,7 +39,7 @@ class AmbientLight(Effect):
 
     def appearance(self, view: StopView) -> list[Form]:
         pull = view.zeros(1)
-        pull[0, :, view.beams:] = -view.spot_reading
+        pull[0, :, view.beams:] = -view.spot_model
         forms = []
         for course in courses(view.time):
             one = np.ones(len(view.time))

@@ -133,10 +133,10 @@ class StopView:
         return self.distance.shape[1]
 
     @property
-    def spot_reading(self) -> np.ndarray:
-        """Spots as measured, the model's where there is none: (n, 2) [m]."""
-        measured = self.reading[:, self.beams:]
-        return np.where(np.isfinite(measured), measured, self.model[:, self.beams:])
+    def spot_model(self) -> np.ndarray:
+        """Spots by the fit (n, 2) [m].  Signatures that grow with the spot take these: the readings'
+        noise, which is the data too, would look like a gain that explains it."""
+        return self.model[:, self.beams:]
 
     def zeros(self, k: int) -> np.ndarray:
         """Columns (k, n, c) of zeros to fill."""

@@ -30,7 +30,7 @@ class PsdGain(Effect):
         moment.spot = moment.spot * (1.0 + np.array([self.x, self.y]))
 
     def appearance(self, view: StopView) -> list[Form]:
-        spot, first = view.spot_reading, view.beams
+        spot, first = view.spot_model, view.beams
         columns = view.zeros(2)
         columns[0, :, first], columns[1, :, first + 1] = spot[:, 0], spot[:, 1]
         return [Form('alike in x and y', columns.sum(axis=0, keepdims=True), ('both',),

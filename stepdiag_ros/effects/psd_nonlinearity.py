@@ -40,7 +40,7 @@ class PsdNonlinearity(Effect):
         moment.spot = moment.spot * (1.0 + self.k3 * weighed)
 
     def appearance(self, view: StopView) -> list[Form]:
-        x, y = view.spot_reading.T / REFERENCE
+        x, y = view.spot_model.T / REFERENCE
         square = x * x + y * y
         radial = [self._both(view, x * square, y * square)]
         fifth = [self._both(view, x * square**2, y * square**2)]

@@ -30,7 +30,7 @@ class PsdRotation(Effect):
         moment.spot = moment.spot @ np.array([[c, s], [-s, c]])
 
     def appearance(self, view: StopView) -> list[Form]:
-        spot = view.spot_reading
+        spot = view.spot_model
         column = view.zeros(1)
         column[0, :, view.beams], column[0, :, view.beams + 1] = -spot[:, 1], spot[:, 0]
         return [Form('constant', column, ('angle',), np.full(1, 0.01), 'rad')]
