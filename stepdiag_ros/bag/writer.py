@@ -137,8 +137,12 @@ class BagWriter:
             entry = self._topics.get(topic)
             if entry is None:
                 raise StepdiagError(f'{self.path}: topic {topic} was not announced with add_topic')
-            self._writer.add_message(entry.channel, log_time=log_time_ns, data=cdr,
-                                     publish_time=publish_time_ns, sequence=sequence & _MASK)
+            try:
+                self._writer.add_message(entry.channel, log_time=log_time_ns, data=cdr,
+                                         publish_time=publish_time_ns, sequence=sequence & _MASK)
+            except OSError as error:    # a chunk was full and the disk too
+                self._failure = error
+                self._check()
             entry.count += 1
             self._first = log_time_ns if self._first is None else min(self._first, log_time_ns)
             self._last = max(self._last, log_time_ns)
@@ -152,7 +156,10 @@ class BagWriter:
                 self._dirty = False
 
     def close(self) -> None:
-        """Finish the file: indexes, statistics, metadata.  A second call does nothing."""
+        """Finish the file: indexes, statistics, metadata.  A second call does nothing.
+
+        Raises :class:`StepdiagError` if the disk refused some of it; the bag is then torn.
+        """
         self._stop.set()
         if self._thread is not None:
             self._thread.join()
@@ -161,23 +168,26 @@ class BagWriter:
                 return
             self._closed = True
             try:
+                if self._failure is not None:
+                    raise self._failure
                 self._writer.add_metadata('rosbag2', {'serialized_metadata': _dump(self._information()),
                                                       'ROS_DISTRO': ROS_DISTRO})
                 self._writer.finish()
                 self._stream.flush()
                 os.fsync(self._stream.fileno())
-            except OSError as error:
-                raise StepdiagError(f'{self.file}: cannot be written: {error.strerror}; '
+            except (OSError, StepdiagError) as error:
+                raise StepdiagError(f'{self.file}: cannot be written: {error}; '
                                     f'mend it with: stepdiag recover {self.path}') from None
             finally:
-                self._stream.close()
+                with contextlib.suppress(OSError):
+                    self._stream.close()
         self._write_metadata()
 
     def _check(self) -> None:
         if self._closed:
             raise StepdiagError(f'{self.path}: the bag is closed')
         if self._failure is not None:
-            raise StepdiagError(f'{self.file}: cannot be written: {self._failure}')
+            raise StepdiagError(f'{self.file}: cannot be written: {self._failure}') from None
 
     def _keep(self, flush_period: float, sync_period: float) -> None:
         """The thread: flush often, sync and renew metadata.yaml once a second."""

@@ -1,6 +1,8 @@
 """read_log: what it reads, what it refuses, what it leaves out and says."""
 
 import struct
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -229,7 +231,7 @@ def test_no_bag(tmp_path):
     with pytest.raises(StepdiagError, match='does not exist'):
         read_log(tmp_path / 'nothing')
     (tmp_path / 'folder').mkdir()
-    with pytest.raises(StepdiagError, match='neither metadata.yaml nor a .mcap'):
+    with pytest.raises(StepdiagError, match=r'neither metadata\.yaml nor a \.mcap'):
         read_log(tmp_path / 'folder')
 
 
@@ -370,11 +372,11 @@ def test_foreign_storage_and_missing_file(tmp_path, small_log):
     file = bag / 'metadata.yaml'
     text = file.read_text()
     file.write_text(text.replace('storage_identifier: mcap', 'storage_identifier: sqlite3'))
-    with pytest.raises(StepdiagError, match='stored as sqlite3.*ros2 bag convert'):
+    with pytest.raises(StepdiagError, match=r'stored as sqlite3.*ros2 bag convert'):
         read_log(bag)
     file.write_text(text)
     only_file(bag).unlink()
-    with pytest.raises(StepdiagError, match='bag_0.mcap and there is no .mcap file'):
+    with pytest.raises(StepdiagError, match=r'bag_0\.mcap and there is no .mcap file'):
         read_log(bag)
 
 
@@ -499,7 +501,8 @@ def test_stop_beyond_the_plan(tmp_path, small_log):
 @pytest.mark.parametrize(('field', 'value', 'what'), [
     ('phase', 9, 'phase is none'), ('axis', 7, 'axis is none'), ('direction', 0, 'neither +1 nor -1')])
 def test_step_that_means_nothing(tmp_path, small_log, field, value, what):
-    given = dict(repeat=0, direction=1, index=1, axis=0, commanded_m=(0, 0, 0), phase=DWELL) | {field: value}
+    given = {'repeat': 0, 'direction': 1, 'index': 1, 'axis': 0, 'commanded_m': (0, 0, 0),
+             'phase': DWELL, field: value}
     messages = messages_of(small_log)
     t = int(small_log.steps.time_ns[-1]) + SECOND
     messages.append((STEP, encode_step(t, 'lin_x/0/+', 'lin_x', **given), t, 99))
@@ -551,16 +554,16 @@ def test_dwell_without_samples(tmp_path, small_log):
 
 
 @pytest.mark.parametrize(('change', 'what'), [
-    (dict(quality=np.full(4, 9)), 'disagree in length'),
-    (dict(refractive_index=0.0), 'refractive index'),
-    (dict(refractive_index=np.nan), 'refractive index'),
-    (dict(sample_period_s=0.0), 'sample period'),
-    (dict(sample_period_s=np.nan), 'sample period')])
+    ({'quality': np.full(4, 9)}, 'disagree in length'),
+    ({'refractive_index': 0.0}, 'refractive index'),
+    ({'refractive_index': np.nan}, 'refractive index'),
+    ({'sample_period_s': 0.0}, 'sample period'),
+    ({'sample_period_s': np.nan}, 'sample period')])
 def test_block_that_cannot_be(tmp_path, small_log, change, what):
     messages = messages_of(small_log)
     t = int(small_log.steps.time_ns[-1]) + SECOND
-    given = dict(sample_period_s=0.02, displacement_m=np.zeros(5), refractive_index=1.0,
-                 quality=np.full(5, 9)) | change
+    given = {'sample_period_s': 0.02, 'displacement_m': np.zeros(5), 'refractive_index': 1.0,
+                 'quality': np.full(5, 9)} | change
     messages.append((DISPLACEMENT, encode_displacement(t, 'ppp', **given), t, 11))
     log = read_log(raw_bag(tmp_path / 'bag', messages))
     assert len(log.displacement) == 50 and warned(log, 'left out 1 block(s)', what)
@@ -593,7 +596,7 @@ def test_message_that_is_cut(tmp_path, small_log, differs):
 
 
 def test_gaps_in_sequence_numbers_are_losses(tmp_path, small_log):
-    messages = [m for m in messages_of(small_log)]
+    messages = list(messages_of(small_log))
     gone = [k for k, m in enumerate(messages) if m[0] == SPOT][4:7]
     log = read_log(raw_bag(tmp_path / 'bag', [m for k, m in enumerate(messages) if k not in gone]))
     assert warned(log, 'psd/spot: 3 message(s) were lost before the recorder')
@@ -620,8 +623,6 @@ def test_order_is_stamp_then_sequence(tmp_path, small_log):
 
 def test_reading_needs_no_ros(small_log, tmp_path):
     """bag/ must work where neither rclpy nor stepdiag_msgs is installed."""
-    import subprocess
-    import sys
     bag = write_log(small_log, tmp_path / 'bag')
     code = ('import sys; sys.modules["rclpy"] = sys.modules["stepdiag_msgs"] = None\n'
             'from stepdiag_ros.bag.reader import read_log\n'
