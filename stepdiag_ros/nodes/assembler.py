@@ -45,9 +45,12 @@ class LogAssembler:
             self._messages.setdefault(topic, []).append((self._number, sequence, cdr))
             self._number += 1
 
-    def clear(self) -> None:
-        """Forget everything but the cell description, which is sent only once."""
-        self._messages = {k: v for k, v in self._messages.items() if k == DESCRIPTION}
+    def copy(self) -> 'LogAssembler':
+        """What is kept now; adding to the one leaves the other as it is."""
+        other = LogAssembler(self.namespace, self.source)
+        other._messages = {topic: list(messages) for topic, messages in self._messages.items()}
+        other._number = self._number
+        return other
 
     def missing(self) -> list[str]:
         """Topics without which nothing can be evaluated and of which there is nothing yet."""

@@ -4,7 +4,6 @@ from abc import abstractmethod
 from collections.abc import Callable
 from typing import Any
 
-from rclpy.task import Future
 from stepdiag_msgs.srv import SelectSetup
 
 from stepdiag_ros.errors import StepdiagError
@@ -53,11 +52,11 @@ class DriverNode(StepdiagNode):
 
     def serve_select(self, name: str, prefix: str = '') -> None:
         """Offer the service that changes the setup (of the machine below ``prefix``)."""
-        async def answer(request, response):
+        def answer(request, response):
             if not request.setup:
                 response.message = f'{self.sensor}: no setup was named'
                 return response
-            return await self.between_blocks(lambda: self.select(request.setup, prefix), response)
+            return self.between_blocks(lambda: self.select(request.setup, prefix), response)
         self.create_service(SelectSetup, name, answer)
 
     def select(self, setup: str, prefix: str) -> None:
@@ -66,15 +65,17 @@ class DriverNode(StepdiagNode):
             self.instrument.select_setup(setup)
         self.setup = setup
 
-    async def between_blocks(self, command: Callable[[], None], response: Any) -> Any:
-        """Have the acquisition's thread do ``command`` and fill ``response`` with how it went."""
+    def between_blocks(self, command: Callable[[], None], response: Any) -> Any:
+        """Have the acquisition's thread do ``command`` and fill ``response`` with how it went.
+
+        Waits, with the executor, for the block in hand: the events executor knows no
+        coroutines as service callbacks (decision 0031).
+        """
         if self.acquisition is None or not self.acquisition.running:
             response.success = False
             response.message = f'{self.get_name()} is not active'
             return response
-        done = Future(executor=self.executor)
-        self.acquisition.call(command).add_done_callback(lambda f: done.set_result(f.exception()))
-        error = await done
+        error = self.acquisition.call(command).exception()
         response.success = error is None
         response.message = '' if error is None else str(error)
         return response

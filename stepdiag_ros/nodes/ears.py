@@ -88,6 +88,8 @@ class Ears:
 
     def close(self, drain: bool = True) -> None:
         """Stop hearing; with ``drain`` what has already arrived is still handed on."""
+        if self._stop.is_set():
+            return
         self._stop.set()
         self._thread.join()
         if drain and self.failure is None:

@@ -90,11 +90,11 @@ class InterferometerDriver(DriverNode):
         super().select(setup, prefix)
         self._prefix = prefix
 
-    async def _on_reset(self, _request, response):
+    def _on_reset(self, _request, response):
         def reset() -> None:
             self.instrument.reset()
             self._zero_known = True
-        return await self.between_blocks(reset, response)
+        return self.between_blocks(reset, response)
 
     def publish(self, block: DisplacementBlock) -> None:
         quality = block.quality if self._zero_known else np.zeros_like(block.quality)

@@ -1,0 +1,302 @@
+"""Starts, watches and stops a cell: ``stepdiag up CELL.yaml`` and ``ros2 run … bringup``.
+
+Every node and the virtual cell are processes of their own.  A node that dies is
+started again and brought to the state it had; on Ctrl-C or SIGTERM all end in order,
+the recorder last, so that the bag is whole and no process is left.  Should this
+process itself be killed, the kernel ends its children.
+"""
+
+import argparse
+import ctypes
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import yaml
+
+from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.nodes import environment
+from stepdiag_ros.nodes.graph import NODES, Graph, hardware_endpoints, namespace_of, write_graph
+from stepdiag_ros.virtual.cell import Cell, load_cell
+
+CELL = 'virtual cell'
+START_TIMEOUT_S = 90.0
+GRACE_S = 15.0
+#: A node that dies this often within a minute is left alone.
+RESTARTS_A_MINUTE = 5
+_PR_SET_PDEATHSIG = 1
+_LIBC = ctypes.CDLL(None, use_errno=True)
+
+
+def _end_with_parent() -> None:
+    """In the child, before it becomes another program: SIGTERM when the parent ends."""
+    _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+
+
+@dataclass
+class _Child:
+    name: str
+    command: list[str]
+    process: subprocess.Popen
+    deaths: list[float] = field(default_factory=list)
+
+
+class Bringup:
+    """A running cell; a context manager.
+
+    ``say(text)`` is told what happens.  ``runtime`` holds logs, parameters and the
+    instruments' addresses; without it a temporary directory is made, and removed when
+    all went well.
+    """
+
+    def __init__(self, cell_path: str | Path, *, hardware: bool = False, namespace: str | None = None,
+                 bag: Path | None = None, bag_folder: Path = Path('.'), runtime: Path | None = None,
+                 domain: int | None = None, nodes: tuple[str, ...] | None = None,
+                 say: Callable[[str], None] = lambda text: None):
+        self.cell_path = Path(cell_path)
+        self.cell: Cell = load_cell(cell_path)
+        self.hardware = hardware
+        self.namespace = namespace_of(self.cell.description.machine.name) if namespace is None \
+            else '/' + namespace.strip('/')
+        self._bag, self._bag_folder = bag, bag_folder
+        self._own_runtime = runtime is None
+        self.runtime = Path(tempfile.mkdtemp(prefix='stepdiag-')) if runtime is None else runtime
+        self.runtime.mkdir(parents=True, exist_ok=True)
+        self._say = say
+        self._nodes = available(NODES) if nodes is None else nodes
+        self._children: dict[str, _Child] = {}
+        self._failed = False
+        self.restarts = 0
+        environment.prepare()
+        if domain is not None:
+            os.environ['ROS_DOMAIN_ID'] = str(domain)
+        self.graph: Graph | None = None
+        self._operator = None
+
+    def __enter__(self) -> 'Bringup':
+        try:
+            self.start()
+        except BaseException:
+            self._failed = True
+            self.stop()
+            raise
+        return self
+
+    def __exit__(self, kind, *_exception) -> None:
+        self._failed = self._failed or kind is not None
+        self.stop()
+
+    @property
+    def operator(self):
+        """The facade to the running nodes."""
+        from stepdiag_ros.nodes.operator import Operator
+        if self._operator is None:
+            self._operator = Operator(self.namespace)
+        return self._operator
+
+    @property
+    def truth_file(self) -> Path:
+        """Where a virtual cell writes its true errors."""
+        return self.runtime / 'truth.json'
+
+    def pids(self) -> dict[str, int]:
+        """Process of each node and of the virtual cell."""
+        return {name: child.process.pid for name, child in self._children.items()}
+
+    # -- start -------------------------------------------------------------------
+
+    def start(self) -> None:
+        """All processes up, all nodes active."""
+        endpoints = hardware_endpoints(self.cell) if self.hardware else self._start_cell()
+        self.graph = write_graph(self.cell, endpoints, self.runtime, self.namespace, self._bag,
+                                 self._bag_folder, self._nodes)
+        for node in self._nodes:
+            self._spawn(node, self._node_command(node))
+        for node in self._nodes:
+            self.activate(node)
+        self._say(f'{self.namespace}: all nodes active')
+
+    def _start_cell(self) -> dict:
+        endpoints = self.runtime / 'endpoints.yaml'
+        endpoints.unlink(missing_ok=True)
+        self._spawn(CELL, [sys.executable, '-m', 'stepdiag_ros.virtual.cell_process',
+                           str(self.cell_path), '--runtime', str(self.runtime),
+                           '--truth', str(self.truth_file)])
+        self._await(endpoints.exists, CELL)
+        self._say(f'virtual cell {self.cell.description.machine.name} is up')
+        return yaml.safe_load(endpoints.read_text(encoding='utf-8'))
+
+    def _node_command(self, node: str) -> list[str]:
+        return [sys.executable, '-m', f'stepdiag_ros.nodes.{node}', '--ros-args',
+                '-r', f'__ns:={self.namespace}', '--params-file', str(self.runtime / 'parameters.yaml')]
+
+    def _spawn(self, name: str, command: list[str]) -> None:
+        log = open(self.log_file(name), 'ab')
+        try:
+            # A session of its own: Ctrl-C reaches this process alone, which ends the others
+            # in order.
+            process = subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT,
+                                       stdin=subprocess.DEVNULL, start_new_session=True,
+                                       preexec_fn=_end_with_parent)
+        finally:
+            log.close()
+        if name in self._children:
+            self._children[name].process = process
+        else:
+            self._children[name] = _Child(name, command, process)
+
+    def log_file(self, name: str) -> Path:
+        """What a process wrote."""
+        return self.runtime / f'{name.replace(" ", "_")}.log'
+
+    def _await(self, ready: Callable[[], bool], name: str) -> None:
+        end = time.monotonic() + START_TIMEOUT_S
+        while not ready():
+            if self._children[name].process.poll() is not None:
+                raise StepdiagError(f'the {name} ended while it was being started: '
+                                    f'{self._last_words(name)}')
+            if time.monotonic() > end:
+                raise StepdiagError(f'the {name} is not up after {START_TIMEOUT_S:g} s; '
+                                    f'see {self.log_file(name)}')
+            time.sleep(0.05)
+
+    def _last_words(self, name: str) -> str:
+        lines = self.log_file(name).read_text(encoding='utf-8', errors='replace').strip().splitlines()
+        return lines[-1].removeprefix('stepdiag: ') if lines else 'without a word'
+
+    def activate(self, node: str) -> None:
+        """Configure and activate one node."""
+        from stepdiag_ros.nodes.operator import ACTIVE
+        try:
+            self.operator.bring(node, ACTIVE, START_TIMEOUT_S)
+        except StepdiagError as error:
+            if self._children[node].process.poll() is not None:
+                raise StepdiagError(f'{node} ended while it was being started: '
+                                    f'{self._last_words(node)}') from None
+            raise error
+
+    # -- watch -------------------------------------------------------------------
+
+    def watch(self) -> list[str]:
+        """Look once; start again what has died.  Names of what was started again."""
+        revived = []
+        for child in list(self._children.values()):
+            status = child.process.poll()
+            if status is None:
+                continue
+            now = time.monotonic()
+            child.deaths = [t for t in child.deaths if now - t < 60.0] + [now]
+            how = f'was killed by signal {-status}' if status < 0 else f'ended with status {status}'
+            if child.name == CELL:
+                raise StepdiagError(f'the virtual cell {how}: {self._last_words(CELL)}')
+            if len(child.deaths) > RESTARTS_A_MINUTE:
+                raise StepdiagError(f'{child.name} died {len(child.deaths)} times within a minute: '
+                                    f'{self._last_words(child.name)}')
+            self._say(f'{child.name} {how}; starting it again')
+            self._spare_bag(child.name)
+            self._spawn(child.name, child.command)
+            self.activate(child.name)
+            self.restarts += 1
+            self._say(f'{child.name} is active again')
+            revived.append(child.name)
+        return revived
+
+    def _spare_bag(self, node: str) -> None:
+        """A recorder that is started again writes beside the bag that its death tore."""
+        if node == 'recorder' and self._bag is not None:
+            torn, number = self._bag, 2
+            while (self._bag.parent / f'{torn.name}_{number}').exists():
+                number += 1
+            after = self._bag.parent / f'{torn.name}_{number}'
+            self._say(f'{torn} is torn; mend it with: stepdiag recover {torn}; going on in {after}')
+            self._children[node].command += ['-p', f'bag:={after}']
+
+    # -- stop --------------------------------------------------------------------
+
+    def stop(self) -> None:
+        """End everything: the sequencer first (the machine stands), the recorder after the
+        sources, the virtual cell last."""
+        order = [n for n in reversed(self._nodes) if n not in ('recorder', 'evaluation_solver')]
+        for group in (order[:1], order[1:], ['evaluation_solver', 'recorder'], [CELL]):
+            self._end([self._children[n] for n in group if n in self._children])
+        self._children.clear()
+        if self._operator is not None:
+            self._operator.close()
+            self._operator = None
+        if self._own_runtime and not self._failed:
+            shutil.rmtree(self.runtime, ignore_errors=True)
+
+    def _end(self, children: list[_Child]) -> None:
+        for child in children:
+            if child.process.poll() is None:
+                child.process.terminate()
+        end = time.monotonic() + GRACE_S
+        for child in children:
+            try:
+                child.process.wait(max(0.05, end - time.monotonic()))
+            except subprocess.TimeoutExpired:
+                self._say(f'{child.name} does not end; killing it')
+                child.process.kill()
+                child.process.wait()
+
+
+def available(nodes: tuple[str, ...]) -> tuple[str, ...]:
+    """Those of ``nodes`` that are installed."""
+    folder = Path(__file__).parent
+    return tuple(node for node in nodes if (folder / f'{node}.py').exists())
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument('cell', type=Path, help='cell file, e.g. cells/demo.yaml')
+    parser.add_argument('--hardware', action='store_true',
+                        help="start no virtual cell: the file's instruments are real")
+    parser.add_argument('--namespace', help="the machine's namespace (default: its name)")
+    parser.add_argument('--bag', type=Path, help='rosbag2 directory to write (default: a new one)')
+    parser.add_argument('--bag-folder', type=Path, default=Path('.'),
+                        help='where new bags are made (default: here)')
+    parser.add_argument('--runtime', type=Path, metavar='DIR',
+                        help='directory for logs and parameters (default: a temporary one)')
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Bring up and watch until Ctrl-C or SIGTERM."""
+    asked: list[int] = []
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda got, _frame: asked.append(got))
+
+    def say(text: str) -> None:
+        print(f'stepdiag: {text}', flush=True)
+
+    with Bringup(arguments.cell, hardware=arguments.hardware, namespace=arguments.namespace,
+                 bag=arguments.bag, bag_folder=arguments.bag_folder, runtime=arguments.runtime,
+                 say=say) as cell:
+        say(f'calibrate with: stepdiag calibrate {cell.namespace}   (Ctrl-C ends)')
+        while not asked:
+            cell.watch()
+            time.sleep(0.2)
+        say('ending')
+    say('all processes have ended')
+    return 0
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(prog='bringup', description=__doc__,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    add_arguments(parser)
+    from rclpy.utilities import remove_ros_args
+    try:
+        return run(parser.parse_args(remove_ros_args(sys.argv)[1:]))
+    except StepdiagError as error:
+        print(f'stepdiag: {error}', file=sys.stderr)
+        return 2
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,110 @@
+"""A cell's graph: which nodes, with which parameters.  No ROS, no processes.
+
+From a cell file and the instruments' addresses follow the parameters of every node,
+as a ROS parameter file that ``ros2 run … --params-file`` takes too.
+"""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.virtual.cell import Cell
+
+#: Nodes of a machine, in the order in which they are made active: those that listen
+#: first, the sequencer last.
+NODES = ('recorder', 'evaluation_solver', 'gap_monitor', 'interferometer_driver', 'psd_driver',
+         'step_sequencer')
+#: A machine can be calibrated without these.
+OPTIONAL = ('gap_monitor',)
+PARAMETERS = 'parameters.yaml'
+DESCRIPTION_FILE = 'cell_description.yaml'
+
+
+@dataclass(frozen=True)
+class Graph:
+    """What to start for one machine: its namespace, nodes, and the parameter file."""
+
+    namespace: str
+    nodes: tuple[str, ...]
+    parameters_file: Path
+
+    def full_name(self, node: str) -> str:
+        return f'{self.namespace}/{node}'
+
+
+def namespace_of(machine: str) -> str:
+    """A machine's name as a ROS namespace: ``cell 1`` -> ``/cell_1``."""
+    name = re.sub(r'[^A-Za-z0-9_]+', '_', machine).strip('_') or 'machine'
+    return '/' + (name if not name[0].isdigit() else f'm{name}')
+
+
+def hardware_endpoints(cell: Cell) -> dict[str, dict[str, Any]]:
+    """Addresses of real instruments as the cell file gives them; each needs a port."""
+    instruments = cell.instruments
+    found = {'interferometer': {'host': instruments.interferometer.host,
+                                'port': instruments.interferometer.port},
+             'psd': {'host': instruments.psd.host, 'port': instruments.psd.port,
+                     'stream_port': instruments.psd_stream.port},
+             'cnc': {'host': instruments.cnc.host, 'port': instruments.cnc.port}}
+    for name, where in found.items():
+        for key in ('port', 'stream_port'):
+            if where.get(key) == 0:
+                raise StepdiagError(f'{cell.source}: instruments.{name}.{key} is 0; '
+                                    'give the port of the real instrument')
+    return found
+
+
+def parameters(cell: Cell, endpoints: Mapping[str, Mapping[str, Any]], description_file: Path,
+               bag: Path | None, bag_folder: Path) -> dict[str, dict[str, Any]]:
+    """Parameters by node."""
+    sampling, motion, detector = cell.sampling, cell.motion, cell.instruments.detector
+    first = cell.setup_names[0]
+    where = {name: dict(endpoints[name]) for name in ('interferometer', 'psd', 'cnc')}
+    codes = where['cnc'].get('setup_codes') or {}
+    beams = max(len(setup.beams) for setup in cell.description.setups.values())
+
+    def rate(value: float) -> dict[str, Any]:
+        return {'sample_rate': float(value), 'block_samples': max(1, round(value * sampling.block))}
+
+    return {
+        'recorder': {'bag': '' if bag is None else str(bag), 'bag_folder': str(bag_folder)},
+        'evaluation_solver': {},
+        'gap_monitor': {},
+        'interferometer_driver': {
+            'host': where['interferometer']['host'], 'port': where['interferometer']['port'],
+            'setup': first, 'beams': beams, 'environment_period': max(0.5, float(cell.air.period)),
+            'serves': [namespace_of(m) for m in cell.instruments.multiplexer] or [''],
+            **rate(sampling.interferometer)},
+        'psd_driver': {
+            'host': where['psd']['host'], 'port': where['psd']['port'],
+            'stream_port': where['psd']['stream_port'], 'setup': first,
+            'channels': list(detector.channels), 'length': float(detector.length),
+            'rotation': float(detector.rotation), 'gain': [float(g) for g in detector.gain],
+            'zero': [float(z) for z in detector.zero], **rate(sampling.psd)},
+        'step_sequencer': {
+            'host': where['cnc']['host'], 'port': where['cnc']['port'],
+            'description_file': str(description_file), 'feed': float(motion.feed),
+            'dwell': float(motion.dwell),
+            'setup_codes': [f'{setup}={code}' for setup, code in codes.items()] or ['']},
+    }
+
+
+def write_graph(cell: Cell, endpoints: Mapping[str, Mapping[str, Any]], runtime: Path,
+                namespace: str | None = None, bag: Path | None = None,
+                bag_folder: Path = Path('.'), nodes: tuple[str, ...] = NODES) -> Graph:
+    """Write description and parameter file into ``runtime``; what is to be started."""
+    runtime.mkdir(parents=True, exist_ok=True)
+    description_file = (runtime / DESCRIPTION_FILE).absolute()
+    description_file.write_text(cell.description.to_yaml(), encoding='utf-8')
+    space = namespace_of(cell.description.machine.name) if namespace is None \
+        else '/' + namespace.strip('/')
+    wanted = parameters(cell, endpoints, description_file, bag, bag_folder)
+    content = {f'{space}/{name}': {'ros__parameters': wanted[name]} for name in nodes if wanted[name]}
+    file = (runtime / PARAMETERS).absolute()
+    file.write_text(yaml.safe_dump(content, sort_keys=False), encoding='utf-8')
+    return Graph(space, nodes, file)

@@ -1,0 +1,238 @@
+"""One facade for whoever works with a running graph: commands, tests, scripts.
+
+Blocking calls on a small node of its own: is everybody there, lifecycle transitions,
+parameters, the action with progress, the evaluation.
+"""
+
+import json
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from stepdiag_ros.nodes import base
+
+# isort: split
+import rclpy
+from action_msgs.msg import GoalStatus
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState, GetState
+from rcl_interfaces.srv import SetParameters
+from rclpy.action import ActionClient
+from rclpy.experimental.events_executor import EventsExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Future
+from stepdiag_msgs.action import RunStepDiagonal
+from stepdiag_msgs.msg import RecorderStatus
+from std_srvs.srv import Trigger
+
+from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.nodes.step_sequencer import ACTION
+
+TRANSITIONS = {'configure': Transition.TRANSITION_CONFIGURE,
+               'activate': Transition.TRANSITION_ACTIVATE,
+               'deactivate': Transition.TRANSITION_DEACTIVATE,
+               'cleanup': Transition.TRANSITION_CLEANUP}
+UNCONFIGURED, INACTIVE, ACTIVE = 'unconfigured', 'inactive', 'active'
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """How a goal ended: ``succeeded``, ``canceled`` or ``aborted``, and the result's fields."""
+
+    how: str
+    message: str
+    run_ids: tuple[str, ...]
+    stops: int
+
+    @property
+    def succeeded(self) -> bool:
+        return self.how == 'succeeded'
+
+
+class Operator:
+    """Talks to the nodes below ``namespace``; a context manager.
+
+    Its node spins in a thread of its own, so every method may simply wait.
+    """
+
+    def __init__(self, namespace: str, domain: int | None = None):
+        self.namespace = '/' + namespace.strip('/')
+        self._context = rclpy.Context()
+        rclpy.init(context=self._context, domain_id=domain,
+                   signal_handler_options=SignalHandlerOptions.NO)
+        self.node = Node('operator', namespace=self.namespace, context=self._context,
+                         start_parameter_services=False)
+        self._executor = EventsExecutor(context=self._context)
+        self._executor.add_node(self.node)
+        self._clients: dict[str, Any] = {}
+        self._health: dict[str, DiagnosticStatus] = {}
+        self._recorder: RecorderStatus | None = None
+        self._handle = None
+        self.node.create_subscription(DiagnosticArray, '/diagnostics', self._on_diagnostics, 50)
+        self.node.create_subscription(RecorderStatus, 'recorder/status', self._on_recorder, 10)
+        self._action = ActionClient(self.node, RunStepDiagonal, ACTION)
+        self._stop = threading.Event()
+        self._thread = threading.Thread(
+            target=base.spin, args=(self._executor, self._stop.is_set), name='operator', daemon=True)
+        self._thread.start()
+
+    def __enter__(self) -> 'Operator':
+        return self
+
+    def __exit__(self, *_exception) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End the node; the graph goes on."""
+        if self._stop.is_set():
+            return
+        self._stop.set()
+        self._thread.join()
+        self.node.destroy_node()
+        self._context.try_shutdown()
+
+    # -- what is heard -----------------------------------------------------------
+
+    def _on_diagnostics(self, array: DiagnosticArray) -> None:
+        for status in array.status:
+            self._health['/' + status.name] = status
+
+    def _on_recorder(self, status: RecorderStatus) -> None:
+        self._recorder = status
+
+    def health(self, node: str) -> DiagnosticStatus | None:
+        """The last diagnostics of one of the machine's nodes."""
+        return self._health.get(f'{self.namespace}/{node}')
+
+    @property
+    def recorder(self) -> RecorderStatus | None:
+        """The recorder's last status."""
+        return self._recorder
+
+    # -- lifecycle and parameters ------------------------------------------------
+
+    def state(self, node: str, timeout_s: float = 10.0) -> str:
+        """The node's lifecycle state; :class:`StepdiagError` if it does not answer."""
+        return self._call(GetState, f'{node}/get_state', GetState.Request(),
+                          timeout_s).current_state.label
+
+    def transition(self, node: str, name: str, timeout_s: float = 60.0) -> bool:
+        """Ask for a transition; whether the node made it."""
+        request = ChangeState.Request(transition=Transition(id=TRANSITIONS[name]))
+        return self._call(ChangeState, f'{node}/change_state', request, timeout_s).success
+
+    def bring(self, node: str, target: str, timeout_s: float = 60.0) -> None:
+        """Take a node to ``target`` on the shortest way; :class:`StepdiagError` if it refuses."""
+        way = {(UNCONFIGURED, ACTIVE): ('configure', 'activate'),
+               (UNCONFIGURED, INACTIVE): ('configure',), (INACTIVE, ACTIVE): ('activate',),
+               (ACTIVE, INACTIVE): ('deactivate',), (INACTIVE, UNCONFIGURED): ('cleanup',),
+               (ACTIVE, UNCONFIGURED): ('deactivate', 'cleanup')}
+        state = self.state(node, timeout_s)
+        if state == target:
+            return
+        for name in way.get((state, target), ()):
+            if not self.transition(node, name, timeout_s):
+                raise StepdiagError(f'{self.namespace}/{node} refuses to {name}: {self._why(node)}')
+        if (now := self.state(node, timeout_s)) != target:
+            raise StepdiagError(f'{self.namespace}/{node} is {now}, not {target}')
+
+    def _why(self, node: str) -> str:
+        """What the node says of itself, once it has had the time to say it."""
+        end = time.monotonic() + 2.5
+        while time.monotonic() < end:
+            health = self.health(node)
+            if health is not None and health.level == DiagnosticStatus.ERROR:
+                return health.message
+            time.sleep(0.1)
+        return 'see its log'
+
+    def set_parameters(self, node: str, values: Mapping[str, Any]) -> None:
+        """Change parameters; :class:`StepdiagError` names the one that is refused."""
+        request = SetParameters.Request(parameters=[
+            Parameter(name, value=value).to_parameter_msg() for name, value in values.items()])
+        answer = self._call(SetParameters, f'{node}/set_parameters', request, 10.0)
+        for (name, value), result in zip(values.items(), answer.results, strict=True):
+            if not result.successful:
+                raise StepdiagError(f'{self.namespace}/{node}: parameter {name} cannot be '
+                                    f'{value!r}: {result.reason}')
+
+    def new_log(self, bag: str = '', steps: int = 0) -> None:
+        """Begin a new bag, and have the solver begin anew with it.
+
+        ``steps``: of each axis along a diagonal, if not those of the cell description.
+        """
+        self.bring('step_sequencer', UNCONFIGURED)
+        for node in ('recorder', 'evaluation_solver'):
+            self.bring(node, INACTIVE)
+        self.set_parameters('recorder', {'bag': bag})
+        self.set_parameters('step_sequencer', {'steps': steps})
+        for node in ('recorder', 'evaluation_solver', 'step_sequencer'):
+            self.bring(node, ACTIVE)
+
+    # -- calibration -------------------------------------------------------------
+
+    def calibrate(self, setups: Sequence[str] = (), repeats: int = 0, dwell_s: float = 0.0,
+                  feedback: Callable[[RunStepDiagonal.Feedback], None] | None = None,
+                  steps: int = 0, timeout_s: float | None = None) -> Calibration:
+        """Send the goal and wait until it has ended."""
+        if not self._action.wait_for_server(timeout_sec=10.0):
+            raise StepdiagError(f'no sequencer answers at {self.namespace}/{ACTION}; '
+                                'is the cell up? (stepdiag up CELL.yaml)')
+        goal = RunStepDiagonal.Goal(setups=list(setups), repeats=repeats, dwell=float(dwell_s),
+                                    steps=steps)
+        heard = None if feedback is None else lambda message: feedback(message.feedback)
+        self._handle = self.wait(self._action.send_goal_async(goal, feedback_callback=heard), 30.0,
+                                 'the sequencer does not answer the goal')
+        if not self._handle.accepted:
+            self._handle = None
+            health = self.health('step_sequencer')
+            raise StepdiagError(f'{self.namespace}/step_sequencer rejects the goal: '
+                                f'{health.message if health else "see its log"}')
+        ended = self.wait(self._handle.get_result_async(), timeout_s, 'the calibration takes too long',
+                          alive=lambda: self._action.server_is_ready())
+        self._handle = None
+        how = {GoalStatus.STATUS_SUCCEEDED: 'succeeded',
+               GoalStatus.STATUS_CANCELED: 'canceled'}.get(ended.status, 'aborted')
+        return Calibration(how, ended.result.message, tuple(ended.result.run_ids), ended.result.stops)
+
+    def cancel(self) -> None:
+        """Ask the goal under way to end; :meth:`calibrate` then returns."""
+        if self._handle is not None:
+            self._handle.cancel_goal_async()
+
+    def evaluate(self, timeout_s: float = 300.0) -> dict[str, Any]:
+        """Have the solver evaluate now; the document of ``stepdiag evaluate --json``."""
+        answer = self._call(Trigger, 'evaluate', Trigger.Request(), timeout_s)
+        if not answer.success:
+            raise StepdiagError(answer.message)
+        return json.loads(answer.message)
+
+    # -- waiting -----------------------------------------------------------------
+
+    def _call(self, kind: type, name: str, request: Any, timeout_s: float) -> Any:
+        client = self._clients.get(name)
+        if client is None:
+            client = self._clients[name] = self.node.create_client(kind, name)
+        if not client.wait_for_service(timeout_sec=timeout_s):
+            raise StepdiagError(f'nobody offers {self.namespace}/{name}; is the cell up? '
+                                '(stepdiag up CELL.yaml)')
+        return self.wait(client.call_async(request), timeout_s,
+                         f'{self.namespace}/{name} does not answer')
+
+    def wait(self, future: Future, timeout_s: float | None, complaint: str,
+             alive: Callable[[], bool] = lambda: True) -> Any:
+        """The future's result; :class:`StepdiagError` after the time, or when the other end died."""
+        ready = threading.Event()
+        future.add_done_callback(lambda _future: ready.set())
+        end = None if timeout_s is None else time.monotonic() + timeout_s
+        while not ready.wait(0.1):
+            if end is not None and time.monotonic() > end:
+                raise StepdiagError(f'{complaint} for {timeout_s:g} s')
+            if not alive():
+                raise StepdiagError(f'{self.namespace}: the node that was asked has ended')
+        return future.result()

@@ -1,0 +1,134 @@
+"""The recorder's node: every contract topic of a machine into a rosbag2 directory.
+
+Active is recording: activating opens a bag, deactivating closes it.  ``recorder/status``
+says twice a second what is heard and what was lost by sequence number.  On SIGTERM it
+stops taking in, drains what has arrived and closes; ``kill -9`` costs what came in
+since the writer's last flush, a quarter of a second.
+"""
+
+import sys
+import time
+from datetime import datetime
+from pathlib import Path
+
+from stepdiag_msgs.msg import RecorderStatus
+
+from stepdiag_ros.bag.qos import LATCHED, RELIABLE, qos_profile, qos_yaml
+from stepdiag_ros.bag.schemas import DESCRIPTION, TOPICS
+from stepdiag_ros.bag.writer import COMPRESSIONS, BagWriter
+from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.nodes.base import DEPTH, ERROR, OK, WARN, Health, StepdiagNode, reliable, run_node
+from stepdiag_ros.nodes.ears import Ears, Heard
+from stepdiag_ros.nodes.stamps import stamp_of
+
+STATUS_PERIOD_S = 0.5
+
+
+class Recorder(StepdiagNode):
+    """Writes what is published below its namespace."""
+
+    def __init__(self):
+        super().__init__('recorder')
+        self.text('bag', '', 'directory to write, which must not exist; empty: a new one, named after '
+                             'machine and time, in bag_folder')
+        self.text('bag_folder', '.', 'where new bags are made')
+        self.text('compression', 'zstd', f'of the chunks: {", ".join(COMPRESSIONS)}')
+        self.count('queue_depth', 10_000, 'messages of a topic that may wait to be written', 1, 1_000_000)
+        self._status = self.create_publisher(RecorderStatus, 'recorder/status', reliable(10))
+        self._timer = self.create_timer(STATUS_PERIOD_S, self._publish_status)
+        self._writer: BagWriter | None = None
+        self._ears: Ears | None = None
+        self._bag = ''
+        self._announced: set[str] = set()
+
+    def configure(self) -> None:
+        if self.value('compression') not in COMPRESSIONS:
+            raise StepdiagError(f'recorder: parameter compression is {self.value("compression")!r}; '
+                                f'choose one of {", ".join(COMPRESSIONS)}')
+
+    def activate(self) -> None:
+        path = self._path()
+        self._announced = set()
+        self._writer = BagWriter(path, compression=self.value('compression'))
+        self._bag = str(path)
+        self._ears = Ears(self, TOPICS, self._write, latched=(DESCRIPTION,),
+                          depth=self.value('queue_depth'))
+        self.get_logger().info(f'recording {path}')
+
+    def deactivate(self) -> None:
+        if self._ears is not None:
+            self._ears.close()
+        if self._writer is not None:
+            self._writer.close()
+            self._writer = None
+            self.get_logger().info(f'closed {self._bag}: {sum(self._ears.received.values())} messages, '
+                                   f'{sum(self._ears.lost.values())} lost')
+        self._publish_status()
+
+    def cleanup(self) -> None:
+        self.deactivate()
+        self._ears = None
+
+    def _path(self) -> Path:
+        if self.value('bag'):
+            return Path(self.value('bag')).expanduser().absolute()
+        machine = self.get_namespace().strip('/').replace('/', '_') or 'machine'
+        name = f'{machine}_{datetime.now():%Y%m%d_%H%M%S}'
+        folder = Path(self.value('bag_folder')).expanduser().absolute()
+        # Two bags may be begun in one second.
+        candidates = [folder / name, *(folder / f'{name}_{i}' for i in range(2, 100))]
+        return next(path for path in candidates if not path.exists())
+
+    def _write(self, heard: Heard) -> None:
+        """One message, in the thread of the ears."""
+        topic = self.resolve_topic_name(heard.topic)
+        if topic not in self._announced:
+            self._announced.add(topic)
+            self._writer.add_topic(topic, TOPICS[heard.topic], self._offered(heard.topic))
+        self._writer.write(topic, heard.cdr, heard.received_ns, heard.published_ns, heard.sequence)
+
+    def _offered(self, topic: str) -> str:
+        """The publishers' quality of service as rosbag2 writes it.
+
+        History and depth do not travel by discovery; they are the graph's own.
+        """
+        offered = [qos_profile(DEPTH, info.qos_profile.reliability.short_key,
+                               info.qos_profile.durability.short_key)
+                   for info in self._ears.publishers(topic)]
+        return qos_yaml(*offered) if offered else LATCHED if topic == DESCRIPTION else RELIABLE
+
+    def _publish_status(self) -> None:
+        ears, names = self._ears, self.resolve_topic_name
+        received = ears.received if ears is not None else {}
+        lost = ears.lost if ears is not None else {}
+        status = RecorderStatus(
+            recording=self._writer is not None and not self._trouble(), bag=self._bag,
+            topics=[names(t) for t in received], received=list(received.values()),
+            lost=list(lost.values()), hears=[names(t) for t, n in received.items() if n])
+        status.header.stamp = stamp_of(time.time_ns())
+        self._status.publish(status)
+
+    def _trouble(self) -> str:
+        failure = self._ears.failure if self._ears is not None else None
+        return str(failure) if failure is not None else ''
+
+    def health(self) -> Health:
+        ears = self._ears
+        if ears is None or self.state != 'active':
+            return Health(OK, self.state, {'bag': self._bag})
+        received, lost = ears.received, ears.lost
+        values = {'bag': self._bag, 'received': sum(received.values()), 'lost': sum(lost.values()),
+                  'hears': ' '.join(t for t, n in received.items() if n)}
+        if self._trouble():
+            return Health(ERROR, f'stopped writing: {self._trouble()}', values)
+        if values['lost']:
+            return Health(WARN, f'{values["lost"]} messages were lost', values)
+        return Health(OK, 'recording', values)
+
+
+def main() -> int:
+    return run_node(Recorder)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

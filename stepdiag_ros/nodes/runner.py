@@ -1,0 +1,144 @@
+"""Drives a machine along a course and says what it does.  Knows no ROS."""
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from stepdiag_ros.devices.base import MotionController
+from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.model.log import DONE, DWELL, MOVE, NONE
+from stepdiag_ros.nodes.course import Run, Stop
+
+POLL_S = 0.004
+AXES = {0: 'X', 1: 'Y', 2: 'Z'}
+
+
+class Cancelled(Exception):
+    """Somebody asked to stop."""
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Where a calibration is: stops done of all, what moves, seconds left, one phrase."""
+
+    run: Run
+    done: int
+    total: int
+    axis: int
+    time_left_s: float
+    doing: str
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What was completed."""
+
+    run_ids: tuple[str, ...]
+    stops: int
+
+
+@dataclass
+class Runner:
+    """Executes runs on a ready ``controller``.
+
+    ``announce(run, stop, phase, time_ns)`` publishes a step event; ``mount(setup)`` has
+    mirror, base unit and sensors put to a setup; ``reset()`` makes the present distance
+    zero; ``check()`` raises :class:`StepdiagError` when a source has fallen silent;
+    ``report(progress)``; ``cancelled()``.  However :meth:`execute` ends, the machine
+    stands still.
+    """
+
+    controller: MotionController
+    announce: Callable[[Run, Stop, int, int], None]
+    mount: Callable[[str], None]
+    reset: Callable[[], None]
+    check: Callable[[], None]
+    report: Callable[[Progress], None]
+    cancelled: Callable[[], bool]
+    feed_m_s: float
+    dwell_s: float
+    move_timeout_s: float = 120.0
+
+    def execute(self, runs: Sequence[Run]) -> Outcome:
+        """All runs in order; :class:`Cancelled` or :class:`StepdiagError` end it early.
+
+        Either carries ``outcome``, what was completed until then.
+        """
+        self._total = sum(len(run.stops) for run in runs)
+        self._done, self._completed = 0, []
+        self._spent_s = 0.0
+        mounted = None
+        try:
+            for run in runs:
+                if run.setup != mounted:
+                    self._tell(run, NONE, f'mounting setup {run.setup}')
+                    self.mount(run.setup)
+                    mounted = run.setup
+                self._traverse(run)
+                self._completed.append(run.run_id)
+        except (Cancelled, StepdiagError) as error:
+            error.outcome = self._outcome()
+            self._hold(error)
+            raise
+        return self._outcome()
+
+    def _outcome(self) -> Outcome:
+        return Outcome(tuple(self._completed), self._done)
+
+    def _hold(self, error: Exception) -> None:
+        """Stop the axes; a control that does not answer is the worse news of the two."""
+        try:
+            self.controller.stop()
+        except StepdiagError as worse:
+            raise StepdiagError(f'{error or "cancelled"}; and the machine could not be stopped: '
+                                f'{worse}') from None
+
+    def _traverse(self, run: Run) -> None:
+        first = run.stops[0]
+        self._tell(run, NONE, f'to the first stop of {run.run_id}')
+        self._go(first)
+        self._breathe()
+        self.reset()
+        for stop in run.stops:
+            began = time.monotonic()
+            if stop is first:
+                self.announce(run, stop, MOVE, time.time_ns())
+            else:
+                self._tell(run, stop.axis, f'{AXES[stop.axis]} to stop {stop.index} '
+                                           f'of {len(run.stops) - 1}')
+                self.announce(run, stop, MOVE, time.time_ns())
+                self._go(stop)
+            self.announce(run, stop, DWELL, time.time_ns())
+            self._dwell()
+            self.announce(run, stop, DONE, time.time_ns())
+            self._done += 1
+            self._spent_s += time.monotonic() - began
+            self.check()
+        self._tell(run, NONE, f'{run.run_id} done')
+
+    def _go(self, stop: Stop) -> None:
+        """Move there and wait until the control says in position."""
+        self._breathe()
+        self.controller.move(stop.position_m, self.feed_m_s)
+        end = time.monotonic() + self.move_timeout_s
+        while not self.controller.in_position():
+            self._breathe()
+            if time.monotonic() > end:
+                raise StepdiagError(f'the control does not report in position at stop {stop.index} '
+                                    f'after {self.move_timeout_s:g} s; see its screen')
+            time.sleep(POLL_S)
+
+    def _dwell(self) -> None:
+        end = time.monotonic() + self.dwell_s
+        while (left := end - time.monotonic()) > 0.0:
+            self._breathe()
+            time.sleep(min(left, 0.05))
+
+    def _breathe(self) -> None:
+        if self.cancelled():
+            raise Cancelled
+
+    def _tell(self, run: Run, axis: int, doing: str) -> None:
+        per_stop = self._spent_s / self._done if self._done else self.dwell_s + 0.5
+        self.report(Progress(run, self._done, self._total, axis,
+                             per_stop * (self._total - self._done), doing))

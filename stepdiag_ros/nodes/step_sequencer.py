@@ -1,0 +1,343 @@
+"""The sequencer's node: the action ``run_step_diagonal``, ``sequencer/step``, ``cell_description``.
+
+It drives the machine control along the plan, has the sensors put to each setup and
+zeroed at each run's start, and announces every change of phase.  A goal is only begun
+when every source delivers and the recorder confirms that it hears them; otherwise the
+goal ends at once, nothing has moved, and the result's message names what is silent.
+"""
+
+import sys
+import threading
+import time
+from pathlib import Path
+
+from geometry_msgs.msg import Point
+from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.action.server import ServerGoalHandle
+from rclpy.task import Future
+from std_msgs.msg import Header, String
+from stepdiag_msgs.action import RunStepDiagonal
+from stepdiag_msgs.msg import Displacement, RecorderStatus, SpotPosition, Step
+from stepdiag_msgs.srv import ResetDisplacement, SelectSetup
+
+from stepdiag_ros.bag.schemas import DESCRIPTION, DISPLACEMENT, SPOT, STEP
+from stepdiag_ros.devices.linuxcnc_rsh import PORT, LinuxCncRsh
+from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.model.description import Description
+from stepdiag_ros.nodes.base import ERROR, OK, Health, StepdiagNode, overridable, reliable, run_node
+from stepdiag_ros.nodes.course import Run, Stop, course, with_steps
+from stepdiag_ros.nodes.runner import Cancelled, Outcome, Progress, Runner
+from stepdiag_ros.nodes.stamps import ns_of, stamp_of
+from stepdiag_ros.nodes.watch import Recording, Watch
+
+#: Setup services wait for an operator who mounts a mirror.
+SERVICE_TIMEOUT_S = 60.0
+ACTION = 'run_step_diagonal'
+
+
+class StepSequencer(StepdiagNode):
+    """Runs the plan on a machine control that speaks linuxcncrsh."""
+
+    def __init__(self):
+        super().__init__('step_sequencer')
+        self.text('host', '127.0.0.1', 'host name or address of the machine control')
+        self.count('port', PORT, 'TCP port of the machine control', 1, 65535)
+        self.number('timeout', 5.0, 'silence after which the control counts as stalled',
+                    0.1, 120.0, 's')
+        self.text('description_file', '', 'YAML file of the cell description')
+        self.count('steps', 0, "steps of each axis along a diagonal; 0: the description's", 0, 10_000)
+        self.number('feed', 0.02, 'feed of every move', 1.0e-6, 5.0, 'm/s')
+        self.number('dwell', 0.5, 'measuring time at a stop, where the goal gives none',
+                    0.001, 600.0, 's')
+        self.text('origin', [0.0, 0.0, 0.0], "machine coordinates of the volume's lower corner [m]")
+        self.text('setup_codes', [''], 'what has a mirror mounted: setup=M-code, e.g. ppp=M101')
+        self.text('listeners', ['recorder', 'evaluation_solver'],
+                  'nodes that must be connected to sequencer/step before a start')
+        self.text('sources', [DISPLACEMENT, SPOT], 'topics that must deliver before a start')
+        self.number('ready_timeout', 10.0, 'wait for sources and recorder before a goal is refused',
+                    0.0, 600.0, 's')
+        self.number('source_timeout', 3.0, 'silence after which a source counts as lost',
+                    0.1, 60.0, 's')
+        self._steps = self.create_lifecycle_publisher(Step, STEP, reliable(),
+                                                      qos_overriding_options=overridable())
+        self._description_publisher = self.create_lifecycle_publisher(
+            String, DESCRIPTION, reliable(1, latched=True), qos_overriding_options=overridable())
+        self._select = {sensor: self.create_client(SelectSetup, f'{sensor}/select_setup')
+                        for sensor in ('interferometer', 'psd')}
+        self._reset = self.create_client(ResetDisplacement, 'interferometer/reset')
+        full = self.resolve_topic_name
+        self._watch = Watch([full(t) for t in self.value('sources')], [full(DESCRIPTION)],
+                            self.value('source_timeout'))
+        kinds = {DISPLACEMENT: (Displacement, self._on_displacement), SPOT: (SpotPosition, self._on_spot)}
+        for topic in self.value('sources'):
+            if topic not in kinds:
+                raise StepdiagError(f'step_sequencer: parameter sources names {topic!r}; '
+                                    f'known are {", ".join(kinds)}')
+            self.create_subscription(kinds[topic][0], topic, kinds[topic][1], reliable(),
+                                     qos_overriding_options=overridable())
+        self.create_subscription(RecorderStatus, 'recorder/status', self._on_recorder, reliable(10))
+        self._action = ActionServer(
+            self, RunStepDiagonal, ACTION, self._execute, goal_callback=self._on_goal,
+            cancel_callback=lambda _handle: CancelResponse.ACCEPT)
+        self.controller: LinuxCncRsh | None = None
+        self.description: Description | None = None
+        self._worker: threading.Thread | None = None
+        self._leave = threading.Event()
+        self._progress: Progress | None = None
+        self._last = ''
+        # Events published by this process since the bag was opened, and the repeats in it.
+        self._bag = ''
+        self._published = 0
+        self._repeats: dict[str, int] = {}
+
+    # -- lifecycle ---------------------------------------------------------------
+
+    def configure(self) -> None:
+        path = self.value('description_file')
+        if not path:
+            raise StepdiagError('step_sequencer: parameter description_file is empty; '
+                                'name the YAML file of the cell description')
+        try:
+            text = Path(path).read_text(encoding='utf-8')
+        except OSError as error:
+            raise StepdiagError(f'{path}: cannot be read: {error.strerror}') from None
+        self.description = with_steps(Description.from_yaml(text, path), self.value('steps'))
+        origin = tuple(self.value('origin'))
+        if len(origin) != 3:
+            raise StepdiagError(f'step_sequencer: parameter origin is {list(origin)}; '
+                                'give three coordinates in metres')
+        self.controller = LinuxCncRsh(self.value('host'), self.value('port'), origin,
+                                      _codes(self.value('setup_codes')),
+                                      timeout_s=self.value('timeout'))
+        try:
+            self.controller.connect()
+        except StepdiagError:
+            self.cleanup()
+            raise
+
+    def activate(self) -> None:
+        self._leave.clear()
+        self._description_publisher.publish(String(data=self.description.to_yaml()))
+
+    def deactivate(self) -> None:
+        self._leave.set()
+        if self._worker is not None:
+            self._worker.join()
+            self._worker = None
+
+    def cleanup(self) -> None:
+        self.deactivate()
+        if self.controller is not None:
+            self.controller.close()
+            self.controller = None
+
+    def health(self) -> Health:
+        values: dict[str, object] = {'device': f'{self.value("host")}:{self.value("port")}',
+                                     'last': self._last}
+        progress = self._progress
+        if progress is not None:
+            values |= {'run': progress.run.run_id, 'stop': progress.done, 'stops': progress.total,
+                       'time_left_s': progress.time_left_s}
+            return Health(OK, progress.doing, values)
+        wants = self._watch.wants() if self.state == 'active' else []
+        if wants:
+            return Health(ERROR, 'cannot start: ' + '; '.join(wants), values)
+        return Health(OK, 'ready' if self.state == 'active' else self.state, values)
+
+    # -- what is heard -----------------------------------------------------------
+
+    def _on_displacement(self, message: Displacement) -> None:
+        self._note(DISPLACEMENT, message, len(message.quality), any(message.quality))
+
+    def _on_spot(self, message: SpotPosition) -> None:
+        self._note(SPOT, message, len(message.x), any(x == x for x in message.x))
+
+    def _note(self, topic: str, message, samples: int, signal: bool) -> None:
+        end = ns_of(message.header.stamp) + round(samples * message.sample_period * 1e9)
+        self._watch.block(self.resolve_topic_name(topic), end, signal)
+
+    def _on_recorder(self, status: RecorderStatus) -> None:
+        self._watch.recorder(Recording(
+            time.monotonic(), status.recording, status.bag, frozenset(status.hears),
+            dict(zip(status.topics, status.received, strict=True)), int(sum(status.lost))))
+
+    # -- the action --------------------------------------------------------------
+
+    def _on_goal(self, _goal: RunStepDiagonal.Goal) -> GoalResponse:
+        if self.state != 'active' or self._worker is not None:
+            why = 'not active' if self.state != 'active' else 'busy with another goal'
+            self.get_logger().error(f'a goal was rejected: {self.get_name()} is {why}')
+            return GoalResponse.REJECT
+        return GoalResponse.ACCEPT
+
+    async def _execute(self, handle: ServerGoalHandle) -> RunStepDiagonal.Result:
+        done = Future(executor=self.executor)
+        self._worker = threading.Thread(target=self._work, args=(handle, done), name='sequence',
+                                        daemon=True)
+        self._worker.start()
+        how, result = await done
+        self._worker, self._progress = None, None
+        self._last = result.message
+        self.get_logger().info(result.message)
+        getattr(handle, how)()
+        return result
+
+    def _work(self, handle: ServerGoalHandle, done: Future) -> None:
+        """One goal, in a thread of its own."""
+        try:
+            outcome = self._calibrate(handle)
+            how, message = 'succeed', self._closing_word(outcome)
+        except Cancelled as stop:
+            outcome = getattr(stop, 'outcome', Outcome((), 0))
+            how = 'canceled' if handle.is_cancel_requested else 'abort'
+            message = f'stopped on request after {outcome.stops} stops; the machine stands still'
+        except StepdiagError as error:
+            outcome = getattr(error, 'outcome', Outcome((), 0))
+            how, message = 'abort', str(error)
+        except Exception as error:
+            outcome, how = Outcome((), 0), 'abort'
+            message = f'{type(error).__name__}: {error}'
+            self.get_logger().error(message)
+        done.set_result((how, RunStepDiagonal.Result(
+            success=how == 'succeed', message=message, run_ids=list(outcome.run_ids),
+            stops=outcome.stops)))
+
+    def _calibrate(self, handle: ServerGoalHandle) -> Outcome:
+        goal = handle.request
+        if goal.steps not in (0, self.description.plan.steps):
+            raise StepdiagError(
+                f'refused: {goal.steps} steps were asked for and the cell description that is being '
+                f'recorded says {self.description.plan.steps}; set the parameter steps of '
+                f'{self.get_name()} and begin a new bag (stepdiag calibrate --steps does both)')
+        course(self.description, goal.setups)   # an unknown setup is refused before anything waits
+        self._await_ready(handle)
+        bag = self._watch.recording.bag
+        self._begin_bag(bag)
+        runs = course(self.description, goal.setups, goal.repeats, self._repeats)
+        self._ready_control()
+
+        def cancelled() -> bool:
+            return handle.is_cancel_requested or self._leave.is_set()
+
+        def report(progress: Progress) -> None:
+            self._progress = progress
+            handle.publish_feedback(RunStepDiagonal.Feedback(
+                run_id=progress.run.run_id, setup=progress.run.setup, stop=progress.done,
+                stops=progress.total, axis=progress.axis, time_left=progress.time_left_s,
+                doing=progress.doing))
+
+        dwell = goal.dwell if goal.dwell > 0.0 else self.value('dwell')
+        runner = Runner(self.controller, self._announce, self._mount, self._zero,
+                        lambda: self._watch.check(bag), report, cancelled,
+                        self.value('feed'), dwell)
+        try:
+            return runner.execute(runs)
+        finally:
+            for run in runs:
+                self._repeats[run.setup] = run.repeat + 1
+
+    def _await_ready(self, handle: ServerGoalHandle) -> None:
+        """Every source delivers and the recorder hears it, or the goal is refused."""
+        end = time.monotonic() + self.value('ready_timeout')
+        while wants := self._watch.wants() + self._unconnected():
+            if handle.is_cancel_requested or self._leave.is_set():
+                raise Cancelled
+            if time.monotonic() > end:
+                raise StepdiagError('refused to start: ' + '; '.join(wants))
+            time.sleep(0.05)
+
+    def _unconnected(self) -> list[str]:
+        """Listeners that would miss the first step."""
+        names = [info.node_name for info in
+                 self.get_subscriptions_info_by_topic(self.resolve_topic_name(STEP))]
+        return [f'{listener} is not connected to {self.resolve_topic_name(STEP)}'
+                for listener in self.value('listeners')
+                if listener and not any(name.startswith(listener) for name in names)]
+
+    def _begin_bag(self, bag: str) -> None:
+        """Number runs from 0 in a new bag; refuse one that holds runs which are not ours."""
+        if bag != self._bag:
+            self._bag, self._published, self._repeats = bag, 0, {}
+        held = self._watch.recording.received.get(self.resolve_topic_name(STEP), 0)
+        if held > self._published:
+            raise StepdiagError(f'refused to start: {bag} holds runs of a sequencer that has ended '
+                                'since; begin a new bag (stepdiag calibrate does)')
+
+    def _ready_control(self) -> None:
+        """Homed and idle; a connection that was lost in the meantime is made anew."""
+        try:
+            self.controller.state()
+        except StepdiagError:
+            self.controller.close()
+            self.controller.connect()
+        self.controller.make_ready()
+
+    def _mount(self, setup: str) -> None:
+        self.controller.select_setup(setup)
+        for sensor, client in self._select.items():
+            self._call(client, SelectSetup.Request(setup=setup), f'{sensor}/select_setup')
+
+    def _zero(self) -> None:
+        self._call(self._reset, ResetDisplacement.Request(), 'interferometer/reset')
+
+    def _call(self, client, request, name: str) -> None:
+        """Call a service from the worker's thread."""
+        if not client.wait_for_service(timeout_sec=5.0):
+            raise StepdiagError(f'the service {name} is not there; is its driver running?')
+        answered = threading.Event()
+        future = client.call_async(request)
+        future.add_done_callback(lambda _future: answered.set())
+        end = time.monotonic() + SERVICE_TIMEOUT_S
+        while not answered.wait(0.1):
+            if self._leave.is_set():
+                raise Cancelled
+            if time.monotonic() > end:
+                raise StepdiagError(f'the service {name} does not answer for {SERVICE_TIMEOUT_S:g} s')
+        if not future.result().success:
+            raise StepdiagError(f'{name}: {future.result().message}')
+
+    def _announce(self, run: Run, stop: Stop, phase: int, time_ns: int) -> None:
+        x, y, z = (float(v) for v in stop.position_m)
+        self._steps.publish(Step(
+            header=Header(stamp=stamp_of(time_ns), frame_id=run.setup), run_id=run.run_id,
+            setup=run.setup, repeat=run.repeat, direction=run.direction, index=stop.index,
+            axis=stop.axis, commanded=Point(x=x, y=y, z=z), phase=phase))
+        self._published += 1
+
+    def _closing_word(self, outcome: Outcome) -> str:
+        """Wait until samples and recorder have caught up, and say what was done."""
+        now, end = time.time_ns(), time.monotonic() + self.value('source_timeout')
+        step = self.resolve_topic_name(STEP)
+        while time.monotonic() < end:
+            said = self._watch.recording
+            if self._watch.delivered_until() >= now and said.received.get(step, 0) >= self._published:
+                break
+            time.sleep(0.05)
+        said = self._watch.recording
+        word = f'{outcome.stops} stops in {len(outcome.run_ids)} runs'
+        missing = self._published - said.received.get(step, 0)
+        if missing > 0:
+            word += f'; the recorder has not confirmed {missing} of {self._published} step events'
+        if said.lost:
+            word += f'; the recorder lost {said.lost} messages'
+        return word
+
+
+def _codes(pairs: list[str]) -> dict[str, str]:
+    """``['ppp=M101']`` -> ``{'ppp': 'M101'}``."""
+    codes = {}
+    for pair in filter(None, pairs):
+        setup, _, code = pair.partition('=')
+        if not code:
+            raise StepdiagError(f'step_sequencer: parameter setup_codes holds {pair!r}; '
+                                'write setup=M-code, e.g. ppp=M101')
+        codes[setup] = code
+    return codes
+
+
+def main() -> int:
+    return run_node(StepSequencer)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

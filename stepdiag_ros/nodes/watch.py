@@ -1,0 +1,101 @@
+"""What the sequencer hears of the others, and what is missing for a start.
+
+``Watch`` notes the last block of each source and the recorder's word.  It is fed by
+callbacks in one thread and asked in another; nothing here waits.
+"""
+
+import threading
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from stepdiag_ros.errors import StepdiagError
+
+
+@dataclass
+class _Source:
+    last_s: float | None = None     # monotonic time of the last message
+    end_ns: int = 0                 # stamp of the end of the last block
+    signal: bool = True
+
+
+@dataclass(frozen=True)
+class Recording:
+    """The recorder's last status, and when it came (monotonic)."""
+
+    at_s: float
+    recording: bool
+    bag: str
+    hears: frozenset[str]
+    received: dict[str, int] = field(default_factory=dict)
+    lost: int = 0
+
+
+class Watch:
+    """Sources by topic (full names) and the recorder's status.
+
+    A source or the recorder that has said nothing for ``timeout_s`` counts as silent.
+    ``heard_besides``: topics that the recorder must hear although they are no sources.
+    """
+
+    def __init__(self, sources: Sequence[str], heard_besides: Sequence[str], timeout_s: float):
+        self._lock = threading.Lock()
+        self._sources = {topic: _Source() for topic in sources}
+        self._besides = tuple(heard_besides)
+        self._timeout_s = timeout_s
+        self._recording: Recording | None = None
+
+    def block(self, topic: str, end_ns: int, signal: bool) -> None:
+        """A block of ``topic`` came that ends at ``end_ns``; ``signal``: it holds light."""
+        with self._lock:
+            self._sources[topic] = _Source(time.monotonic(), end_ns, signal)
+
+    def recorder(self, recording: Recording) -> None:
+        """The recorder's status came."""
+        with self._lock:
+            self._recording = recording
+
+    @property
+    def recording(self) -> Recording | None:
+        with self._lock:
+            return self._recording
+
+    def wants(self, light: bool = False) -> list[str]:
+        """What is missing for a start, a phrase each; empty: all is well.
+
+        ``light``: a source must also see its beam, which before the mirror of a setup is
+        mounted it cannot.
+        """
+        now = time.monotonic()
+        with self._lock:
+            wants = []
+            for topic, source in self._sources.items():
+                if source.last_s is None:
+                    wants.append(f'nothing was heard on {topic}')
+                elif now - source.last_s > self._timeout_s:
+                    wants.append(f'{topic} has been silent for {now - source.last_s:.1f} s')
+                elif light and not source.signal:
+                    wants.append(f'{topic} delivers no signal (is the beam interrupted?)')
+            said = self._recording
+            if said is None or now - said.at_s > self._timeout_s:
+                wants.append('the recorder is silent')
+            elif not said.recording:
+                wants.append('the recorder is not recording')
+            else:
+                deaf = [t for t in (*self._sources, *self._besides) if t not in said.hears]
+                wants += [f'the recorder does not hear {topic}' for topic in deaf]
+        return wants
+
+    def check(self, bag: str) -> None:
+        """Raise :class:`StepdiagError` if a source or the recorder of ``bag`` was lost in a run."""
+        wants = self.wants(light=True)
+        said = self.recording
+        if not wants and said is not None and said.bag != bag:
+            wants = [f'the recorder began another bag ({said.bag}) while a run was under way']
+        if wants:
+            raise StepdiagError('; '.join(wants) + '; stopped, so that no stop goes unmeasured')
+
+    def delivered_until(self) -> int:
+        """All sources have delivered up to this time [ns since the epoch]."""
+        with self._lock:
+            return min((s.end_ns for s in self._sources.values()), default=0)
