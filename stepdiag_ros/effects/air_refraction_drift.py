@@ -9,7 +9,7 @@ The spot does not notice.
 import numpy as np
 
 from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
-from stepdiag_ros.effects.patterns import Drawn, drawn_size, follow, on_lengths, saturating
+from stepdiag_ros.effects.patterns import Drawn, drawn_size, follow, on_lengths, recorded, saturating
 from stepdiag_ros.effects.timeforms import courses
 from stepdiag_ros.model.air import refractive_index
 
@@ -58,8 +58,8 @@ class AirRefractionDrift(Effect):
                   for course in courses(view.time) if course.label in ('linear', 'smooth')]
         logged = self._logged(view)
         if logged is not None:
-            column = on_lengths(view, view.distance * logged[:, None])[None]
-            forms.insert(0, Form('logged air, not divided out', column, ('share',), np.ones(1), '1'))
+            course = recorded(view, logged[None], 'logged air, not divided out')
+            forms.insert(0, follow(view, course, way, ('share',), 1.0, '1'))
         return forms
 
     @staticmethod

@@ -8,8 +8,8 @@ sum signal rises with them, and where it is recorded steadily enough it tells ho
 import numpy as np
 
 from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
-from stepdiag_ros.effects.patterns import Drawn, follow
-from stepdiag_ros.effects.timeforms import Course, courses
+from stepdiag_ros.effects.patterns import Drawn, follow, recorded
+from stepdiag_ros.effects.timeforms import Course, courses, drift_form
 
 NOTICEABLE = 2.0e-4
 """Relative standard deviation of the sum signal over the stops from which it may be background."""
@@ -56,8 +56,8 @@ class AmbientLight(Effect):
                 or total.std() < NOTICEABLE * total.mean():
             return []
         least = total.min()
-        rising = pull * ((total - least) / total)[:, None]
-        always = pull * (least / total)[:, None]
-        return [Form('as the sum signal says', rising, ('trust',), np.ones(1), '1'),
-                Form('as the sum signal says, and a constant', np.concatenate([rising, always]),
-                     ('trust', 'share at least'), np.array([1.0, 0.02]), '1')]
+        rising = recorded(view, ((total - least) / total)[None], 'as the sum signal says')
+        always = recorded(view, np.stack([rising.values[0], least / total]),
+                          'as the sum signal says, and a constant')
+        return [follow(view, rising, pull, ('trust',), 1.0, '1'),
+                drift_form(view, always, pull, ('share',), np.ones(1), units='1')]

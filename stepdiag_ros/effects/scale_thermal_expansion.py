@@ -8,7 +8,7 @@ scales have 8e-6/K, steel 11e-6/K.  Without sensors the course of the temperatur
 import numpy as np
 
 from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
-from stepdiag_ros.effects.patterns import Drawn, drawn_size, follow, saturating
+from stepdiag_ros.effects.patterns import Drawn, drawn_size, follow, recorded, saturating
 from stepdiag_ros.effects.timeforms import courses
 
 NOTICEABLE = 0.03
@@ -63,10 +63,13 @@ class ScaleThermalExpansion(Effect):
         use = [a for a in range(3) if np.isfinite(warm[:, a]).all() and warm[:, a].std() > NOTICEABLE]
         if not use:
             return []
-        columns = growth[use] * warm.T[use][:, :, None]
-        forms = [Form('logged temperatures', columns, tuple('XYZ'[a] for a in use),
-                      np.full(len(use), 1e-5), '1/K')]
+        letters = tuple('XYZ'[a] for a in use)
+        parts = [follow(view, recorded(view, warm[:, [a]].T, ''), growth[[a]], ('XYZ'[a],), 1e-5, '1/K')
+                 for a in use]
+        columns = np.concatenate([part.columns for part in parts])
+        inside = np.concatenate([part.inside for part in parts])
+        forms = [Form('logged temperatures', columns, letters, np.full(len(use), 1e-5), '1/K', inside)]
         if len(use) > 1:
             forms.append(Form('logged temperatures, one material', columns.sum(axis=0, keepdims=True),
-                              ('all',), np.full(1, 1e-5), '1/K'))
+                              ('all',), np.full(1, 1e-5), '1/K', inside.sum(axis=0, keepdims=True)))
         return forms
