@@ -102,6 +102,10 @@ def test_held_out_points_of_a_virtual_machine():
     off = prediction.deviation_m - truth
     assert np.mean(np.abs(off) <= 2.0 * prediction.sigma_m) > 0.90
     assert np.abs(off).max() < 0.2 * np.abs(truth).max()
+    # The command that cancels the prediction leaves of the true machine what the prediction missed.
+    command = compensated_command(found.errors, cell.description.machine, held_out)
+    left = command + deviation(to_reference_lines(cell.geometry), cell.description.machine, command) - held_out
+    np.testing.assert_allclose(left, -off, atol=2e-9)
     # In the truth's own frame the same holds but for a rigid motion, which nobody could see.
     raw = deviation(cell.geometry, cell.description.machine, held_out)
     free = without_rigid_motion(held_out, prediction.deviation_m - raw)
