@@ -23,7 +23,7 @@ VOCABULARY = (
 def effect_class(name: str) -> type[Effect]:
     """The effect of a name of the vocabulary; :class:`~stepdiag_ros.errors.StepdiagError` for another."""
     if name not in VOCABULARY:
-        raise StepdiagError(f'there is no effect named {name!r}; names are {", ".join(VOCABULARY)}, '
+        raise StepdiagError(f'{name!r}: there is no effect of this name; names are {", ".join(VOCABULARY)}, '
                             'or give the file of one of your own')
     return _in_module(importlib.import_module(f'stepdiag_ros.effects.{name}'))[0]
 

@@ -1,11 +1,10 @@
 """The effects of a cell, made from its file, and the random numbers that they may draw."""
 
-import importlib
-import importlib.util
 from pathlib import Path
 
 import numpy as np
 
+from stepdiag_ros.effects import effect_class, effects_in_file
 from stepdiag_ros.effects.base import Effect
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.virtual.cell import Cell
@@ -39,26 +38,17 @@ def create_effects(cell: Cell) -> list[Effect]:
 def _create(cell: Cell, name: str, values: dict) -> Effect:
     file = values.pop('file', None)
     where = f'{cell.source}: effects.{name}'
-    if file is not None:
-        path = Path(cell.source).parent / str(file)
-        spec = importlib.util.spec_from_file_location(f'stepdiag_effect_{path.stem}', path)
-        if spec is None or not path.exists():
-            raise StepdiagError(f'{where}.file: {path} does not exist or is no Python file; '
-                                'give the path from the cell file')
-        module = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(module)
-    else:
-        try:
-            module = importlib.import_module(f'stepdiag_ros.effects.{name}')
-        except ModuleNotFoundError:
-            raise StepdiagError(f'{where}: there is no effect of this name; names are the '
-                                "contract's, e.g. backlash, or give `file:` for one of your own"
-                                ) from None
-    kind = next((value for value in vars(module).values()
-                 if isinstance(value, type) and issubclass(value, Effect) and value.name == name),
-                None)
+    try:
+        if file is None:
+            kind = effect_class(name)
+        else:
+            path = Path(cell.source).parent / str(file)
+            kind = next((k for k in effects_in_file(str(path)) if k.name == name), None)
+    except StepdiagError as error:
+        raise StepdiagError(f'{where}: {error}') from None
     if kind is None:
-        raise StepdiagError(f'{where}: {module.__name__} holds no effect named {name!r}')
+        raise StepdiagError(f'{where}: {path} holds no effect named {name!r}; call it in the cell as it '
+                            'calls itself')
     try:
         return kind(**values)
     except (ValueError, TypeError) as error:

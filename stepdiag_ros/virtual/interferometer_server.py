@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from stepdiag_ros.devices.jsonstream import JsonStream
-from stepdiag_ros.virtual.air import conditions
+from stepdiag_ros.virtual.air import environment
 from stepdiag_ros.virtual.cell import Cell
 from stepdiag_ros.virtual.draw import normals
 from stepdiag_ros.virtual.faults import Faults
@@ -59,11 +59,11 @@ class Instrument:
             prefix + 'adjustment.getContrastInPermille': lambda params: [*self._quality(params), 0],
             'com.attocube.ecu.getConnected': lambda params: [0, bool(cell.air.sensors)],
             'com.attocube.ecu.getTemperatureInDegrees':
-                lambda params: self._ecu('temperature', 'air_temperature', 0, 1.0),
+                lambda params: self._ecu('temperature', 'air_temperature', 1.0),
             'com.attocube.ecu.getPressureInHPa':
-                lambda params: self._ecu('pressure', 'air_pressure', 1, 0.01),
+                lambda params: self._ecu('pressure', 'air_pressure', 0.01),
             'com.attocube.ecu.getHumidityInPercent':
-                lambda params: self._ecu('humidity', 'humidity', 2, 100.0),
+                lambda params: self._ecu('humidity', 'humidity', 100.0),
             'com.attocube.ecu.getRefractiveIndex': lambda params: [0, self._index()],
             'com.attocube.ecu.getRefractiveIndexForCompensation':
                 lambda params: [0, self._index() if cell.air.compensated else 1.0],
@@ -166,10 +166,10 @@ class Instrument:
     def _seconds(self) -> float:
         return (time.time_ns() - self.world.epoch_ns) * 1e-9
 
-    def _ecu(self, sensor: str, stream: str, column: int, scale: float) -> list:
+    def _ecu(self, sensor: str, stream: str, scale: float) -> list:
         if sensor not in self.cell.air.sensors:
             return [ECU_ERROR]
-        value = float(conditions(self.cell.air, np.array(self._seconds()))[column])
+        value = float(environment(self.cell.air, self._seconds(), self.world.effects)[stream][0])
         value += SENSOR_SIGMA[stream] * normals(self.cell.seed, f'ecu/{stream}', self._ecu_read,
                                                 1)[0, 0]
         self._ecu_read += 1

@@ -4,10 +4,12 @@ It runs the plan as the sequencer does: setup by setup, for each repeat a forwar
 a backward run; each run resets the interferometer at its first stop.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from stepdiag_ros.effects.base import Effect
 from stepdiag_ros.model.log import (
     DONE,
     DWELL,
@@ -19,7 +21,7 @@ from stepdiag_ros.model.log import (
     StepEvents,
 )
 from stepdiag_ros.model.path import SetupPath, stops
-from stepdiag_ros.virtual.air import conditions, scale_temperature
+from stepdiag_ros.virtual.air import environment
 from stepdiag_ros.virtual.cell import Cell, Motion
 from stepdiag_ros.virtual.draw import normals
 from stepdiag_ros.virtual.history import History
@@ -29,6 +31,8 @@ from stepdiag_ros.virtual.world import Reading, World
 START_NS = 1_780_000_000_000_000_000
 COMMAND_DELAY_NS = 2_000_000
 """From the end of a dwell to the next move: the sequencer's time to say so."""
+RESET_NS = 20_000_000
+"""From in position at a run's first stop to its dwell: the interferometer is reset meanwhile."""
 SENSOR_SIGMA = {'air_temperature': 0.01, 'air_pressure': 5.0, 'humidity': 0.005,
                 'scale_temperature': 0.01}
 """Standard deviations [°C, Pa, 1, °C] of the environment's readings."""
@@ -51,22 +55,24 @@ class Run:
 
 
 def simulate_log(cell: Cell, start_ns: int = START_NS, setups: tuple[str, ...] | None = None,
-                 rate: float | None = None, in_motion: bool | None = None) -> CalibrationLog:
+                 rate: float | None = None, in_motion: bool | None = None,
+                 effects: Sequence[Effect] | None = None) -> CalibrationLog:
     """The log of a calibration of ``cell``.
 
     ``setups``: which, in which order (all); ``rate`` [Hz] of both sensors and ``in_motion``
-    override the cell's sampling.  The same cell gives the same log, bit by bit.
+    override the cell's sampling; ``effects`` act instead of those that the cell names.  The same
+    cell gives the same log, bit by bit.
     """
     history = History()
     runs = execute(cell, history, start_ns, setups or cell.setup_names)
-    world = World(cell, history, start_ns)
+    world = World(cell, history, start_ns, effects)
     moving = cell.sampling.in_motion if in_motion is None else in_motion
     spans = [(run, *span) for run in runs for span in _spans(run, moving)]
     memory: dict = {}
     displacement = _displacement(world, spans, rate or cell.sampling.interferometer, memory)
     spot = _spot(world, spans, rate or cell.sampling.psd, memory)
     return CalibrationLog(cell.description, _events(cell, runs), displacement, spot,
-                          _environment(cell, start_ns, int(runs[-1].done_ns[-1])),
+                          _environment(world, start_ns, int(runs[-1].done_ns[-1])),
                           source=f'simulated from {cell.source}',
                           namespace=f'/{cell.description.machine.name}')
 
@@ -80,6 +86,7 @@ def execute(cell: Cell, history: History, start_ns: int, setups: tuple[str, ...]
     for setup in setups:
         path = stops(cell.description, setup)
         number = cell.setup_names.index(setup)
+        now += COMMAND_DELAY_NS
         history.append(now, place, place, rest, number)
         now += int(cell.motion.mount * 1e9)
         for repeat in range(cell.description.plan.repeats):
@@ -101,7 +108,8 @@ def _run(motion: Motion, history: History, now: int, place: np.ndarray, path: Se
         history.append(now, place, target, profile, number)
         table = tabulate(profile.duration[None], profile.jerk[None], np.zeros(1), np.zeros(1))
         settled = float(settling_time(table, motion.settling, motion.in_position)[0])
-        times[:, i] = now, now + round(settled * 1e9), now + round((settled + motion.dwell) * 1e9)
+        dwell = now + round(settled * 1e9) + (RESET_NS if i == 0 else 0)
+        times[:, i] = now, dwell, dwell + round(motion.dwell * 1e9)
         now, place = int(times[2, i]) + COMMAND_DELAY_NS, target
     return Run(setup, repeat, direction, *times)
 
@@ -199,17 +207,15 @@ def _events(cell: Cell, runs: list[Run]) -> StepEvents:
                       c['commanded'], c['phase'])
 
 
-def _environment(cell: Cell, begin: int, end: int) -> dict[str, ScalarSeries]:
+def _environment(world: World, begin: int, end: int) -> dict[str, ScalarSeries]:
+    cell = world.cell
     period_ns = int(cell.air.period * 1e9)
     times = np.arange(begin, end + 1, period_ns, dtype=np.int64)
-    seconds = (times - begin) * 1e-9
-    quantities = dict(zip(('temperature', 'pressure', 'humidity'),
-                          conditions(cell.air, seconds), strict=True))
-    topics = {'temperature': 'air_temperature', 'pressure': 'air_pressure', 'humidity': 'humidity'}
-    series = {topics[name]: quantities[name] for name in cell.air.sensors if name in topics}
-    if 'scale' in cell.air.sensors:
-        series |= {f'scale_temperature/{letter}': value for letter, value in zip(
-            'xyz', scale_temperature(cell.air, seconds).T, strict=True)}
+    seen = environment(cell.air, (times - begin) * 1e-9, world.effects)
+    topics = {'temperature': ['air_temperature'], 'pressure': ['air_pressure'], 'humidity': ['humidity'],
+              'scale': [f'scale_temperature/{axis}' for axis in 'xyz']}
+    series = {topic: seen[topic] for sensor in topics if sensor in cell.air.sensors
+              for topic in topics[sensor]}
     out = {}
     for name, value in series.items():
         sigma = SENSOR_SIGMA[name.split('/')[0]]

@@ -16,7 +16,7 @@ from stepdiag_ros.effects.base import Effect, Moment
 from stepdiag_ros.model.log import NONE
 from stepdiag_ros.model.machine import compose, rotation
 from stepdiag_ros.virtual.acting import Draws, create_effects
-from stepdiag_ros.virtual.air import index_at, scale_temperature
+from stepdiag_ros.virtual.air import environment, index_at
 from stepdiag_ros.virtual.cell import Cell
 from stepdiag_ros.virtual.draw import normals
 from stepdiag_ros.virtual.history import History
@@ -120,14 +120,15 @@ class World:
         angle = self._angle[arrival] * (1.0 - share) + self._angle[arrival + 1] * share
         n = len(time_ns)
         seconds = (time_ns - self.epoch_ns) * 1e-9
-        index = index_at(cell.air, seconds)
+        index, air = index_at(cell.air, seconds), environment(cell.air, seconds, self.effects)
         return Moment(
             description=cell.description, setup=setup, seconds=seconds,
             mount_seconds=(time_ns - self._mounted_ns[arrival]) * 1e-9, arrival=arrival,
             since_arrival=(time_ns - self._settled_ns[arrival]) * 1e-9,
             moved=self._moved[arrival + 1], commanded=commanded,
             approach=self._approach[arrival + 1],
-            scale_temperature=scale_temperature(cell.air, seconds), rng=None,
+            scale_temperature=np.stack([air[f'scale_temperature/{axis}'] for axis in 'xyz'], axis=1),
+            rng=None,
             position=actual + error, shift=np.zeros((n, 3)), turn=np.zeros((n, 3)),
             laser=np.zeros((n, 2)), mirror=np.zeros((n, 2)),
             index=np.ones(n) if cell.air.compensated else index,
