@@ -26,6 +26,8 @@ METHOD_NOT_FOUND = -32601
 GROUP_S = 2.0e-3
 """Requests of this time span are sent together when samples are closer than that."""
 ZERO_SAMPLES = 16
+STALE_S = 0.020
+"""A sample whose answer comes this much after its time was taken we know not when: no signal."""
 LATE_S = 0.05
 """A block that begins later than this after the last one's end starts a new time grid."""
 
@@ -101,16 +103,18 @@ class Ids3010:
         self._link.send(b''.join(self._encode(method) for _ in range(ZERO_SAMPLES)))
         rows = [self._row(answer) for answer in self._answers(ZERO_SAMPLES)]
         self._zero_pm = self._table(rows)[:, 1:].mean(axis=0)
+        self._next_s = None   # the grid begins anew: what is read next was not due meanwhile
 
     def read_block(self, samples: int, period_s: float) -> DisplacementBlock:
         method = f'{self._namespace}.displacement.getAbsolutePositions'
         begin = self._begin(samples * period_s)
         group = max(1, round(GROUP_S / period_s))
         rows: list[list[float]] = []
+        arrived: list[float] = []
         sent = 0
         while sent < samples:
             count = min(group, samples - sent)
-            self._wait_until(begin + (sent + count - 1) * period_s, rows)
+            self._wait_until(begin + (sent + count - 1) * period_s, rows, arrived)
             self._link.send(b''.join(self._encode(method) for _ in range(count)))
             sent += count
         # Once a block: how good the light was, and what index of air was divided out.
@@ -119,11 +123,13 @@ class Ids3010:
             self._encode(f'{self._namespace}.displacement.getAxisSignalQuality', [axis])
             for axis in axes) + self._encode(self._index_method, [0]))
         rows.extend(self._row(answer) for answer in self._answers(samples - len(rows)))
+        arrived += [time.time()] * (samples - len(arrived))
         contrast = min(float(self._result(answer)[1]) for answer in self._answers(self._beams))
         index = self._index(self._answers(1)[0])
         self._next_s = begin + samples * period_s
         table = self._table(rows)
-        quality = np.where(table[:, 0] == 0.0, np.clip(round(contrast / 10.0), 0, 100), 0)
+        stale = np.array(arrived) - (begin + np.arange(samples) * period_s) > STALE_S
+        quality = np.where((table[:, 0] == 0.0) & ~stale, np.clip(round(contrast / 10.0), 0, 100), 0)
         return DisplacementBlock(round(begin * 1e9), period_s,
                                  (table[:, 1:] - self._zero_pm) * 1e-12,
                                  quality.astype(np.uint8), index)
@@ -135,14 +141,15 @@ class Ids3010:
             return self._next_s
         return now
 
-    def _wait_until(self, due_s: float, rows: list) -> None:
-        """Until ``due_s`` take in answers."""
+    def _wait_until(self, due_s: float, rows: list, arrived: list[float]) -> None:
+        """Until ``due_s`` take in answers and when they came."""
         while (left := due_s - time.time()) > 0.0:
             data = self._link.receive(wait_s=left)
             if data:
                 self._take(data)
                 while self._waiting:
                     rows.append(self._row(self._waiting.popleft()))
+                    arrived.append(time.time())
 
     def environment(self) -> dict[str, float]:
         readings = {}

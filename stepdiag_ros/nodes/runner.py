@@ -44,8 +44,9 @@ class Runner:
     ``announce(run, stop, phase, time_ns)`` publishes a step event; ``mount(setup)`` has
     mirror, base unit and sensors put to a setup; ``reset()`` makes the present distance
     zero; ``check()`` raises :class:`StepdiagError` when a source has fallen silent;
-    ``report(progress)``; ``cancelled()``.  However :meth:`execute` ends, the machine
-    stands still.
+    ``report(progress)``; ``cancelled()``.  For ``guard_s`` after a dwell nothing moves: a
+    sample that was polled a little later than its stamp says must not see the next move.
+    However :meth:`execute` ends, the machine stands still.
     """
 
     controller: MotionController
@@ -57,6 +58,7 @@ class Runner:
     cancelled: Callable[[], bool]
     feed_m_s: float
     dwell_s: float
+    guard_s: float = 0.025
     move_timeout_s: float = 120.0
 
     def execute(self, runs: Sequence[Run]) -> Outcome:
@@ -114,6 +116,7 @@ class Runner:
             self._done += 1
             self._spent_s += time.monotonic() - began
             self.check()
+            time.sleep(self.guard_s)
         self._tell(run, NONE, f'{run.run_id} done')
 
     def _go(self, stop: Stop) -> None:

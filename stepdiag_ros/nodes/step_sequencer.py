@@ -49,6 +49,8 @@ class StepSequencer(StepdiagNode):
         self.number('feed', 0.02, 'feed of every move', 1.0e-6, 5.0, 'm/s')
         self.number('dwell', 0.5, 'measuring time at a stop, where the goal gives none',
                     0.001, 600.0, 's')
+        self.number('guard', 0.025, 'rest after a dwell before the next move: as late as a sample may '
+                    'be taken after its stamp', 0.0, 10.0, 's')
         self.text('origin', [0.0, 0.0, 0.0], "machine coordinates of the volume's lower corner [m]")
         self.text('setup_codes', [''], 'what has a mirror mounted: setup=M-code, e.g. ppp=M101')
         self.text('listeners', ['recorder', 'evaluation_solver'],
@@ -229,7 +231,7 @@ class StepSequencer(StepdiagNode):
         dwell = goal.dwell if goal.dwell > 0.0 else self.value('dwell')
         runner = Runner(self.controller, self._announce, self._mount, self._zero,
                         lambda: self._watch.check(bag), report, cancelled,
-                        self.value('feed'), dwell)
+                        self.value('feed'), dwell, self.value('guard'))
         try:
             return runner.execute(runs)
         finally:
@@ -276,6 +278,7 @@ class StepSequencer(StepdiagNode):
         self.controller.select_setup(setup)
         for sensor, client in self._select.items():
             self._call(client, SelectSetup.Request(setup=setup), f'{sensor}/select_setup')
+        self._watch.mounted()
 
     def _zero(self) -> None:
         self._call(self._reset, ResetDisplacement.Request(), 'interferometer/reset')

@@ -12,11 +12,15 @@ from dataclasses import dataclass, field
 from stepdiag_ros.errors import StepdiagError
 
 
+#: A beam that is not seen for so long is interrupted; a block may lack it now and then.
+DARK_S = 1.0
+
+
 @dataclass
 class _Source:
     last_s: float | None = None     # monotonic time of the last message
     end_ns: int = 0                 # stamp of the end of the last block
-    signal: bool = True
+    dark_s: float | None = None     # since when there has been no signal; None: there is
 
 
 @dataclass(frozen=True)
@@ -48,7 +52,15 @@ class Watch:
     def block(self, topic: str, end_ns: int, signal: bool) -> None:
         """A block of ``topic`` came that ends at ``end_ns``; ``signal``: it holds light."""
         with self._lock:
-            self._sources[topic] = _Source(time.monotonic(), end_ns, signal)
+            now, before = time.monotonic(), self._sources[topic].dark_s
+            self._sources[topic] = _Source(now, end_ns, None if signal else before or now)
+
+    def mounted(self) -> None:
+        """Another mirror has just been mounted: what was dark until now does not count."""
+        with self._lock:
+            for source in self._sources.values():
+                if source.dark_s is not None:
+                    source.dark_s = time.monotonic()
 
     def recorder(self, recording: Recording) -> None:
         """The recorder's status came."""
@@ -74,7 +86,7 @@ class Watch:
                     wants.append(f'nothing was heard on {topic}')
                 elif now - source.last_s > self._timeout_s:
                     wants.append(f'{topic} has been silent for {now - source.last_s:.1f} s')
-                elif light and not source.signal:
+                elif light and source.dark_s is not None and now - source.dark_s > DARK_S:
                     wants.append(f'{topic} delivers no signal (is the beam interrupted?)')
             said = self._recording
             if said is None or now - said.at_s > self._timeout_s:
