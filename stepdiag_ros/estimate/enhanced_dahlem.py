@@ -50,8 +50,7 @@ from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate.readings import CellReadings, observe
 from stepdiag_ros.estimate.solution import Solution, Unidentifiable
 from stepdiag_ros.estimate.step_diagonal import vector_steps
-from stepdiag_ros.estimate.stepwise import (accumulate, increments, knots, rotation_names, solution,
-                                            translation_names)
+from stepdiag_ros.estimate.stepwise import accumulate, increments, knots, rotation_names, solution, translation_names
 from stepdiag_ros.model.machine import CURVES, Curve, GeometricErrors
 from stepdiag_ros.model.sensor import Misalignment
 
@@ -97,8 +96,9 @@ def evaluate(cell: CellReadings, layout: str | None = None,
     given = {name: np.array((laser or {}).get(name, (0.0, 0.0)), float) for name in cell.setups}
     state = _State(np.zeros((3, 3, n)), np.zeros((3, 3, n)), zero,
                    given if layout == 'a' else dict(zero))
-    status = 'not settled'
-    for passes in range(1, MAX_PASSES + 1):
+    status, passes = 'not settled', 0
+    while passes < MAX_PASSES:
+        passes += 1
         left, tilt = form.residuals(state, places)
         change = form.solve(left[..., None], tilt[..., None])
         state = form.advance(state, change)

@@ -13,8 +13,14 @@ from typing import Any
 import numpy as np
 
 from stepdiag_ros.errors import StepdiagError
-from stepdiag_ros.estimate import (body_diagonal, enhanced_dahlem, iso230_2, new_formulation,
-                                   squareness_diagonals, step_diagonal)
+from stepdiag_ros.estimate import (
+    body_diagonal,
+    enhanced_dahlem,
+    iso230_2,
+    new_formulation,
+    squareness_diagonals,
+    step_diagonal,
+)
 from stepdiag_ros.estimate.evaluate import evaluate as evaluate_enhanced
 from stepdiag_ros.estimate.readings import CellReadings, SetupReadings, readings_of_stops
 from stepdiag_ros.estimate.reduce import reduce_log
@@ -87,7 +93,8 @@ def corner_deviations(setup: SetupReadings) -> tuple[np.ndarray, np.ndarray, np.
     along = (sight.positions - sight.positions[0]) @ sight.direction
     beside = sight.positions - sight.positions[0] - along[:, None] * sight.direction
     corners = np.linalg.norm(beside, axis=1) < 1e-9 + 1e-9 * along[-1]
-    forward, backward = ((runs - along)[:, corners] for runs in (setup.forward_m, setup.backward_m))
+    forward, backward = ((runs.reshape(-1, len(along)) - along)[:, corners]
+                         for runs in (setup.forward_m, setup.backward_m))
     return along[corners], forward, backward
 
 

@@ -125,9 +125,10 @@ class Answer:
 
 def solve(problem: Problem) -> Answer:
     """Gauss–Newton to the last digit."""
-    unknown, converged = problem.initial(), False
-    for iterations in range(1, MAX_ITERATIONS + 1):
-        inverse, null, _ = _inverse(problem, unknown)
+    unknown, converged, iterations = problem.initial(), False, 0
+    while iterations < MAX_ITERATIONS:
+        iterations += 1
+        inverse, _, _ = _inverse(problem, unknown)
         step = inverse @ (problem.reading - problem.predict(unknown))
         unknown = unknown + step
         if not np.isfinite(unknown).all():

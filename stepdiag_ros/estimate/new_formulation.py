@@ -15,10 +15,16 @@ R_x, R_y of block i and R = R_x + R_y
     Ê_x(y) = Ê⁰_x(y) cos δ' − (b + E_y(y)) sin δ',  δ' = atan(Ê_y(x)/(a + E_x(x)))   (6)
 
 The step R_x of a mirror whose normal stands at α₂ against X, read by a beam that meets the
-mirror at α, is ``((a + E_x) cos α₂ + E_y sin α₂)/sin α``; (4) and (5) follow.  The paper prints
-(4) with a minus sign, which together with (5) would turn E_y(x) round, and (6) with
-``(b + E_y) cos δ + Ê⁰ sin δ``, which gives b for a perfect machine; both are read here as the
-geometry wants them (rotating both steps by δ' keeps the diagonal).
+mirror at α, is ``((a + E_x) cos α₂ + E_y sin α₂)/sin α``; (4) follows from the first block, where
+E_y(x) is zero.  The paper prints (4) with a minus sign, which together with (5) would turn E_y(x)
+round, and (6) with ``(b + E_y) cos δ + Ê⁰ sin δ``, which gives b for a perfect machine; both are
+read here as the geometry wants them (rotating both steps by δ' keeps the diagonal).  And (5)
+compares R/2 − R_x, which is E_y(x) only while R stays as in the first block: it finds
+``½ (ΔE_x(x) + E_y(x) − ΔE_x(y) − ΔE_y(y))``.  The step itself has no such condition,
+
+    Ê_y(x)(i) = (sin α · R_x(i) − (a + E_x(x)(i)) cos α₂)/sin α₂           (5')
+
+which is (5) where R and E_x(x) do not change; it is the default.
 
 **Plane and space, one step exact** (:func:`evaluate_plane`, :func:`evaluate`).  Without
 angular motions a setup's reading changes by ``g·Δp`` with a constant vector g = m/(b·m)
@@ -55,9 +61,17 @@ from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate.readings import CellReadings, SetupReadings
 from stepdiag_ros.estimate.solution import Solution, Unidentifiable
 from stepdiag_ros.estimate.step_diagonal import angular_effect
-from stepdiag_ros.estimate.stepwise import (accumulate, analytic_jacobian, increments, knots,
-                                            least_squares, linear_ends, solution,
-                                            translation_names, travel_signs)
+from stepdiag_ros.estimate.stepwise import (
+    accumulate,
+    analytic_jacobian,
+    increments,
+    knots,
+    least_squares,
+    linear_ends,
+    solution,
+    translation_names,
+    travel_signs,
+)
 from stepdiag_ros.model.machine import GeometricErrors
 
 ITERATIONS = 5
@@ -81,18 +95,25 @@ def conventional_2006(step: tuple[float, float], pp: np.ndarray, np_: np.ndarray
 
 
 def ibaraki_2006(step: tuple[float, float], r_x: np.ndarray, r_y: np.ndarray, e_xx: np.ndarray,
-                 e_yy: np.ndarray, alpha_2: float = np.pi / 4) -> tuple[np.ndarray, np.ndarray]:
+                 e_yy: np.ndarray, alpha_2: float | None = None,
+                 printed: bool = False) -> tuple[np.ndarray, np.ndarray]:
     """Eqs. 3–6: E_y(x) and E_x(y) of each block (n,) from a pp measurement.
 
-    ``r_x``, ``r_y`` (n,) readings, ``e_xx``, ``e_yy`` (n,) the step's linear errors, known.
+    ``r_x``, ``r_y`` (n,) readings, ``e_xx``, ``e_yy`` (n,) the step's linear errors, known; ``alpha_2``
+    the nominal angle of the mirror's normal against X, by default that of the diagonal.
+    ``printed``: eq. 5 as it stands instead of (5').
     """
     a, b = step
+    alpha_2 = np.arctan2(b, a) if alpha_2 is None else alpha_2
     r_x, r_y = np.asarray(r_x, float), np.asarray(r_y, float)
     length = r_x + r_y
     plain = np.sqrt(length ** 2 - (b + e_yy) ** 2) - (a + e_xx)
     delta = 0.5 * length - r_x
     sine = (a + np.ravel(e_xx)[0]) * np.cos(alpha_2) / (0.5 * length[0] - delta[0])
-    e_yx = -sine / np.sin(alpha_2) * (delta - delta[0])
+    if printed:
+        e_yx = -sine / np.sin(alpha_2) * (delta - delta[0])
+    else:
+        e_yx = (sine * r_x - (a + e_xx) * np.cos(alpha_2)) / np.sin(alpha_2)
     turn = np.arctan(e_yx / (a + e_xx))
     return e_yx, (a + e_xx + plain) * np.cos(turn) - (b + e_yy) * np.sin(turn) - (a + e_xx)
 

@@ -16,8 +16,10 @@ from stepdiag_ros.estimate.reduce import StopTable
 from stepdiag_ros.model.description import DIAGONALS, Description, Machine
 from stepdiag_ros.model.log import NONE
 from stepdiag_ros.model.machine import GeometricErrors, tool_pose
-from stepdiag_ros.model.path import local_triad, setup_direction, start_corner, stops
+from stepdiag_ros.model.path import local_triad, setup_direction, stops
 from stepdiag_ros.model.sensor import Misalignment, distance, spot, turned
+
+ALIGNED = Misalignment()
 
 
 @dataclass(frozen=True)
@@ -124,7 +126,7 @@ def closed_form(sight: Sight, machine: Machine, misalignment: Misalignment, poin
 
 
 def observe(sight: Sight, machine: Machine, errors: GeometricErrors,
-            misalignment: Misalignment = Misalignment(),
+            misalignment: Misalignment = ALIGNED,
             measure: Measure = closed_form) -> tuple[np.ndarray, np.ndarray]:
     """What a known machine shows: absolute distances (n, beams), spots (n, 2) [m]."""
     point, attitude = tool_pose(errors, sight.positions, machine.tool, machine.chain)
@@ -142,7 +144,7 @@ def simulate(machine: Machine, steps: int, sights: list[Sight], errors: Geometri
     setups = {}
     for sight in sights:
         lengths, spots = observe(sight, machine, errors,
-                                 (misalignments or {}).get(sight.name, Misalignment()), measure)
+                                 (misalignments or {}).get(sight.name, ALIGNED), measure)
         n = len(lengths)
         setups[sight.name] = SetupReadings(
             sight, lengths - lengths[0], np.full(n, sigma_m), spots + np.array(spot_zero_m),

@@ -37,8 +37,16 @@ import numpy as np
 
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate.gauge import slope_weights
-from stepdiag_ros.estimate.multilateration import (PLANE_CURVES, Answer, Motions, Problem,
-                                                   monte_carlo, plane_kinematics, report, solve)
+from stepdiag_ros.estimate.multilateration import (
+    PLANE_CURVES,
+    Answer,
+    Motions,
+    Problem,
+    monte_carlo,
+    plane_kinematics,
+    report,
+    solve,
+)
 from stepdiag_ros.estimate.solution import Solution
 
 RANGE_M = 0.4

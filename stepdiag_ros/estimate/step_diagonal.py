@@ -39,8 +39,7 @@ import numpy as np
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate.readings import CellReadings, observe
 from stepdiag_ros.estimate.solution import Solution, Unidentifiable
-from stepdiag_ros.estimate.stepwise import (accumulate, increments, knots, solution,
-                                            translation_names)
+from stepdiag_ros.estimate.stepwise import accumulate, increments, knots, solution, translation_names
 from stepdiag_ros.model.machine import GeometricErrors
 
 BLIND = (Unidentifiable(('EAX', 'EBX', 'ECX', 'EAY', 'EBY', 'ECY', 'EAZ', 'EBZ', 'ECZ'),

@@ -31,8 +31,7 @@ from stepdiag_ros.estimate import new_formulation
 from stepdiag_ros.estimate.readings import CellReadings, SetupReadings
 from stepdiag_ros.estimate.solution import Solution, Unidentifiable
 from stepdiag_ros.estimate.step_diagonal import angular_effect
-from stepdiag_ros.estimate.stepwise import (accumulate, analytic_jacobian, increments, knots,
-                                            rotation_names, solution)
+from stepdiag_ros.estimate.stepwise import accumulate, analytic_jacobian, increments, knots, rotation_names, solution
 from stepdiag_ros.model.machine import Curve, GeometricErrors
 
 FACES = ('xy', 'xz', 'yz')

@@ -1,0 +1,150 @@
+"""The registry and the comparison, on arrays and on a log by another maker."""
+
+import json
+
+import numpy as np
+import pytest
+
+from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.estimate.compare import compare, text_table, truth_of
+from stepdiag_ros.estimate.methods import (
+    METHODS,
+    body_diagonal_test,
+    corner_deviations,
+    linear_test,
+    run_all,
+    run_method,
+    squareness_test,
+)
+from stepdiag_ros.estimate.readings import readings_of_stops, simulate
+from stepdiag_ros.estimate.reduce import reduce_log
+from stepdiag_ros.estimate.solution import Solution
+from stepdiag_ros.model.description import DIAGONALS, Description, Machine, Plan, Setup
+from stepdiag_ros.model.machine import CURVES
+
+
+@pytest.fixture(scope='module')
+def field_log():
+    """log_05 of the other maker: no effect, true errors known."""
+    import os
+    from pathlib import Path
+
+    from stepdiag_ros.bag.reader import read_log
+    place = Path(os.environ.get('STEPDIAG_SHARED', Path(__file__).parents[4] / 'shared'))
+    bag = place / 'field_logs' / 'open' / 'log_05'
+    if not bag.is_dir():
+        pytest.skip(f'field log missing: no folder {bag} (set STEPDIAG_SHARED)')
+    log = read_log(bag)
+    truth = truth_of((bag.parent / 'truth.json').read_text(), log.description, 'log_05', 'truth.json')
+    return log, truth
+
+
+def test_corner_stops_of_a_zig_zag(machine, draw_errors, cell_sights):
+    errors = draw_errors(machine, 6, angles=False)
+    cell = simulate(machine, 6, cell_sights(machine, 6), errors)
+    along, forward, backward = corner_deviations(cell.setups['npp'])
+    assert len(along) == 7
+    assert along[-1] == pytest.approx(np.linalg.norm(machine.volume))
+    assert forward.shape == (1, 7)
+    assert backward.shape == (0, 7)
+    test = body_diagonal_test(cell)
+    assert set(test.diagonals) == set(DIAGONALS)
+    assert squareness_test(cell).has('EA0Z')
+    assert linear_test(cell).axes == {}
+
+
+def test_every_method_has_its_reasons(machine, draw_errors, cell_sights):
+    whole = simulate(machine, 3, cell_sights(machine, 3), draw_errors(machine, 3))
+    bare = simulate(machine, 3, cell_sights(machine, 3, ('ppp', 'npp')), draw_errors(machine, 3))
+    never = {'face_diagonal', 'three_face', 'linear_lines', 'multilateration', 'regulated_beam', 'iso230_2'}
+    for name, method in METHODS.items():
+        assert method.name == name
+        assert method.title and method.source and method.needs
+        assert (method.lacks(whole) is None) == (name not in never)
+    assert METHODS['step_diagonal'].lacks(bare) == '3 body diagonals (has 2)'
+    assert METHODS['new_formulation'].lacks(bare.without('npp')) == '4 body diagonals (has 1)'
+
+
+def test_field_log_every_method(field_log):
+    log, truth = field_log
+    results, skipped = run_all(log)
+    assert set(results) | set(skipped) == set(METHODS)
+    assert {'enhanced', 'enhanced_dahlem', 'step_diagonal', 'new_formulation', 'squareness_diagonals',
+            'body_diagonal', 'iso230_2'} <= set(results)
+    outcome = compare(results, truth, 'truth', log.description)
+    # The closed form on somebody else's data: within the machine's repeatability and its own σ.
+    for group, limit in (('positioning', 1e-6), ('straightness', 1e-6), ('angles', 1e-6),
+                         ('squareness', 2e-6)):
+        assert outcome.worst('enhanced_dahlem', group) < limit
+    assert outcome.within_k2['enhanced_dahlem'] > 0.85
+    # The earlier methods fail on the same log, as the literature says.
+    assert outcome.worst('step_diagonal', 'positioning') > 5e-5
+    assert outcome.worst('new_formulation', 'straightness') > 5e-6
+    assert outcome.worst('step_diagonal', 'angles') is None
+    for _, measured, true in outcome.figures['body_diagonal'][:4]:
+        assert measured == pytest.approx(true, abs=1e-6)
+    text = text_table(outcome)
+    for name in (*results, 'EXX', 'EC0Y'):
+        assert name in text
+
+
+def test_evaluate_by_name(field_log):
+    log, _ = field_log
+    assert run_method('step_diagonal', log).method == 'step_diagonal'
+    with pytest.raises(StepdiagError, match='not known; choose from enhanced'):
+        run_method('magic', log)
+    with pytest.raises(StepdiagError, match='method multilateration needs distances'):
+        run_method('multilateration', log)
+
+
+def test_results_are_json(field_log):
+    log, _ = field_log
+    for name, result in run_all(log)[0].items():
+        data = json.loads(json.dumps(result.to_json_dict()))
+        assert data['status'] == 'ok', name
+
+
+def test_readings_join_the_runs(field_log):
+    log, _ = field_log
+    cell = readings_of_stops(log.description, reduce_log(log))
+    setup = cell.setups['ppp']
+    assert setup.displacement_m[0, 0] == 0.0
+    assert len(setup.forward_m) == len(setup.backward_m) == 2
+    # A backward run goes on where the forward one ended.
+    assert setup.backward_m[0, -1] == setup.forward_m[0, -1]
+    assert 0.0 < setup.displacement_sigma_m[0] < 2e-6
+
+
+DESCRIPTION = Description(Machine('m', 'FXYZ', (0.8, 0.6, 0.5), (0, 0, 0)), Plan(2, 'XYZ', 1),
+                          {'ppp': Setup('ppp', 0.3, (0, 0), ((0, 0),))})
+
+
+def test_truth_in_both_forms():
+    flat = {'geometry': {'EXX': [0.0, 1e-6, 2e-6], 'square': {'EC0Y': 1e-5}}}
+    nested = {'errors': {'EXX': {'position_m': [0.0, 0.8], 'value': [0.0, 2e-6]}, 'EC0Y': {'value': 1e-5}}}
+    for data in (flat, nested, {'some_log': flat}, {'some_log': nested}):
+        truth = truth_of(json.dumps(data), DESCRIPTION, 'some_log', 'truth.json')
+        assert truth.curves['EXX'](np.array([0.4]))[0] == pytest.approx(1e-6)
+        assert truth.square == {'EC0Y': 1e-5}
+
+
+@pytest.mark.parametrize(('text', 'complaint'), [
+    ('{', 'line 1: not JSON'),
+    ('{"other_log": {}}', 'neither "errors" nor "geometry" for log'),
+    ('[1]', 'neither'),
+    ('{"geometry": {"EXX": [0.0, 1.0]}}', 'EXX has 2 values, the plan 3'),
+])
+def test_bad_truth_is_named(text, complaint):
+    with pytest.raises(StepdiagError, match=complaint):
+        truth_of(text, DESCRIPTION, 'log', 'truth.json')
+
+
+def test_the_reference_itself_deviates_by_nothing(machine, draw_errors, cell_sights):
+    from stepdiag_ros.estimate.enhanced_dahlem import evaluate
+    errors = draw_errors(machine, 2)
+    found = evaluate(simulate(machine, 2, cell_sights(machine, 2), errors))
+    assert isinstance(found, Solution)
+    outcome = compare({'one': found}, found.errors, 'itself', DESCRIPTION)
+    assert max(outcome.deviation['one'].values()) < 1e-18
+    assert set(outcome.deviation['one']) >= set(CURVES)
+    assert outcome.within_k2['one'] is None
