@@ -183,7 +183,7 @@ def node_packages(tmp_path_factory) -> Path:
     return place
 
 
-def test_mcap_core_with_foxglove_serialization(bag, file, node_packages, tmp_path):
+def test_node_mcap_core_with_foxglove_serialization(bag, file, node_packages, tmp_path):
     script = shutil.copy(HERE / 'node' / 'read_bag.mjs', node_packages / f'read_bag.{os.getpid()}.mjs')
     try:
         done = subprocess.run(['node', script, str(file)], capture_output=True, text=True)
