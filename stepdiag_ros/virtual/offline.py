@@ -6,6 +6,7 @@ a backward run; each run resets the interferometer at its first stop.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -25,7 +26,7 @@ from stepdiag_ros.virtual.air import environment
 from stepdiag_ros.virtual.cell import Cell, Motion
 from stepdiag_ros.virtual.draw import normals
 from stepdiag_ros.virtual.history import History
-from stepdiag_ros.virtual.motion import point_to_point, settling_time, tabulate
+from stepdiag_ros.virtual.motion import Profile, point_to_point, settling_time, tabulate
 from stepdiag_ros.virtual.world import Reading, World
 
 START_NS = 1_780_000_000_000_000_000
@@ -103,15 +104,20 @@ def _run(motion: Motion, history: History, now: int, place: np.ndarray, path: Se
          number: int, setup: str, repeat: int, direction: int) -> Run:
     times = np.zeros((3, len(path)), np.int64)
     for i, target in enumerate(path.positions[::direction]):
-        profile = point_to_point(float(np.linalg.norm(target - place)), motion.feed,
-                                 motion.acceleration, motion.jerk)
+        profile, settled = _move(motion, float(np.linalg.norm(target - place)))
         history.append(now, place, target, profile, number)
-        table = tabulate(profile.duration[None], profile.jerk[None], np.zeros(1), np.zeros(1))
-        settled = float(settling_time(table, motion.settling, motion.in_position)[0])
         dwell = now + round(settled * 1e9) + (RESET_NS if i == 0 else 0)
         times[:, i] = now, dwell, dwell + round(motion.dwell * 1e9)
         now, place = int(times[2, i]) + COMMAND_DELAY_NS, target
     return Run(setup, repeat, direction, *times)
+
+
+@lru_cache(maxsize=4096)
+def _move(motion: Motion, distance: float) -> tuple[Profile, float]:
+    """A move over ``distance`` [m] and the seconds until it is in position."""
+    profile = point_to_point(distance, motion.feed, motion.acceleration, motion.jerk)
+    table = tabulate(profile.duration[None], profile.jerk[None], np.zeros(1), np.zeros(1))
+    return profile, float(settling_time(table, motion.settling, motion.in_position)[0])
 
 
 def _spans(run: Run, moving: bool) -> list[tuple[int, int]]:
