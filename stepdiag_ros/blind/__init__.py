@@ -1,0 +1,1 @@
+"""The blind check: a sealed world that the diagnosis has not seen, its answers, their score."""

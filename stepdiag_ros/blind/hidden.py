@@ -1,0 +1,147 @@
+"""Effects of the sealed world: their base, and how things change with time there.
+
+The sealed world must not share its formulas with the diagnosis, or the check would only
+show that a program can invert itself.  Its effects therefore are classes of their own
+with forms of their own (two time constants, powers, random walks, …); the only thing they
+share with :mod:`stepdiag_ros.effects` is the interface by which an effect acts on the
+virtual cell, and the contract's names.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.interpolate import PchipInterpolator
+
+from stepdiag_ros.effects.base import Effect
+from stepdiag_ros.model.log import CalibrationLog
+from stepdiag_ros.virtual.cell import Cell
+
+Course = Callable[[np.ndarray], np.ndarray]
+
+
+@dataclass(frozen=True)
+class Stage:
+    """What an effect may know when it is drawn: the cell, and when its runs take place.
+
+    ``span_s`` [s]: length of the log; ``runs`` (r, 2) [s]: begin and end of each run;
+    ``run_setup`` (r,): number of its setup.
+    """
+
+    cell: Cell
+    span_s: float
+    runs: np.ndarray
+    run_setup: np.ndarray
+
+    @property
+    def travel(self) -> np.ndarray:
+        """(3,) [m]."""
+        return np.array(self.cell.description.machine.volume)
+
+
+class Hidden(Effect):
+    """An effect of the sealed world.
+
+    A subclass draws its shape in ``__init__(stage, rng)`` and acts in proportion to ``size``
+    (in ``unit``), which the sealer sets so that the effect is seen as well as was drawn.
+    ``inside``: ``'coherent'`` or ``'random'`` if it acts inside the dwells, alike in all of them or
+    with other phases in each.  ``random``: the stops' means are changed at random.
+    """
+
+    outside = False
+    unit = 'm'
+    typical = 1e-6
+    largest = 1e-4
+    inside: str | None = None
+    random = False
+
+    def __init__(self, stage: Stage, rng: np.random.Generator):
+        super().__init__()
+        self.stage = stage
+        self.size = self.typical
+        self.facts: dict[str, Any] = {}
+
+    def describe(self) -> dict[str, Any]:
+        """The truth about it, for the sealed file."""
+        return {'size': self.size, 'unit': self.unit, 'form': type(self).__doc__.splitlines()[0],
+                **self.facts}
+
+    def weather(self, seconds: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+        """Change of air temperature [°C], pressure [Pa], humidity [0..1] that sensors would show."""
+        return None
+
+    def warming(self, seconds: np.ndarray) -> np.ndarray | None:
+        """Change of the scales' temperatures (n, 3) [°C] that sensors would show."""
+        return None
+
+    def spoil(self, log: CalibrationLog) -> CalibrationLog:
+        """Change the finished log (stamps, quantisation)."""
+        return log
+
+
+def course(rng: np.random.Generator, span_s: float) -> tuple[Course, str]:
+    """A random course over ``span_s`` seconds, about one from its least to its greatest; its kind."""
+    kind = str(rng.choice(['two_time_constants', 'ramp_and_swing', 'power', 'logarithm', 'walk',
+                           'warm_and_cool']))
+    if kind == 'two_time_constants':
+        fast, slow = span_s * rng.uniform(0.03, 0.2), span_s * rng.uniform(0.3, 1.5)
+        share = rng.uniform(0.2, 0.8) * rng.choice([-1.0, 1.0], p=[0.2, 0.8])
+
+        def raw(t):
+            return share * (1.0 - np.exp(-t / fast)) + (1.0 - abs(share)) * (1.0 - np.exp(-t / slow))
+    elif kind == 'ramp_and_swing':
+        period, phase = span_s * rng.uniform(0.15, 0.6), rng.uniform(0.0, 2.0 * np.pi)
+        ramp = rng.uniform(-1.0, 1.0)
+
+        def raw(t):
+            return ramp * t / span_s + 0.5 * np.sin(2.0 * np.pi * t / period + phase)
+    elif kind == 'power':
+        power = rng.choice([rng.uniform(0.3, 0.7), rng.uniform(1.4, 2.5)])
+
+        def raw(t):
+            return (t / span_s) ** power
+    elif kind == 'logarithm':
+        early = span_s * rng.uniform(0.01, 0.1)
+
+        def raw(t):
+            return np.log1p(t / early)
+    elif kind == 'walk':
+        knots = np.linspace(0.0, 1.2 * span_s, 50)
+        walk = PchipInterpolator(knots, np.cumsum(rng.standard_normal(50)))
+
+        def raw(t):
+            return walk(np.minimum(t, knots[-1]))
+    else:
+        turn, up, down = span_s * rng.uniform(0.2, 0.7), rng.uniform(0.05, 0.3), rng.uniform(0.05, 0.4)
+
+        def raw(t):
+            warm = 1.0 - np.exp(-np.minimum(t, turn) / (up * span_s))
+            return warm * np.exp(-np.maximum(t - turn, 0.0) / (down * span_s))
+
+    def at(t):
+        return raw(np.maximum(np.asarray(t, float), 0.0))
+    grid = at(np.linspace(0.0, span_s, 400))
+    reach, begin = max(float(np.ptp(grid)), 1e-12), float(grid[0])
+    return (lambda t: (at(t) - begin) / reach), kind
+
+
+def courses(rng: np.random.Generator, span_s: float, count: int) -> tuple[list[Course], list[str]]:
+    """Several courses that do not go together."""
+    both = [course(rng, span_s) for _ in range(count)]
+    return [c for c, _ in both], [kind for _, kind in both]
+
+
+def direction(rng: np.random.Generator, size: int = 3) -> np.ndarray:
+    """A random unit vector (size,)."""
+    vector = rng.standard_normal(size)
+    return vector / np.linalg.norm(vector)
+
+
+def chosen_axes(rng: np.random.Generator) -> np.ndarray:
+    """Weights (3,) of the axes: one, two or all take part, the strongest with weight ±1."""
+    count = rng.choice([1, 2, 3], p=[0.45, 0.2, 0.35])
+    weight = np.zeros(3)
+    picked = rng.permutation(3)[:count]
+    weight[picked] = rng.uniform(0.3, 1.0, count) * rng.choice([-1.0, 1.0], count)
+    return weight / np.abs(weight).max()

@@ -1,0 +1,140 @@
+"""One sealed log: a cell, its hidden effects, their sizes, the log and the truth about it.
+
+Everything follows from (purpose, seed, number).  The purpose is part of the seed, so that what
+thresholds were tuned on can never be what they are judged on.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from stepdiag_ros.blind.cells import draw_cell, without_weather
+from stepdiag_ros.blind.hidden import Hidden
+from stepdiag_ros.blind.logs import measure, stage_of
+from stepdiag_ros.blind.outside import OUTSIDE
+from stepdiag_ros.blind.visibility import Visibility, Yardstick
+from stepdiag_ros.blind.vocabulary import VOCABULARY
+from stepdiag_ros.model.log import CalibrationLog
+from stepdiag_ros.virtual.truth import truth
+
+PURPOSES = {'develop': 1, 'sealed': 2}
+CATEGORIES = ('null', 'single', 'pair', 'outside')
+LEAST, MOST = 3.0, 40.0
+"""Range of visibilities that are drawn."""
+CLOSE = 1.1
+"""A size is found when the visibility is right within this factor."""
+ATTEMPTS = 10
+
+
+@dataclass(frozen=True)
+class Order:
+    """What one log is to be: its number, what acts, in which kind of world."""
+
+    purpose: str
+    seed: int
+    number: int
+    category: str
+    kinds: tuple[str, ...] = ()
+    world: str = 'varied'
+    small: bool = False
+
+
+@dataclass(frozen=True)
+class SealedWorld:
+    """A log and the truth about it."""
+
+    log: CalibrationLog
+    truth: dict[str, Any]
+    effects: tuple[Hidden, ...]
+    yardstick: Yardstick
+
+
+def kind_of(name: str) -> type[Hidden]:
+    """The class of a hidden effect."""
+    return next(kind for kind in (*VOCABULARY, *OUTSIDE) if kind.name == name)
+
+
+def draw_target(rng: np.random.Generator, pair: bool) -> float:
+    """A visibility: many near the threshold of 8 and above, some below, some far above."""
+    low, high = ((8.0, 20.0), (LEAST, 8.0), (20.0, MOST))[rng.choice(3, p=[0.6, 0.2, 0.2])]
+    if pair:
+        low, high = (8.0, 30.0)
+    return float(np.exp(rng.uniform(np.log(low), np.log(high))))
+
+
+def make(order: Order) -> SealedWorld:
+    """Draw, size and measure; another cell is drawn where an effect cannot be seen at all."""
+    for attempt in range(ATTEMPTS):
+        sequence = np.random.SeedSequence([PURPOSES[order.purpose], order.seed, order.number, attempt])
+        made = _attempt(order, np.random.default_rng(sequence), last=attempt == ATTEMPTS - 1)
+        if made is not None:
+            return made
+    raise AssertionError('the last attempt always gives a log')
+
+
+def _attempt(order: Order, rng: np.random.Generator, last: bool) -> SealedWorld | None:
+    cell, conditions = draw_cell(rng, order.world, order.small)
+    kinds = [kind_of(name) for name in order.kinds]
+    if any(kind.name == 'air_refraction_drift' for kind in kinds):
+        cell = without_weather(cell)
+    if any(kind.name in ('clock_skew',) for kind in kinds) and not cell.sampling.in_motion:
+        return None if not last else _finish(order, cell, conditions, None, (), ())
+    bare = measure(cell, conditions)
+    yardstick = Yardstick(cell, bare)
+    stage = stage_of(cell, bare, conditions.start_ns)
+    effects, seen = [], []
+    for kind in kinds:
+        effect = kind(stage, rng)
+        visible = _size(effect, draw_target(rng, order.category == 'pair'),
+                        lambda e: yardstick.visibility(measure(cell, conditions, [e]),
+                                                       e.random, e.inside))
+        if visible.total < LEAST and not last:
+            return None
+        effects.append(effect)
+        seen.append(visible)
+    return _finish(order, cell, conditions, yardstick, tuple(effects), tuple(seen))
+
+
+def _size(effect: Hidden, target: float, see) -> Visibility:
+    """Set the effect's size so that it is seen as ``target`` says, within its plausible range."""
+    power = 2.0 if effect.random else 1.0
+    sizes, values = [], []
+    size = effect.typical
+    for _ in range(6):
+        effect.size = size
+        visible = see(effect)
+        sizes.append(size)
+        values.append(max(visible.total, 1e-3))
+        if 1.0 / CLOSE < values[-1] / target < CLOSE:
+            break
+        if len(sizes) > 1 and abs(np.log(sizes[-1] / sizes[-2])) > 1e-3:
+            slope = np.log(values[-1] / values[-2]) / np.log(sizes[-1] / sizes[-2])
+            power = float(np.clip(slope, 0.4, 4.0))
+        wanted = size * np.clip((target / values[-1]) ** (1.0 / power), 1e-3, 1e3)
+        wanted = float(np.clip(wanted, effect.typical * 1e-4, effect.largest))
+        if wanted == size:
+            break
+        size = wanted
+    return visible
+
+
+def _finish(order: Order, cell, conditions, yardstick, effects, seen) -> SealedWorld:
+    log = measure(cell, conditions, effects)
+    if yardstick is None:
+        yardstick = Yardstick(cell, log)
+    entry: dict[str, Any] = {
+        'category': order.category if effects or order.category == 'null' else 'null',
+        'world': order.world, 'number': order.number,
+        'effects': [{'name': e.name, 'outside': e.outside, **e.describe(),
+                     'visibility': {'stops': v.stops, 'inside': v.inside, 'total': v.total}}
+                    for e, v in zip(effects, seen, strict=True)],
+        'noise': vars(cell.description.noise), 'errors': truth(cell)['errors'],
+        'misalignments': truth(cell)['misalignments']}
+    if effects:
+        random = all(e.random for e in effects)
+        inside = next((e.inside for e in effects if e.inside), None)
+        joint = yardstick.visibility(log, random, inside)
+        entry['visibility'] = joint.total
+        entry['shares'] = yardstick.shares(yardstick.change(log))
+    return SealedWorld(log, entry, effects, yardstick)

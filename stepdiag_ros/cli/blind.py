@@ -1,0 +1,44 @@
+"""The blind check of the gap diagnosis.
+
+`stepdiag blind seal` draws machines and hidden effects, writes their logs and locks the truth
+away; `answer` diagnoses the logs without it; `open` checks that neither was touched since and
+scores.
+"""
+
+import argparse
+from pathlib import Path
+
+NAME = 'blind'
+HELP = 'seal, answer and open the blind check of the diagnosis'
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    steps = parser.add_subparsers(dest='step', metavar='STEP', required=True)
+    seal = steps.add_parser('seal', help='make the logs and lock their truth away')
+    seal.add_argument('--seed', type=int, required=True, help='what everything is drawn from')
+    seal.add_argument('--null', type=int, default=0, help='logs without an effect')
+    seal.add_argument('--single', type=int, default=0, help='logs with one effect of the vocabulary')
+    seal.add_argument('--pair', type=int, default=0, help='logs with two')
+    seal.add_argument('--outside', type=int, default=0, help='logs with an effect from outside it')
+    seal.add_argument('--purpose', default='sealed',
+                      help='sealed, or develop: to tune on, never the same logs (default: sealed)')
+    seal.add_argument('--world', default='varied',
+                      help='varied machines and plans, or field: the usual plan (default: varied)')
+    seal.add_argument('--small', action='store_true', help='four steps an axis, for a quick look')
+    seal.add_argument('--out', type=Path, required=True, help='folder of the set')
+    for sub in (seal,):
+        sub.add_argument('--processes', type=int, default=2, help='worlds made at a time (2)')
+        sub.add_argument('--quiet', action='store_true', help='no progress')
+
+
+def run(args: argparse.Namespace) -> int:
+    return {'seal': _seal}[args.step](args)
+
+
+def _seal(args: argparse.Namespace) -> int:
+    from stepdiag_ros.blind.seal import orders, seal
+    counts = {name: getattr(args, name) for name in ('null', 'single', 'pair', 'outside')}
+    todo = orders(args.purpose, args.seed, counts, args.world, args.small)
+    digest = seal(args.out, todo, args.processes, not args.quiet)
+    print(f'{len(todo)} logs in {args.out / "logs"}\ntruth sealed, SHA-256 {digest}')
+    return 0
