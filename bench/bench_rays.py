@@ -172,7 +172,8 @@ def main() -> None:
              'mirror, whose pose is another one each time; one core; best of several runs. Errors are the largest of',
              'all poses against the closed form with a 64-bit mantissa.', '',
              f'{platform.processor() or platform.machine()}, Python {platform.python_version()}, '
-             f'NumPy {np.__version__}; {args.poses} poses (peers: as many as a second or so allows).', '',
+             f'NumPy {np.__version__}; {args.poses} poses (peers: as many as a second or so allows).',
+             'All in one run of one machine: the ratios last longer than the rates.', '',
              '| | poses/s | stepdiag is | distance error / m | spot error / m |', '|---|---:|---:|---:|---:|']
     for name, seconds, count, errors in rows:
         times = rate * seconds / count
