@@ -37,25 +37,40 @@ class ServoSettling(Effect):
         # Before arrival the lag rises to its full size, so that nothing jumps when the dwell begins.
         near = np.exp(np.minimum(moment.since_arrival, 0.0) / min(self.tau, 0.05))
         left = np.where(creeping, left, near)
+        # After a move of several axes, to a setup's start, there is time before the reset.
         moving = moment.moved[:, None] == np.arange(3)
-        moving = np.where(moment.moved[:, None] == NONE, moment.approach != 0.0, moving)
         moment.position = moment.position - self.amp * left[:, None] * moving * moment.approach
 
     def appearance(self, view: StopView) -> list[Form]:
-        moved = view.axis[:, None] == np.arange(3)
-        along = -(moved * view.approach).T[:, :, None] * view.by_shift
         forms = []
-        for tau in TAUS:
-            binned = self._bin_means(view.bin_time, tau)
-            mean = binned.mean(axis=1)
-            columns = along * mean[:, None]
-            inside = along[:, :, None, :] * (binned - mean[:, None])[:, :, None]
-            label, shape = f'τ = {tau:g} s', {'tau_s': tau}
-            forms.append(Form(f'{label}, all axes alike', columns.sum(axis=0, keepdims=True), ('all',),
-                              np.full(1, 3e-6), inside=inside.sum(axis=0, keepdims=True), shape=shape))
-            forms.append(Form(f'{label}, each axis', columns, ('X', 'Y', 'Z'), np.full(3, 3e-6),
-                              inside=inside, shape=shape))
+        for start, along in self._directions(view).items():
+            for tau in TAUS:
+                forms += self._with(view, along, f'τ = {tau:g} s{start}', tau)
         return forms
+
+    @staticmethod
+    def _directions(view: StopView) -> dict[str, np.ndarray]:
+        """Where the lag points, by what happens at a run's first stop: (3, n, c) of readings per metre."""
+        moved = view.axis[:, None] == np.arange(3)
+        found = {'': -(moved * view.approach).T[:, :, None] * view.by_shift}
+        # The move to a run's start may be a short while ago too; where several axes moved there was time.
+        step = np.sign(np.diff(view.commanded, axis=0, prepend=view.commanded[:1]))
+        single = (np.abs(step).sum(axis=1) == 1.0) & (view.axis == NONE)
+        if single.any():
+            sign = np.where(single[:, None], step, moved * view.approach)
+            found[', at the first stops too'] = -sign.T[:, :, None] * view.by_shift
+        return found
+
+    def _with(self, view: StopView, along: np.ndarray, label: str, tau: float) -> list[Form]:
+        binned = self._bin_means(view.bin_time, tau)
+        mean = binned.mean(axis=1)
+        columns = along * mean[:, None]
+        inside = along[:, :, None, :] * (binned - mean[:, None])[:, :, None]
+        shape = {'tau_s': tau}
+        return [Form(f'{label}, all axes alike', columns.sum(axis=0, keepdims=True), ('all',),
+                     np.full(1, 3e-6), inside=inside.sum(axis=0, keepdims=True), shape=shape),
+                Form(f'{label}, each axis', columns, ('X', 'Y', 'Z'), np.full(3, 3e-6),
+                     inside=inside, shape=shape)]
 
     @staticmethod
     def _bin_means(middle: np.ndarray, tau: float) -> np.ndarray:

@@ -100,6 +100,10 @@ class World:
                          records['acceleration'])
         settled = records['start_ns'] + np.rint(settling_time(
             table, motion.settling, motion.in_position) * 1e9).astype(np.int64)
+        for i in range(fresh):
+            # A move of no length disturbs nothing: the axes stand as long as they stood before.
+            if first + i and not sign[i].any():
+                settled[i] = settled[i - 1] if i else self._settled_ns[-1]
         self._error = np.concatenate([self._error, error])
         self._approach = np.concatenate([self._approach, approach])
         self._angle = np.concatenate([self._angle, turns])
