@@ -164,8 +164,8 @@ def main() -> None:
                                         + '\n')
     (args.out / 'read.md').write_text(
         '# Reading a bag into arrays\n\nMade by `python bench/bench_read.py`; both '
-        f'sensors counted, processor time of one thread, CRCs checked where the reader can, chunks {args.compression}, best of '
-        f'{args.rounds} rounds, same arrays demanded of all.\n\n' + '\n'.join(lines) + '\n\n'
+        'sensors counted, processor time of one thread, CRCs checked where the reader can, '
+        f'chunks {args.compression}, best of {args.rounds} rounds, same arrays demanded of all.\n\n' + '\n'.join(lines) + '\n\n'
         + ', '.join(f'{k} {v}' for k, v in machine.items()) + '\n')
 
 
