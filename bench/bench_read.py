@@ -165,7 +165,8 @@ def main() -> None:
     (args.out / 'read.md').write_text(
         '# Reading a bag into arrays\n\nMade by `python bench/bench_read.py`; both '
         'sensors counted, processor time of one thread, CRCs checked where the reader can, '
-        f'chunks {args.compression}, best of {args.rounds} rounds, same arrays demanded of all.\n\n' + '\n'.join(lines) + '\n\n'
+        f'chunks {args.compression}, best of {args.rounds} rounds, same arrays demanded of all.\n\n'
+        + '\n'.join(lines) + '\n\n'
         + ', '.join(f'{k} {v}' for k, v in machine.items()) + '\n')
 
 
