@@ -37,6 +37,8 @@ TRANSITIONS = {'configure': Transition.TRANSITION_CONFIGURE,
                'activate': Transition.TRANSITION_ACTIVATE,
                'deactivate': Transition.TRANSITION_DEACTIVATE,
                'cleanup': Transition.TRANSITION_CLEANUP}
+#: A goal of which the sequencer's diagnostics say nothing for so long is lost.
+LOST_GOAL_S = 8.0
 UNCONFIGURED, INACTIVE, ACTIVE = 'unconfigured', 'inactive', 'active'
 
 
@@ -70,7 +72,8 @@ class Operator:
         self._executor = EventsExecutor(context=self._context)
         self._executor.add_node(self.node)
         self._clients: dict[str, Any] = {}
-        self._health: dict[str, DiagnosticStatus] = {}
+        self._heard: dict[str, tuple[float, DiagnosticStatus]] = {}
+        self._goal_seen = 0.0
         self._recorder: RecorderStatus | None = None
         self._handle = None
         self.node.create_subscription(DiagnosticArray, '/diagnostics', self._on_diagnostics, 50)
@@ -100,14 +103,14 @@ class Operator:
 
     def _on_diagnostics(self, array: DiagnosticArray) -> None:
         for status in array.status:
-            self._health['/' + status.name] = status
+            self._heard['/' + status.name] = (time.monotonic(), status)
 
     def _on_recorder(self, status: RecorderStatus) -> None:
         self._recorder = status
 
     def health(self, node: str) -> DiagnosticStatus | None:
         """The last diagnostics of one of the machine's nodes."""
-        return self._health.get(f'{self.namespace}/{node}')
+        return self._heard.get(f'{self.namespace}/{node}', (0.0, None))[1]
 
     @property
     def recorder(self) -> RecorderStatus | None:
@@ -178,8 +181,11 @@ class Operator:
 
     def calibrate(self, setups: Sequence[str] = (), repeats: int = 0, dwell_s: float = 0.0,
                   feedback: Callable[[RunStepDiagonal.Feedback], None] | None = None,
-                  steps: int = 0, timeout_s: float | None = None) -> Calibration:
-        """Send the goal and wait until it has ended."""
+                  steps: int = 0, meanwhile: Callable[[], object] = lambda: None) -> Calibration:
+        """Send the goal and wait until it has ended; Ctrl-C cancels it and waits for that.
+
+        ``meanwhile()`` is called ten times a second; what it raises ends the waiting.
+        """
         if not self._action.wait_for_server(timeout_sec=10.0):
             raise StepdiagError(f'no sequencer answers at {self.namespace}/{ACTION}; '
                                 'is the cell up? (stepdiag up CELL.yaml)')
@@ -190,15 +196,36 @@ class Operator:
                                  'the sequencer does not answer the goal')
         if not self._handle.accepted:
             self._handle = None
-            health = self.health('step_sequencer')
-            raise StepdiagError(f'{self.namespace}/step_sequencer rejects the goal: '
-                                f'{health.message if health else "see its log"}')
-        ended = self.wait(self._handle.get_result_async(), timeout_s, 'the calibration takes too long',
-                          alive=lambda: self._action.server_is_ready())
-        self._handle = None
+            raise StepdiagError(f'{self.namespace}/step_sequencer rejects the goal: it is busy with '
+                                'another or not active')
+        began = self._goal_seen = time.monotonic()
+        result = self._handle.get_result_async()
+
+        def look() -> None:
+            meanwhile()
+            if time.monotonic() - began > LOST_GOAL_S:
+                self._check_goal()
+        try:
+            ended = self.wait(result, None, '', look)
+        except KeyboardInterrupt:
+            self.cancel()
+            ended = self.wait(result, 60.0, 'the sequencer does not end the goal')
+        finally:
+            self._handle = None
         how = {GoalStatus.STATUS_SUCCEEDED: 'succeeded',
                GoalStatus.STATUS_CANCELED: 'canceled'}.get(ended.status, 'aborted')
         return Calibration(how, ended.result.message, tuple(ended.result.run_ids), ended.result.stops)
+
+    def _check_goal(self) -> None:
+        """A sequencer that died or was started again knows nothing of the goal any more."""
+        now, (at, health) = time.monotonic(), self._heard.get(
+            f'{self.namespace}/step_sequencer', (0.0, None))
+        values = {} if health is None else {v.key: v.value for v in health.values}
+        if values.get('goal') == 'under way' and now - at < LOST_GOAL_S:
+            self._goal_seen = now
+        if now - self._goal_seen > LOST_GOAL_S:
+            raise StepdiagError(f'{self.namespace}/step_sequencer has ended or was started again; '
+                                'the calibration is lost, begin it anew')
 
     def cancel(self) -> None:
         """Ask the goal under way to end; :meth:`calibrate` then returns."""
@@ -225,14 +252,13 @@ class Operator:
                          f'{self.namespace}/{name} does not answer')
 
     def wait(self, future: Future, timeout_s: float | None, complaint: str,
-             alive: Callable[[], bool] = lambda: True) -> Any:
-        """The future's result; :class:`StepdiagError` after the time, or when the other end died."""
+             meanwhile: Callable[[], object] = lambda: None) -> Any:
+        """The future's result; :class:`StepdiagError` after the time."""
         ready = threading.Event()
         future.add_done_callback(lambda _future: ready.set())
         end = None if timeout_s is None else time.monotonic() + timeout_s
         while not ready.wait(0.1):
             if end is not None and time.monotonic() > end:
                 raise StepdiagError(f'{complaint} for {timeout_s:g} s')
-            if not alive():
-                raise StepdiagError(f'{self.namespace}: the node that was asked has ended')
+            meanwhile()
         return future.result()

@@ -135,6 +135,7 @@ class StepSequencer(StepdiagNode):
 
     def health(self) -> Health:
         values: dict[str, object] = {'device': f'{self.value("host")}:{self.value("port")}',
+                                     'goal': 'none' if self._worker is None else 'under way',
                                      'last': self._last}
         progress = self._progress
         if progress is not None:

@@ -1,0 +1,111 @@
+"""Run the calibration on a cell and evaluate it.
+
+TARGET is a cell file (the cell is brought up, calibrated and ended), or the namespace of a
+machine that `stepdiag up` runs, e.g. /demo.  The log goes into a new bag.  Ctrl-C cancels:
+the machine stands still and the bag is whole.
+
+  stepdiag calibrate cells/demo.yaml
+  stepdiag calibrate /demo --setups ppp npp --repeats 1 --bag bags/today
+"""
+
+import argparse
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from stepdiag_ros.cli.progress import Bar
+from stepdiag_ros.errors import StepdiagError
+
+NAME = 'calibrate'
+HELP = 'run the calibration on a cell and evaluate it'
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument('target', metavar='TARGET', help='cell file, or namespace of a running machine')
+    parser.add_argument('--setups', nargs='+', default=[], metavar='NAME',
+                        help="setups in the order of measuring (default: all of the cell's)")
+    parser.add_argument('--steps', type=_count, default=0, metavar='N',
+                        help="steps of each axis along a diagonal (default: the plan's)")
+    parser.add_argument('--repeats', type=_count, default=0, metavar='N',
+                        help="forward and backward runs of each setup (default: the plan's)")
+    parser.add_argument('--dwell', type=float, default=0.0, metavar='S',
+                        help="measuring time at a stop [s] (default: the cell's)")
+    parser.add_argument('--bag', type=Path, help='rosbag2 directory to write (default: a new one here)')
+    parser.add_argument('--hardware', action='store_true',
+                        help="with a cell file: its instruments are real, start no virtual cell")
+    parser.add_argument('--json', action='store_true', help='print the evaluation as JSON')
+
+
+def _count(text: str) -> int:
+    value = int(text)
+    if not 0 <= value <= 10_000:
+        raise argparse.ArgumentTypeError(f'{value} is not between 0 and 10000')
+    return value
+
+
+def run(args: argparse.Namespace) -> int:
+    bar = Bar('calibrating', quiet=args.json)
+    bag = None if args.bag is None else args.bag.expanduser().absolute()
+    if bag is not None and bag.exists():
+        raise StepdiagError(f'{bag}: exists already; give a new name or remove it')
+    with _target(args, bag, bar) as (operator, meanwhile):
+        outcome = measure(operator, bar, args, meanwhile)
+        bar.close()
+        recorded = Path(operator.recorder.bag) if operator.recorder else bag
+        document = operator.evaluate() if outcome.stops else None
+        operator.bring('recorder', 'inactive')   # closes the bag
+    if args.json:
+        print(json.dumps({'outcome': outcome.how, 'message': outcome.message, 'bag': str(recorded),
+                          'stops': outcome.stops, 'run_ids': list(outcome.run_ids),
+                          'evaluation': document}, indent=1))
+    else:
+        print(f'{outcome.how}: {outcome.message}')
+        print(f'log: {recorded}')
+        if document is not None:
+            print(summary(document))
+            print(f'details: stepdiag evaluate {recorded}')
+    return {'succeeded': 0, 'canceled': 130}.get(outcome.how, 1)
+
+
+def measure(operator: Any, bar: Bar, args: argparse.Namespace, meanwhile=lambda: None) -> Any:
+    """Send the goal with the command's options; progress on the bar."""
+    def show(feedback) -> None:
+        bar.show(feedback.stop, feedback.stops, feedback.doing, feedback.time_left)
+    return operator.calibrate(args.setups, args.repeats, args.dwell, show, args.steps, meanwhile)
+
+
+@contextmanager
+def _target(args: argparse.Namespace, bag: Path | None, bar: Bar) -> Iterator[tuple[Any, Any]]:
+    """The operator of what is to be calibrated, and what to do while waiting."""
+    if args.target.endswith(('.yaml', '.yml')) or Path(args.target).is_file():
+        from stepdiag_ros.nodes.bringup import Bringup
+        with Bringup(args.target, hardware=args.hardware, bag=bag, say=bar.say) as cell:
+            if args.steps:
+                cell.operator.new_log('' if bag is None else str(bag), args.steps)
+            yield cell.operator, cell.watch
+        return
+    from stepdiag_ros.nodes.operator import Operator
+    with Operator(args.target) as operator:
+        operator.new_log('' if bag is None else str(bag), args.steps)
+        yield operator, lambda: None
+
+
+def summary(document: dict[str, Any]) -> str:
+    """An evaluation in a few lines, µm and µrad."""
+    lines = [f'status {document["status"]}, reduced chi2 {document["reduced_chi2"]:.3g} '
+             f'with {document["dof"]} degrees of freedom',
+             f'{"":6}{"range":>10}{"± (k=2)":>10}']
+    for name, error in document['errors'].items():
+        unit = 'µm' if name[1] in 'XYZ' and name[2] in 'XYZ' else 'µrad'
+        if isinstance(error['value'], list):
+            size = max(error['value']) - min(error['value'])
+            sigma = max(error['sigma'])
+        else:
+            size, sigma, unit = error['value'], error['sigma'], 'µrad'
+        lines.append(f'{name:6}{size * 1e6:10.2f}{2e6 * sigma:10.2f} {unit}')
+    for open_direction in document['unidentifiable']:
+        lines.append(f'not seen: {", ".join(open_direction["names"])}: {open_direction["why"]}')
+    lines += [f'warning: {text}' for text in document.get('warnings', ())]
+    return '\n'.join(lines)
