@@ -79,7 +79,7 @@ def draw_cell(rng: np.random.Generator, kind: str, small: bool = False) -> tuple
         settling=rng.uniform(0.002, 0.008), in_position=IN_POSITION_M)
     cell = Cell(source=NAME, seed=int(rng.integers(1 << 40)), description=description,
                 geometry=_geometry(rng, description), misalignments=_misalignments(rng, description),
-                psd_zero={name: (0.0, 0.0) for name in setups}, air=_air(rng), motion=motion,
+                psd_zero=dict.fromkeys(setups, (0.0, 0.0)), air=_air(rng), motion=motion,
                 instruments=Instruments(detector=Detector(sum_voltage=round(rng.uniform(1.0, 9.0), 2))),
                 sampling=Sampling(rate, rate, 0.2 if rate > 30.0 else 0.5, moving))
     conditions = Conditions(np.ones(4) if field else np.exp(np.clip(rng.normal(0.0, 0.3, 4), -0.7, 0.7)),

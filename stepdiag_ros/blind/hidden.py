@@ -47,6 +47,8 @@ class Hidden(Effect):
     (in ``unit``), which the sealer sets so that the effect is seen as well as was drawn.
     ``inside``: ``'coherent'`` or ``'random'`` if it acts inside the dwells, alike in all of them or
     with other phases in each.  ``random``: the stops' means are changed at random.
+    ``drawn``: sizes between which one is drawn, for an effect whose visibility follows no plausible
+    size (stamps that are off by less than a control's own delays are nobody's concern).
     """
 
     outside = False
@@ -55,6 +57,7 @@ class Hidden(Effect):
     largest = 1e-4
     inside: str | None = None
     random = False
+    drawn: tuple[float, float] | None = None
 
     def __init__(self, stage: Stage, rng: np.random.Generator):
         super().__init__()

@@ -4,6 +4,7 @@ Everything follows from (purpose, seed, number).  The purpose is part of the see
 thresholds were tuned on can never be what they are judged on.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -78,7 +79,7 @@ def _attempt(order: Order, rng: np.random.Generator, last: bool) -> SealedWorld 
     kinds = [kind_of(name) for name in order.kinds]
     if any(kind.name == 'air_refraction_drift' for kind in kinds):
         cell = without_weather(cell)
-    if any(kind.name in ('clock_skew',) for kind in kinds) and not cell.sampling.in_motion:
+    if any(kind.name == 'clock_skew' for kind in kinds) and not cell.sampling.in_motion:
         return None if not last else _finish(order, cell, conditions, None, (), ())
     bare = measure(cell, conditions)
     yardstick = Yardstick(cell, bare)
@@ -86,9 +87,14 @@ def _attempt(order: Order, rng: np.random.Generator, last: bool) -> SealedWorld 
     effects, seen = [], []
     for kind in kinds:
         effect = kind(stage, rng)
-        visible = _size(effect, draw_target(rng, order.category == 'pair'),
-                        lambda e: yardstick.visibility(measure(cell, conditions, [e]),
-                                                       e.random, e.inside))
+        def see(effect: Hidden) -> Visibility:
+            return yardstick.visibility(measure(cell, conditions, [effect]), effect.random, effect.inside)
+        target = draw_target(rng, order.category == 'pair')
+        if effect.drawn is not None:
+            effect.size = float(np.exp(rng.uniform(*np.log(effect.drawn))))
+            visible = see(effect)
+        else:
+            visible = _size(effect, target, see)
         if visible.total < LEAST and not last:
             return None
         effects.append(effect)
@@ -96,7 +102,7 @@ def _attempt(order: Order, rng: np.random.Generator, last: bool) -> SealedWorld 
     return _finish(order, cell, conditions, yardstick, tuple(effects), tuple(seen))
 
 
-def _size(effect: Hidden, target: float, see) -> Visibility:
+def _size(effect: Hidden, target: float, see: Callable[[Hidden], Visibility]) -> Visibility:
     """Set the effect's size so that it is seen as ``target`` says, within its plausible range."""
     power = 2.0 if effect.random else 1.0
     sizes, values = [], []
