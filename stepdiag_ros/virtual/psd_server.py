@@ -180,6 +180,9 @@ async def main(cell: Cell, runtime: Path) -> None:
             writer.close()
 
     def packet(sending: bool, data: bytes) -> bytes:
+        if box.faults.kind == 'drop':
+            for connection in tuple(server.active_connections.values()):
+                connection.transport.abort()
         return b'\xde\xad\xbe\xef' * 4 if sending and box.faults.kind == 'nonsense' else data
 
     where, stream_where = cell.instruments.psd, cell.instruments.psd_stream
