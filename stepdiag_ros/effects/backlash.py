@@ -25,12 +25,18 @@ class Backlash(Effect):
         forms = []
         for how, approach in _starts(view).items():
             half = -0.5 * approach.T[:, :, None] * view.by_shift
-            forms.append(Form(f'constant reversal, {how}', half, AXES, np.full(3, 3e-6)))
+            # Which side an axis was on before the log's first moves is not known: left free.
+            open_start = -0.5 * (approach.T == 0.0)[:, :, None] * view.by_shift
+            begin = [k for k in range(3) if np.any(open_start[k])]
+            nuisance, names = open_start[begin], tuple(f'{AXES[k]} at the start' for k in begin)
+            forms.append(Form(f'constant reversal, {how}', np.concatenate([half, nuisance]),
+                              AXES + names, np.full(3 + len(begin), 3e-6)))
             # Wind-up that grows along the travel: the reversal differs from end to end.
             share = view.commanded.T / np.array(view.description.machine.volume)[:, None] - 0.5
             forms.append(Form(f'reversal changing along the axis, {how}',
-                              np.concatenate([half, half * share[:, :, None]]),
-                              AXES + tuple(f'{a} along travel' for a in AXES), np.full(6, 3e-6)))
+                              np.concatenate([half, half * share[:, :, None], nuisance]),
+                              AXES + tuple(f'{a} along travel' for a in AXES) + names,
+                              np.full(6 + len(begin), 3e-6)))
         return forms
 
 

@@ -20,6 +20,10 @@ BEAM = 4
 LARGEST = 3
 PRIOR_NUMBER = (0.5, 0.32, 0.14, 0.04)
 """Prior probability that none, one, two, three effects act."""
+FORMS_OF_ONE = 3
+MOST_REPEATS = 4
+MOST_FORMS = 6
+"""Most forms of one effect, of one that repeats, and of a set."""
 GAIN = 3.0
 """Least growth of log evidence for which a set is carried on with a further member."""
 
@@ -51,7 +55,8 @@ class EffectSet:
 
     @property
     def names(self) -> tuple[str, ...]:
-        return tuple(m.effect for m in self.members)
+        """Names in rising order, one for each form."""
+        return tuple(sorted(m.effect for m in self.members))
 
     @property
     def key(self) -> frozenset:
@@ -158,37 +163,47 @@ def search(screen: Screen) -> list[EffectSet]:
     front = []
     for member in first.values():
         found = EffectSet((member,), member.log_bayes)
-        sets[_identity(found)] = found
+        sets[found.names] = found
         front.append(found)
-    for _ in range(1, LARGEST):
+    while front:
         front = sorted(front, key=lambda s: -s.log_bayes)[:BEAM]
         grown = []
         for found in front:
             if found.log_bayes < GAIN or UNKNOWN in found.names:
                 continue
-            further = screen.by_effect([m.candidate for m in found.members])
-            for member in further.values():
-                if member.effect in found.names and member.effect not in screen.repeatable:
-                    continue
+            for member in screen.by_effect([m.candidate for m in found.members]).values():
                 larger = EffectSet((*found.members, member), found.log_bayes + member.log_bayes)
-                identity = _identity(larger)
-                if identity not in sets or sets[identity].log_bayes < larger.log_bayes:
-                    sets[identity] = larger
+                again = member.effect in found.names
+                if len(larger.key) > LARGEST or not again and len(found.members) > MOST_FORMS:
+                    continue
+                if again and (member.log_bayes < GAIN or not _may_repeat(screen, found, member)):
+                    continue
+                if larger.names not in sets or sets[larger.names].log_bayes < larger.log_bayes:
+                    sets[larger.names] = larger
                     if member.log_bayes > GAIN:
                         grown.append(larger)
-        if not grown:
-            break
         front = grown
-    return sorted(sets.values(), key=lambda s: -(s.log_bayes + log_prior(s, len(first))))
+    # One set of names counts once, in its best composition.
+    best: dict[frozenset, EffectSet] = {}
+    for found in sets.values():
+        if found.key not in best or best[found.key].log_bayes < found.log_bayes:
+            best[found.key] = found
+    return sorted(best.values(), key=lambda s: -(s.log_bayes + log_prior(s, len(first))))
 
 
-def _identity(found: EffectSet) -> tuple:
-    return tuple(sorted(found.names))
+def _may_repeat(screen: Screen, found: EffectSet, member: Member) -> bool:
+    """Whether an effect may add one more form: two time constants, a shape parameter between two values
+    of the list.  What only repeats (a slip) may do so more often."""
+    if member.effect == UNKNOWN:
+        return False
+    times = sum(m.effect == member.effect for m in found.members)
+    most = MOST_REPEATS if member.effect in screen.repeatable else FORMS_OF_ONE
+    return times < most and all(m.candidate != member.candidate for m in found.members)
 
 
 def log_prior(found: EffectSet, effects: int) -> float:
     """Logarithm of the prior probability of a set among ``effects`` possible ones."""
-    number = len(found.members)
+    number = len(found.key)
     ways = 1.0
     for i in range(number):
         ways *= (effects - i) / (i + 1)

@@ -147,3 +147,26 @@ def _inside(view: StopView) -> Iterator[Form]:
             inside[:, :, :, columns] = (sign[None, :, None] * pattern[:, None, :])[..., None]
             yield Form(f'{name}: inside the dwells, {what}', view.zeros(b),
                        tuple(str(i) for i in range(b)), np.full(b, scale), inside=inside)
+
+
+def inconsistent_forms(view: StopView, forms: list[Form]) -> Iterator[Form]:
+    """A named effect whose size is not the same everywhere: by setup, repeat, direction or half of the log.
+
+    A cause has one size in a log; what takes its name but differs from setup to setup is something else.
+    """
+    splits = {'setup': view.setup, 'repeat': view.repeat, 'direction': view.direction,
+              'half of the log': (view.time > np.median(view.time)).astype(int)}
+    for form in forms:
+        if len(form.columns) > 6:
+            continue
+        for what, groups in splits.items():
+            values = np.unique(groups)
+            masks = [groups == value for value in values if (groups == value).sum() >= 8]
+            if len(masks) < 2:
+                continue
+            columns = np.concatenate([form.columns * mask[None, :, None] for mask in masks[1:]])
+            inside = None if form.inside is None else np.concatenate(
+                [form.inside * mask[None, :, None, None] for mask in masks[1:]])
+            yield Form(f'{form.label}: not alike from {what} to {what}', columns,
+                       tuple(str(i) for i in range(len(columns))),
+                       np.tile(form.scale, len(masks) - 1), form.units, inside)

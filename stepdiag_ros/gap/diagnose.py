@@ -1,0 +1,262 @@
+"""From a log to its diagnosis: where the gap lies, which effect causes it, how far it closes.
+
+The steps, each in a file of its own: :mod:`observe` (reduce, fit), :mod:`inside` (samples: vibration,
+clocks), :mod:`parity` and :mod:`search` (evidence for sets of effects), :mod:`joint` (machine and
+effects together), :mod:`closing` (the part held out), :mod:`where` (shares).  Search and joint fit
+take turns until the set of effects stands.
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from stepdiag_ros.effects.base import Effect, Form
+from stepdiag_ros.estimate.noise import estimate_noise
+from stepdiag_ros.estimate.enhanced import readings_of
+from stepdiag_ros.gap.closing import Closing, closing
+from stepdiag_ros.gap.inside import Timing, Vibration, timing, vibration
+from stepdiag_ros.gap.joint import Joint, fit_jointly, unexplained
+from stepdiag_ros.gap.observe import Observation, observe
+from stepdiag_ros.gap.search import Candidate, EffectSet, Screen, probabilities, search
+from stepdiag_ros.gap.thresholds import (
+    ALARM,
+    CLOCK_SIGMAS,
+    CONFUSED,
+    LEAST_CLOCK_S,
+    TEMPER,
+    VIBRATION_ALARM,
+)
+from stepdiag_ros.gap.unknown import NAME as UNKNOWN
+from stepdiag_ros.gap.unknown import inconsistent_forms, unknown_families
+from stepdiag_ros.gap.where import Share, shares
+from stepdiag_ros.model.log import CalibrationLog, Samples
+
+ROUNDS = 4
+
+
+@dataclass(frozen=True)
+class Found:
+    """An effect of the diagnosis: name, probability, parameters with σ by name, share of the gap closed."""
+
+    name: str
+    title: str
+    probability: float
+    parameters: Mapping[str, float]
+    sigma: Mapping[str, float]
+    units: str
+    form: str
+    closes: float
+    remedy: str
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """Everything that a report needs.
+
+    ``verdict`` as in the contract; ``effects`` what the diagnosis would add to the simulator;
+    ``ranking`` probabilities of all effects, ``unknown`` and ``nothing``; ``sets`` the sets thought of with
+    their probabilities.
+    """
+
+    log: CalibrationLog
+    verdict: str
+    closing: Closing
+    shares: tuple[Share, ...]
+    effects: tuple[Found, ...]
+    ranking: Mapping[str, float]
+    sets: tuple[tuple[tuple[str, ...], float], ...]
+    indistinguishable: tuple[tuple[str, ...], ...]
+    nominal: Observation
+    joint: Joint
+    clocks: Mapping[str, Timing | None]
+    shaking: Vibration | None
+    leftover: str
+    warnings: tuple[str, ...]
+
+
+def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
+    """Diagnose one log against ``effects`` (one instance of each class)."""
+    effects = {effect.name: effect for effect in effects}
+    observation = observe(log)
+    log, observation, clocks, late = _set_clocks(log, observation)
+    shaking = vibration(log, observation.table)
+    joint, sets, screen = _settle(observation, effects)
+    best = sets[0] if sets[0].log_bayes > ALARM else EffectSet((), 0.0)
+    names, nothing, weights = probabilities(sets, len(effects) + 1, TEMPER)
+    if not best.members:
+        # Below the alarm nothing is claimed, whatever the odds between the sets say.
+        joint = fit_jointly(observation, [], _noise(observation))
+    how_far = closing(joint)
+    found = [_found(name, effects[name], names.get(name, 0.0), joint)
+             for name in dict.fromkeys(a.effect.name for a in joint.active) if name]
+    if late:
+        found += late
+        names = {**names, 'clock_skew': late[0].probability}
+    if shaking and shaking.log_bayes > VIBRATION_ALARM:
+        found.append(_shaking(effects, shaking))
+        names = {**names, 'vibration': found[-1].probability}
+    found = sorted(found, key=lambda f: -f.probability)
+    leftover = ''
+    for member in best.members:
+        if member.effect == UNKNOWN:
+            leftover = screen.candidates[member.candidate].form.label
+    verdict = _verdict(found, leftover, joint, observation)
+    return Diagnosis(log, verdict, how_far, shares(joint, observation, found), tuple(found),
+                     {**names, 'nothing': nothing},
+                     tuple((s.names, w) for s, w in zip(sets, weights, strict=True))[:20],
+                     _confused(sets, best), observation, joint, clocks, shaking, leftover,
+                     log.warnings + observation.table.warnings)
+
+
+def _noise(observation: Observation):
+    return estimate_noise(observation.table, observation.log.description.noise,
+                          observation.fit.arrival)
+
+
+def _settle(observation: Observation,
+            effects: Mapping[str, Effect]) -> tuple[Joint, list[EffectSet], Screen]:
+    """Search and fit in turns until the chosen set stays the same."""
+    joint = fit_jointly(observation, [], _noise(observation))
+    previous: tuple = ()
+    for turn in range(ROUNDS):
+        screen = _screen(joint, effects, thorough=True)
+        sets = search(screen)
+        best = sets[0] if sets[0].log_bayes > ALARM else EffectSet((), 0.0)
+        chosen: list[tuple[Effect, Form]] = []
+        for member in best.members:
+            form = screen.candidates[member.candidate].form
+            chosen.append((effects.get(member.effect, Effect()), form))
+        identity = tuple(sorted((e.name, f.label) for e, f in chosen))
+        if identity == previous:
+            break
+        previous = identity
+        start = joint.observation
+        joint = fit_jointly(start, chosen, joint.noise)
+        if not chosen:
+            break
+    return joint, sets, screen
+
+
+def _screen(joint: Joint, effects: Mapping[str, Effect], thorough: bool) -> Screen:
+    view = joint.observation.view
+    candidates = []
+    for effect in effects.values():
+        candidates += [Candidate(effect.name, '', form) for form in effect.appearance(view)]
+    for family, forms in unknown_families(view).items():
+        candidates += [Candidate(UNKNOWN, family, form) for form in forms]
+    named = [a for a in joint.active if a.effect.name]
+    if named:
+        candidates += [Candidate(UNKNOWN, 'inconsistent', form)
+                       for form in inconsistent_forms(view, [a.form for a in named])]
+    repeatable = frozenset(e.name for e in effects.values() if e.repeatable)
+    return Screen(joint.parity, candidates, float(sum(joint.noise.dof)), repeatable)
+
+
+# ---- the clocks -----------------------------------------------------------------------------------
+
+def _set_clocks(log: CalibrationLog, observation: Observation):
+    """Put right a sensor whose stamps are off; what was found out about both."""
+    clocks = {'interferometer': timing(log.displacement, observation.table,
+                                       observation.table.displacement),
+              'psd': timing(log.spot, observation.table, observation.table.spot)}
+    late = []
+    skew = _skew(clocks)
+    for sensor, (offset, sigma, probability) in skew.items():
+        shift = int(round(offset * 1e9))
+        if sensor == 'psd':
+            log = replace(log, spot=_shifted(log.spot, shift))
+        else:
+            log = replace(log, displacement=_shifted(log.displacement, shift))
+        late.append(Found('clock_skew', "A sensor's time stamps do not agree with the sequencer's.",
+                          probability, {f'{sensor}_s': offset}, {f'{sensor}_s': sigma}, 's',
+                          'constant offset', 1.0,
+                          'Let all computers take their time from one source (PTP or NTP).'))
+    if skew:
+        observation = observe(log)
+    return log, observation, clocks, late
+
+
+def _skew(clocks: Mapping[str, Timing | None]) -> dict[str, tuple[float, float, float]]:
+    """Sensors whose stamps are provably off: offset, its σ [s], probability.
+
+    A move's middle may be seen off by half of what the control takes to start and to report in
+    position; what a sensor sees before the command or after the report cannot be explained so.
+    """
+    found = {}
+    both = [t for t in clocks.values() if t is not None]
+    for sensor, seen in clocks.items():
+        if seen is None:
+            continue
+        significant = abs(seen.offset) > max(CLOCK_SIGMAS * seen.sigma, LEAST_CLOCK_S)
+        acausal = seen.before > 0.2 if seen.offset < 0 else seen.after > 0.2
+        others = [t for t in both if t is not seen]
+        apart = bool(others) and abs(seen.offset - others[0].offset) > max(
+            CLOCK_SIGMAS * np.hypot(seen.sigma, others[0].sigma), LEAST_CLOCK_S) and \
+            abs(seen.offset) > abs(others[0].offset)
+        if significant and (acausal or apart):
+            found[sensor] = (seen.offset, seen.sigma, 0.99 if acausal and apart else 0.95)
+    return found
+
+
+def _shifted(samples: Samples, shift_ns: int) -> Samples:
+    return replace(samples, time_ns=samples.time_ns - shift_ns)
+
+
+# ---- what is said ---------------------------------------------------------------------------------
+
+def _found(name: str, effect: Effect, probability: float, joint: Joint) -> Found:
+    """One effect in all its forms; the form that does most names the parameters."""
+    mine = [a for a in joint.active if a.effect.name == name]
+    parts = [joint.parity.project(a.form) @ (a.coefficients / a.form.scale) for a in mine]
+    order = np.argsort([-np.sum(p**2) for p in parts])
+    parameters: dict[str, float] = {}
+    spread: dict[str, float] = {}
+    for rank, k in enumerate(order):
+        active, suffix = mine[k], '' if rank == 0 else f' ({rank + 1})'
+        sigma = np.sqrt(np.diag(active.covariance))
+        for n, value, s in zip(active.form.names, active.coefficients, sigma, strict=True):
+            parameters[n + suffix], spread[n + suffix] = float(value), float(s)
+        parameters |= {k + suffix: float(v) for k, v in active.form.shape.items()}
+    rest = unexplained(joint.parity, joint.active)
+    without, left = float(np.sum((rest + sum(parts)) ** 2)), float(np.sum(rest**2))
+    dof = float(sum(joint.parity.dof))
+    # Within its own scatter the rest is noise; beyond, the floor is what noise alone would leave.
+    floor = left if abs(left - dof) < 3.0 * np.sqrt(2.0 * dof) else min(dof, left)
+    return Found(name, effect.title, probability, parameters, spread, mine[order[0]].form.units,
+                 ' and '.join(mine[k].form.label for k in order),
+                 float(np.clip((without - left) / max(without - floor, 1e-12), 0.0, 1.0)),
+                 effect.remedy)
+
+
+def _shaking(effects: Mapping[str, Effect], seen: Vibration) -> Found:
+    effect = effects.get('vibration', Effect())
+    probability = float(1.0 / (1.0 + np.exp(-(seen.log_bayes - VIBRATION_ALARM))))
+    return Found('vibration', effect.title, probability,
+                 {'frequency_Hz': seen.frequency, 'amplitude_m': seen.amplitude},
+                 {'amplitude_m': seen.sigma}, 'm', 'a line in the spectrum of the dwells', seen.share,
+                 effect.remedy)
+
+
+def _verdict(found: list[Found], leftover: str, joint: Joint, observation: Observation) -> str:
+    if not found and not leftover:
+        return 'no_gap'
+    if not found:
+        return 'unexplained'
+    return 'partly_explained' if leftover else 'explained'
+
+
+def _confused(sets: list[EffectSet], best: EffectSet) -> tuple[tuple[str, ...], ...]:
+    """Groups of effects that may stand for each other: sets nearly as good with one member exchanged."""
+    groups = []
+    for other in sets:
+        if len(other.members) != len(best.members) or other.key == best.key:
+            continue
+        away, instead = best.key - other.key, other.key - best.key
+        if len(away) == len(instead) == 1 and best.log_bayes - other.log_bayes < CONFUSED:
+            groups.append(tuple(sorted((*away, *instead))))
+    merged: dict[str, set] = {}
+    for group in groups:
+        for member in best.key & set(group):
+            merged.setdefault(member, set()).update(group)
+    return tuple(tuple(sorted(g)) for g in merged.values())

@@ -1,0 +1,130 @@
+"""The machine and its effects fitted together.
+
+Given which effects act and in which form, their coefficients are found in parity space, the readings
+are freed of them, machine and misalignments are fitted anew, and the forms are laid anew at the new
+fit: a few rounds, for misalignments act to second order and a gross effect moves them far.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from stepdiag_ros.effects.base import Effect, Form
+from stepdiag_ros.estimate.enhanced import Fit, readings_of
+from stepdiag_ros.estimate.noise import NoiseModel, estimate_noise
+from stepdiag_ros.gap.evidence import SIZES
+from stepdiag_ros.gap.observe import Observation, sane_fit, view_of
+from stepdiag_ros.gap.parity import Parity, parity
+
+ROUNDS = 4
+SETTLED = 0.02
+"""Rounds end when no coefficient moves by more than this many standard deviations … or percent."""
+
+
+@dataclass(frozen=True)
+class Active:
+    """An effect in one form with its coefficients (k,) and their covariance (k, k), in the form's units."""
+
+    effect: Effect
+    form: Form
+    coefficients: np.ndarray
+    covariance: np.ndarray
+
+    @property
+    def contribution(self) -> np.ndarray:
+        """What it adds to the stops' readings (n, c) [m]."""
+        return np.tensordot(self.coefficients, self.form.columns, axes=1)
+
+    @property
+    def inside(self) -> np.ndarray | float:
+        """What it adds to the bins (n, b, c) [m]."""
+        if self.form.inside is None:
+            return 0.0
+        return np.tensordot(self.coefficients, self.form.inside, axes=1)
+
+
+@dataclass(frozen=True)
+class Joint:
+    """A joint fit: ``observation`` with the fit and the view of the machine freed of the effects,
+    ``noise`` of the freed readings, ``parity`` whose data still hold the effects."""
+
+    observation: Observation
+    noise: NoiseModel
+    parity: Parity
+    active: tuple[Active, ...]
+
+    @property
+    def fit(self) -> Fit:
+        return self.observation.fit
+
+
+def fit_jointly(observation: Observation, chosen: list[tuple[Effect, Form]],
+                noise: NoiseModel) -> Joint:
+    """Fit machine and ``chosen`` effects; ``observation`` and ``noise`` start the rounds."""
+    table, readings = observation.table, readings_of(observation.table)
+    space = parity(observation, observation.fit, noise, readings)
+    active = solve(space, chosen)
+    if not chosen:
+        return Joint(observation, noise, space, ())
+    for _ in range(ROUNDS):
+        added = sum(a.contribution for a in active)
+        freed = replace(table, displacement=table.displacement - added[:, :-2],
+                        spot=table.spot - added[:, -2:])
+        result = sane_fit(observation.log, freed)
+        noise = estimate_noise(freed, observation.log.description.noise, result.arrival)
+        view = replace(view_of(observation.log, table, result, observation.view.bin_time),
+                       reading=readings)
+        observation = replace(observation, fit=result, view=view)
+        chosen = [(effect, same_form(effect, form, view)) for effect, form in chosen]
+        rest = observation.bins - sum(a.inside for a in active)
+        scale = _bin_scale(rest, observation.bin_sigma)
+        space = parity(observation, result, noise, readings, scale)
+        updated = solve(space, chosen)
+        moved = max((np.max(np.abs(new.coefficients - old.coefficients)
+                            / (SETTLED * (np.sqrt(np.diag(new.covariance))
+                                          + 0.5 * np.abs(new.coefficients)) + 1e-300))
+                     for new, old in zip(updated, active, strict=True)), default=0.0)
+        active = updated
+        if moved < 1.0:
+            break
+    return Joint(observation, noise, space, active)
+
+
+def _bin_scale(bins: np.ndarray, sigma: np.ndarray) -> float:
+    ratio = np.abs(bins / sigma[:, None, :])
+    ratio = ratio[np.isfinite(ratio)]
+    return max(1.0, float(np.median(ratio)) / 0.6745) if len(ratio) else 1.0
+
+
+def same_form(effect: Effect, form: Form, view) -> Form:
+    """The form of the same label, laid at another view."""
+    for other in effect.appearance(view):
+        if other.label == form.label:
+            return other
+    return form
+
+
+def solve(space: Parity, chosen: list[tuple[Effect, Form]]) -> tuple[Active, ...]:
+    """Coefficients of all chosen forms together, each held to the widest size only."""
+    if not chosen:
+        return ()
+    blocks = [space.project(form) for _, form in chosen]
+    columns = np.concatenate(blocks, axis=1)
+    normal = columns.T @ columns + np.eye(columns.shape[1]) / SIZES[-1] ** 2
+    covariance = np.linalg.inv(normal)
+    values = covariance @ (columns.T @ space.data)
+    result, start = [], 0
+    for (effect, form), block in zip(chosen, blocks, strict=True):
+        part = slice(start, start + block.shape[1])
+        start = part.stop
+        result.append(Active(effect, form, values[part] * form.scale,
+                             covariance[part, part] * np.outer(form.scale, form.scale)))
+    return tuple(result)
+
+
+def unexplained(space: Parity, active: tuple[Active, ...]) -> np.ndarray:
+    """White residuals (N,) that the effects leave."""
+    rest = space.data
+    for a in active:
+        rest = rest - space.project(a.form) @ (a.coefficients / a.form.scale)
+    return rest

@@ -1,0 +1,20 @@
+"""The numbers that decide, in one place, frozen before any log of others was answered.
+
+Set on logs of our own making (``stepdiag blind seal --purpose develop``); docs/blind-check.md says
+what they gave on logs sealed afterwards.
+"""
+
+ALARM = 6.0
+"""Least log evidence of a set of effects against none for which anything is claimed."""
+TEMPER = 1.0
+"""Factor on log evidence before it becomes odds."""
+CONFUSED = 3.0
+"""Sets closer than this in log evidence (odds of 20) cannot be told apart."""
+VIBRATION_ALARM = 8.0
+"""Least log evidence of a spectral line."""
+CLOCK_SIGMAS = 6.0
+"""An offset of stamps must exceed this many of its standard deviations …"""
+LEAST_CLOCK_S = 2.5e-3
+"""… and this, what controls take to report in position."""
+LEAST_SHARE = 0.05
+"""Cells with less of the excess than this are not named."""
