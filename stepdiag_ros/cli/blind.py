@@ -6,6 +6,7 @@ scores.
 """
 
 import argparse
+import json
 from pathlib import Path
 
 NAME = 'blind'
@@ -26,13 +27,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                       help='varied machines and plans, or field: the usual plan (default: varied)')
     seal.add_argument('--small', action='store_true', help='four steps an axis, for a quick look')
     seal.add_argument('--out', type=Path, required=True, help='folder of the set')
-    for sub in (seal,):
-        sub.add_argument('--processes', type=int, default=2, help='worlds made at a time (2)')
+    answer = steps.add_parser('answer', help='diagnose the logs and lock the answers')
+    answer.add_argument('folder', type=Path, help='folder of the set')
+    opened = steps.add_parser('open', help='check the hashes and score')
+    opened.add_argument('folder', type=Path, help='folder of the set')
+    opened.add_argument('--json', action='store_true', help='print the score as JSON')
+    for sub in (seal, answer):
+        sub.add_argument('--processes', type=int, default=2, help='logs worked on at a time (2)')
         sub.add_argument('--quiet', action='store_true', help='no progress')
 
 
 def run(args: argparse.Namespace) -> int:
-    return {'seal': _seal}[args.step](args)
+    return {'seal': _seal, 'answer': _answer, 'open': _open}[args.step](args)
 
 
 def _seal(args: argparse.Namespace) -> int:
@@ -41,4 +47,18 @@ def _seal(args: argparse.Namespace) -> int:
     todo = orders(args.purpose, args.seed, counts, args.world, args.small)
     digest = seal(args.out, todo, args.processes, not args.quiet)
     print(f'{len(todo)} logs in {args.out / "logs"}\ntruth sealed, SHA-256 {digest}')
+    return 0
+
+
+def _answer(args: argparse.Namespace) -> int:
+    from stepdiag_ros.blind.answer import answer
+    digest = answer(args.folder, args.processes, not args.quiet)
+    print(f'answers in {args.folder / "answers"}\nlocked, SHA-256 {digest}')
+    return 0
+
+
+def _open(args: argparse.Namespace) -> int:
+    from stepdiag_ros.blind.opened import open_set, table
+    result = open_set(args.folder)
+    print(json.dumps(result, indent=1) if args.json else table(result))
     return 0

@@ -1,0 +1,129 @@
+"""Open a sealed and answered set: check both hashes, score, and show it as table, picture and JSON."""
+
+import hashlib
+import json
+from pathlib import Path
+from typing import Any
+
+from stepdiag_ros.blind.answer import ANSWER_HASHES, ANSWERS, answer_hashes, log_names
+from stepdiag_ros.blind.score import Case, score
+from stepdiag_ros.blind.seal import MANIFEST, SEALED, write_json
+from stepdiag_ros.errors import StepdiagError
+
+ROWS = (
+    ('false_alarms', 'false alarms on null logs', '0 of 300', True),
+    ('detection', 'detection', '≥ 99 %', True),
+    ('first_right', 'right effect first, among separable ones', '≥ 97 %', True),
+    ('first_right_all', 'right effect first, all', '–', True),
+    ('mean_probability', 'mean probability on the truth', '≥ 0.90', False),
+    ('set_coverage', '95 % sets: coverage', '≥ 0.95', True),
+    ('set_size', '95 % sets: mean size', '≤ 1.5', False),
+    ('outside_unknown', 'effect from outside: called unknown', '≥ 90 %', True),
+    ('outside_misnamed', 'effect from outside: misnamed', '≤ 5 %', True),
+    ('pair_exact', 'both of a pair, exactly', '≥ 85 %', True),
+    ('where_f1', 'where, F1', '≥ 0.90', False),
+    ('gap_closed', 'gap closed on held-out data', '≥ 95 %', False),
+    ('held_out_chi2', 'reduced χ² on held-out data, median', '≤ 1.05', False),
+    ('bias_removed', 'bias of the 21 errors removed', '≥ 95 %', False),
+    ('en_at_most_1', 'En ≤ 1', '≥ 95 %', True),
+    ('calibration_error', 'calibration error of the probabilities', '≤ 0.05', False),
+    ('seconds', 'time for one log, median [s]', '≤ 10', False))
+"""Figure, its name, its target, whether it is a proportion."""
+
+
+def open_set(folder: Path) -> dict[str, Any]:
+    """Check the hashes and score; writes ``score.json``, ``score.md`` and ``score.png`` into the set."""
+    cases, head = load(folder)
+    result = {**head, **score(cases)}
+    write_json(folder / 'score.json', result)
+    (folder / 'score.md').write_text(table(result) + '\n')
+    draw(result, folder / 'score.png')
+    return result
+
+
+def load(folder: Path) -> tuple[list[Case], dict[str, Any]]:
+    """All cases of a set whose hashes are right, and what identifies the set."""
+    names = log_names(folder)
+    if not (folder / ANSWER_HASHES).exists():
+        raise StepdiagError(f'{folder}: is not answered yet; run stepdiag blind answer {folder}')
+    if not (folder / SEALED).exists():
+        raise StepdiagError(f'{folder / SEALED}: is not there; put the sealed truth back to open the set')
+    text = (folder / SEALED).read_text()
+    published = json.loads((folder / MANIFEST).read_text())['truth_sha256']
+    if hashlib.sha256(text.encode()).hexdigest() != published:
+        raise StepdiagError(f'{folder / SEALED}: its SHA-256 is not the one published in {MANIFEST}; '
+                            'the truth was changed after sealing')
+    locked = json.loads((folder / ANSWER_HASHES).read_text())
+    for file, digest in answer_hashes(folder, names).items():
+        if locked['files'].get(file) != digest:
+            raise StepdiagError(f'{folder / ANSWERS / file}: its SHA-256 is not the one published in '
+                                f'{ANSWER_HASHES}; the answer was changed after answering')
+    truth = json.loads(text)
+    cases = []
+    for name in names:
+        place = folder / ANSWERS / name
+        cases.append(Case(name, truth['logs'][name], json.loads((place / 'gap.json').read_text()),
+                          json.loads((place / 'extra.json').read_text())))
+    return cases, {'seed': truth['seed'], 'purpose': truth['purpose'], 'logs': len(names),
+                   'truth_sha256': published, 'answers_sha256': locked['answers_sha256']}
+
+
+def shown(figure: dict[str, Any], proportion: bool) -> str:
+    """One figure with its interval, or how many it is the mean of."""
+    if figure['value'] is None:
+        return '– (none)'
+    if proportion:
+        low, high = figure['interval']
+        return (f'{figure["hits"]} of {figure["count"]} = {100.0 * figure["value"]:.1f} % '
+                f'[{100.0 * low:.1f}, {100.0 * high:.1f}]')
+    return f'{figure["value"]:.3g} ({figure["count"]})'
+
+
+def table(result: dict[str, Any]) -> str:
+    """The figures as Markdown: the table, the curve, and every effect by itself."""
+    figures = result['figures']
+    lines = ['| | target | measured |', '|---|---|---|']
+    lines += [f'| {name} | {target} | {shown(figures[key], proportion)} |'
+              for key, name, target, proportion in ROWS]
+    lines += ['', '95 % intervals in brackets (Wilson); numbers of logs or statements in parentheses.', '',
+              '| visibility [σ] | detection | right effect first | outside called unknown |',
+              '|---|---|---|---|']
+    lines += [f'| {row["from"]:g} – {row["to"]:g} | {shown(row["detection"], True)} | '
+              f'{shown(row["first_right"], True)} | {shown(row["outside_unknown"], True)} |'
+              for row in result['curve']]
+    lines += ['', '| effect (from 8 σ) | logs | detected | first | instead |', '|---|---|---|---|---|']
+    for name, row in sorted(result['by_effect'].items()):
+        instead = ', '.join(f'{n} {k}' for n, k in sorted(row['instead'].items(), key=lambda i: -i[1]))
+        lines.append(f'| {name} | {row["count"]} | {row["detected"]} | {row["first"]} | {instead or "–"} |')
+    return '\n'.join(lines)
+
+
+def draw(result: dict[str, Any], path: Path) -> None:
+    """Detection and naming over visibility, and how well probabilities are calibrated."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+    figure = Figure(figsize=(10.0, 4.2), layout='constrained')
+    FigureCanvasAgg(figure)
+    left, right = figure.subplots(1, 2)
+    for key, name, mark in (('detection', 'detected', 'o'), ('first_right', 'right effect first', 's'),
+                            ('outside_unknown', 'outside called unknown', '^')):
+        rows = [r for r in result['curve'] if r[key]['value'] is not None]
+        middle = [(r['from'] * r['to']) ** 0.5 for r in rows]
+        value = [r[key]['value'] for r in rows]
+        errors = [[max(0.0, r[key]['value'] - r[key]['interval'][0]) for r in rows],
+                  [max(0.0, r[key]['interval'][1] - r[key]['value']) for r in rows]]
+        left.errorbar(middle, value, yerr=errors, marker=mark, capsize=3, label=name)
+    left.set(xscale='log', xlabel='visibility of the effect [standard deviations]', ylim=(-0.03, 1.03),
+             ylabel='share of the logs', title='Seen and named')
+    left.set_xticks([3, 4, 5, 8, 10, 15, 20, 40], labels=['3', '4', '5', '8', '10', '15', '20', '40'])
+    left.minorticks_off()
+    left.axvline(8.0, color='0.7', lw=1.0)
+    left.grid(alpha=0.3)
+    left.legend(loc='lower right')
+    bins = result['calibration']['bins']
+    right.plot([0, 1], [0, 1], color='0.7', lw=1.0)
+    right.plot([b['said'] for b in bins], [b['true'] for b in bins], marker='o')
+    right.set(xlabel='probability that was given', ylabel='share that was true', aspect='equal',
+              xlim=(-0.03, 1.03), ylim=(-0.03, 1.03), title='Calibration of the probabilities')
+    right.grid(alpha=0.3)
+    figure.savefig(path, dpi=130)
