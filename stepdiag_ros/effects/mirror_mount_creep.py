@@ -42,4 +42,7 @@ class MirrorMountCreep(Effect):
             own, names = by_setup(view, view.by_mirror, ('u', 'v'))
             forms += [follow(view, course, own, names, 1e-5, 'rad', 'each mounting another amount')
                       for course in courses]
+            # A mount that stays on the tool while base unit and mirror's face are turned.
+            forms += [follow(view, course, view.by_mirror, ('u', 'v'), 1e-5, 'rad', 'mounted once')
+                      for course in relaxations(view.time)]
         return forms

@@ -11,8 +11,10 @@ from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
 from stepdiag_ros.effects.patterns import Drawn
 from stepdiag_ros.model.log import NONE
 
-TAUS = (0.03, 0.05, 0.08, 0.13, 0.2, 0.35, 0.6, 1.0)
+TAUS = (0.025, 0.036, 0.05, 0.07, 0.1, 0.14, 0.2, 0.29, 0.41, 0.58, 0.83, 1.2)
 """Time constants [s] that are tried."""
+MIXED = (1, 5, 9)
+"""Numbers of those that are tried together."""
 
 
 class ServoSettling(Effect):
@@ -44,9 +46,19 @@ class ServoSettling(Effect):
     def appearance(self, view: StopView) -> list[Form]:
         forms = []
         for start, along in self._directions(view).items():
-            for tau in TAUS:
-                forms += self._with(view, along, f'τ = {tau:g} s{start}', tau)
+            each = [self._with(view, along, f'τ = {tau:g} s{start}', tau) for tau in TAUS]
+            forms += [form for pair in each for form in pair]
+            # Servo and structure have time constants of their own.
+            forms += [self._sum([each[k][which] for k in MIXED]) for which in range(2)]
         return forms
+
+    @staticmethod
+    def _sum(forms: list[Form]) -> Form:
+        """Several time constants at once, each with its own size."""
+        return Form(' and '.join(form.label for form in forms), np.concatenate([f.columns for f in forms]),
+                    tuple(f'{name}, τ = {f.shape["tau_s"]:g} s' for f in forms for name in f.names),
+                    np.concatenate([f.scale for f in forms]),
+                    inside=np.concatenate([f.inside for f in forms]))
 
     @staticmethod
     def _directions(view: StopView) -> dict[str, np.ndarray]:

@@ -218,5 +218,5 @@ def test_forms_are_whole(bench, name):
                                   if n not in ('count_slip', 'non_rigid_coupling', 'vibration', 'clock_skew')])
 def test_forms_are_few(bench, name):
     forms = effect_class(name)().appearance(bench.view)
-    assert 0 < len(forms) <= 40
+    assert 0 < len(forms) <= 60
     assert max(len(form.names) for form in forms) <= 56
