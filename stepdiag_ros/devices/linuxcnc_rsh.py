@@ -62,6 +62,7 @@ class LinuxCncRsh:
         if unit not in units:
             raise self._link.fail(f'counts lengths in {unit!r}; set it up in MM or INCH')
         self._unit_m = units[unit]
+        self._forget_errors()
 
     def close(self) -> None:
         if self._link.is_open:
@@ -156,7 +157,16 @@ class LinuxCncRsh:
         self._set(f'mdi {code}')
         error = self._get('error')
         if error != 'OK':
+            # One wrong line may bring several complaints, the later ones a moment later;
+            # left there they would be taken for answers to the next line.
+            time.sleep(0.05)
+            self._forget_errors()
             raise self._link.fail(f'refuses {code!r}: {error}')
+
+    def _forget_errors(self) -> None:
+        for _ in range(20):
+            if self._get('error') == 'OK':
+                return
 
     def _set(self, command: str) -> None:
         name = command.split()[0]
