@@ -200,7 +200,8 @@ class Bringup:
                 raise StepdiagError(f'{child.name} died {len(child.deaths)} times within a minute: '
                                     f'{self._last_words(child.name)}')
             self._say(f'{child.name} {how}; starting it again')
-            self._spare_bag(child.name)
+            if child.name == 'recorder':
+                self._spare_bag()
             self._spawn(child.name, child.command)
             self.activate(child.name)
             self.restarts += 1
@@ -208,15 +209,17 @@ class Bringup:
             revived.append(child.name)
         return revived
 
-    def _spare_bag(self, node: str) -> None:
+    def _spare_bag(self) -> None:
         """A recorder that is started again writes beside the bag that its death tore."""
-        if node == 'recorder' and self._bag is not None:
-            torn, number = self._bag, 2
-            while (self._bag.parent / f'{torn.name}_{number}').exists():
-                number += 1
-            after = self._bag.parent / f'{torn.name}_{number}'
-            self._say(f'{torn} is torn; mend it with: stepdiag recover {torn}; going on in {after}')
-            self._children[node].command += ['-p', f'bag:={after}']
+        status = self.operator.recorder
+        torn = Path(status.bag) if status is not None and status.bag else self._bag
+        if torn is None:
+            return
+        number = 2
+        while (after := torn.parent / f'{torn.name}_{number}').exists():
+            number += 1
+        self._say(f'{torn} is torn; mend it with: stepdiag recover {torn}; going on in {after}')
+        self._children['recorder'].command = [*self._node_command('recorder'), '-p', f'bag:={after}']
 
     # -- stop --------------------------------------------------------------------
 

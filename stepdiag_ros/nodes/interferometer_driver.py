@@ -19,7 +19,7 @@ from stepdiag_msgs.srv import ResetDisplacement
 
 from stepdiag_ros.devices.base import DisplacementBlock
 from stepdiag_ros.devices.ids3010 import PORT, Ids3010
-from stepdiag_ros.nodes.base import ERROR, WARN, Health, overridable, reliable, run_node
+from stepdiag_ros.nodes.base import ERROR, OK, WARN, Health, overridable, reliable, run_node
 from stepdiag_ros.nodes.driver import DriverNode
 from stepdiag_ros.nodes.stamps import stamp_of
 
@@ -61,7 +61,7 @@ class InterferometerDriver(DriverNode):
             self.serve_select(f'{prefix}interferometer/select_setup', prefix)
             self.create_service(ResetDisplacement, f'{prefix}interferometer/reset', self._on_reset)
         self._next_environment = 0.0
-        self._zero_known = True
+        self._zero_known = False
         self._quality = 0
         self._index = 1.0
 
@@ -70,7 +70,8 @@ class InterferometerDriver(DriverNode):
                        self.value('timeout'))
 
     def activate(self) -> None:
-        self._zero_known, self._next_environment = True, 0.0
+        # Until the first reset nobody knows from where the distance counts: no signal.
+        self._zero_known, self._next_environment = False, 0.0
         super().activate()
 
     def read(self) -> DisplacementBlock:
@@ -127,7 +128,9 @@ class InterferometerDriver(DriverNode):
 
     def judge(self, values: dict[str, object]) -> Health:
         if not self._zero_known:
-            return Health(ERROR, 'connected again, zero unknown until the next reset', values)
+            again = bool(values['reconnects'])
+            return Health(ERROR if again else OK, 'connected again, zero unknown until the next reset'
+                          if again else 'measuring, zero unknown until the first reset', values)
         if values['blocks'] and self._quality == 0:
             return Health(WARN, 'no signal: the beam does not come back', values)
         return super().judge(values)

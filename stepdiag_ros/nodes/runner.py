@@ -43,7 +43,7 @@ class Runner:
 
     ``announce(run, stop, phase, time_ns)`` publishes a step event; ``mount(setup)`` has
     mirror, base unit and sensors put to a setup; ``reset()`` makes the present distance
-    zero; ``check()`` raises :class:`StepdiagError` when a source has fallen silent;
+    zero; ``check(setup)`` raises :class:`StepdiagError` when a source has fallen silent;
     ``report(progress)``; ``cancelled()``.  For ``guard_s`` after a dwell nothing moves: a
     sample that was polled a little later than its stamp says must not see the next move.
     However :meth:`execute` ends, the machine stands still.
@@ -53,7 +53,7 @@ class Runner:
     announce: Callable[[Run, Stop, int, int], None]
     mount: Callable[[str], None]
     reset: Callable[[], None]
-    check: Callable[[], None]
+    check: Callable[[str], None]
     report: Callable[[Progress], None]
     cancelled: Callable[[], bool]
     feed_m_s: float
@@ -115,7 +115,7 @@ class Runner:
             self.announce(run, stop, DONE, time.time_ns())
             self._done += 1
             self._spent_s += time.monotonic() - began
-            self.check()
+            self.check(run.setup)
             time.sleep(self.guard_s)
         self._tell(run, NONE, f'{run.run_id} done')
 

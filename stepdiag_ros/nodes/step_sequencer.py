@@ -156,8 +156,10 @@ class StepSequencer(StepdiagNode):
         self._note(SPOT, message, len(message.x), any(x == x for x in message.x))
 
     def _note(self, topic: str, message, samples: int, signal: bool) -> None:
-        end = ns_of(message.header.stamp) + round(samples * message.sample_period * 1e9)
-        self._watch.block(self.resolve_topic_name(topic), end, signal)
+        begin = ns_of(message.header.stamp)
+        self._watch.block(self.resolve_topic_name(topic), begin,
+                          begin + round(samples * message.sample_period * 1e9), signal,
+                          message.header.frame_id)
 
     def _on_recorder(self, status: RecorderStatus) -> None:
         self._watch.recorder(Recording(
@@ -231,7 +233,7 @@ class StepSequencer(StepdiagNode):
 
         dwell = goal.dwell if goal.dwell > 0.0 else self.value('dwell')
         runner = Runner(self.controller, self._announce, self._mount, self._zero,
-                        lambda: self._watch.check(bag), report, cancelled,
+                        lambda setup: self._watch.check(bag, setup), report, cancelled,
                         self.value('feed'), dwell, self.value('guard'))
         try:
             return runner.execute(runs)
@@ -279,10 +281,11 @@ class StepSequencer(StepdiagNode):
         self.controller.select_setup(setup)
         for sensor, client in self._select.items():
             self._call(client, SelectSetup.Request(setup=setup), f'{sensor}/select_setup')
-        self._watch.mounted()
+        self._watch.begin()
 
     def _zero(self) -> None:
         self._call(self._reset, ResetDisplacement.Request(), 'interferometer/reset')
+        self._watch.begin()
 
     def _call(self, client, request, name: str) -> None:
         """Call a service from the worker's thread."""

@@ -12,15 +12,13 @@ from dataclasses import dataclass, field
 from stepdiag_ros.errors import StepdiagError
 
 
-#: A beam that is not seen for so long is interrupted; a block may lack it now and then.
-DARK_S = 1.0
-
-
 @dataclass
 class _Source:
     last_s: float | None = None     # monotonic time of the last message
-    end_ns: int = 0                 # stamp of the end of the last block
+    begin_ns: int = 0               # stamps of begin and end of the last block
+    end_ns: int = 0
     dark_s: float | None = None     # since when there has been no signal; None: there is
+    setup: str = ''                 # which setup the last block says it belongs to
 
 
 @dataclass(frozen=True)
@@ -48,16 +46,18 @@ class Watch:
         self._besides = tuple(heard_besides)
         self._timeout_s = timeout_s
         self._recording: Recording | None = None
+        self._since_ns = 0
 
-    def block(self, topic: str, end_ns: int, signal: bool) -> None:
-        """A block of ``topic`` came that ends at ``end_ns``; ``signal``: it holds light."""
+    def block(self, topic: str, begin_ns: int, end_ns: int, signal: bool, setup: str) -> None:
+        """A block of ``topic`` came with these stamps; ``signal``: it holds light."""
         with self._lock:
             now, before = time.monotonic(), self._sources[topic].dark_s
-            self._sources[topic] = _Source(now, end_ns, None if signal else before or now)
+            self._sources[topic] = _Source(now, begin_ns, end_ns, None if signal else before or now, setup)
 
-    def mounted(self) -> None:
-        """Another mirror has just been mounted: what was dark until now does not count."""
+    def begin(self) -> None:
+        """A setup was mounted or a zero was set: what came before does not count any more."""
         with self._lock:
+            self._since_ns = time.time_ns()
             for source in self._sources.values():
                 if source.dark_s is not None:
                     source.dark_s = time.monotonic()
@@ -86,7 +86,7 @@ class Watch:
                     wants.append(f'nothing was heard on {topic}')
                 elif now - source.last_s > self._timeout_s:
                     wants.append(f'{topic} has been silent for {now - source.last_s:.1f} s')
-                elif light and source.dark_s is not None and now - source.dark_s > DARK_S:
+                elif light and source.dark_s is not None and now - source.dark_s > self._timeout_s:
                     wants.append(f'{topic} delivers no signal (is the beam interrupted?)')
             said = self._recording
             if said is None or now - said.at_s > self._timeout_s:
@@ -98,10 +98,18 @@ class Watch:
                 wants += [f'the recorder does not hear {topic}' for topic in deaf]
         return wants
 
-    def check(self, bag: str) -> None:
-        """Raise :class:`StepdiagError` if a source or the recorder of ``bag`` was lost in a run."""
+    def check(self, bag: str, setup: str) -> None:
+        """Raise :class:`StepdiagError` if a run of ``setup`` into ``bag`` has lost something.
+
+        A driver that was started again in the middle knows neither setup nor zero: it shows
+        by its blocks' setup or by their want of signal.
+        """
         wants = self.wants(light=True)
         said = self.recording
+        with self._lock:
+            wants += [f'{topic} speaks of setup {source.setup!r} in a run of {setup!r}'
+                      for topic, source in self._sources.items()
+                      if source.setup != setup and source.begin_ns > self._since_ns]
         if not wants and said is not None and said.bag != bag:
             wants = [f'the recorder began another bag ({said.bag}) while a run was under way']
         if wants:

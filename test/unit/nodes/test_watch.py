@@ -1,0 +1,95 @@
+"""What must be heard before a start, and what ends a run."""
+
+import time
+
+import pytest
+
+from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.nodes.watch import Recording, Watch
+
+SOURCES = ('/m/interferometer/displacement', '/m/psd/spot')
+DESCRIPTION = '/m/cell_description'
+
+
+def recording(hears=(*SOURCES, DESCRIPTION), bag='/bags/a', on=True) -> Recording:
+    return Recording(time.monotonic(), on, bag, frozenset(hears))
+
+
+def watch(timeout_s: float = 30.0) -> Watch:
+    return Watch(SOURCES, [DESCRIPTION], timeout_s)
+
+
+def block(one: Watch, topic: str, setup: str = 'ppp', signal: bool = True) -> None:
+    now = time.time_ns()
+    one.block(topic, now, now + 1, signal, setup)
+
+
+def test_nothing_heard_names_everything():
+    assert watch().wants() == [f'nothing was heard on {SOURCES[0]}', f'nothing was heard on {SOURCES[1]}',
+                               'the recorder is silent']
+
+
+def test_ready_when_all_deliver_and_the_recorder_hears_them():
+    one = watch()
+    for topic in SOURCES:
+        block(one, topic)
+    one.recorder(recording())
+    assert one.wants() == []
+    one.check('/bags/a', 'ppp')
+
+
+def test_the_recorders_word_counts():
+    one = watch()
+    for topic in SOURCES:
+        block(one, topic)
+    one.recorder(recording(on=False))
+    assert one.wants() == ['the recorder is not recording']
+    one.recorder(recording(hears=[DESCRIPTION, SOURCES[0]]))
+    assert one.wants() == [f'the recorder does not hear {SOURCES[1]}']
+
+
+def test_a_source_that_falls_silent_is_named():
+    one = watch(timeout_s=0.01)
+    for topic in SOURCES:
+        block(one, topic)
+    time.sleep(0.03)
+    one.recorder(recording())
+    assert [w.split(' has been silent')[0] for w in one.wants()] == list(SOURCES)
+
+
+def test_dark_beams_matter_in_a_run_only():
+    one = watch(timeout_s=0.02)
+    one.recorder(recording())
+    for topic in SOURCES:
+        block(one, topic, signal=False)
+    time.sleep(0.03)
+    for topic in SOURCES:
+        block(one, topic, signal=False)
+    one.recorder(recording())
+    assert one.wants() == []
+    with pytest.raises(StepdiagError, match='delivers no signal'):
+        one.check('/bags/a', 'ppp')
+    one.begin()
+    one.check('/bags/a', 'ppp')
+
+
+def test_blocks_of_another_setup_end_a_run():
+    one = watch()
+    one.recorder(recording())
+    for topic in SOURCES:
+        block(one, topic, setup='npp')
+    one.begin()
+    one.check('/bags/a', 'ppp')      # these came before the setup was mounted
+    time.sleep(0.001)
+    block(one, SOURCES[1], setup='npp')
+    with pytest.raises(StepdiagError, match="/m/psd/spot speaks of setup 'npp' in a run of 'ppp'"):
+        one.check('/bags/a', 'ppp')
+
+
+def test_another_bag_ends_a_run():
+    one = watch()
+    one.recorder(recording(bag='/bags/b'))
+    for topic in SOURCES:
+        block(one, topic)
+    with pytest.raises(StepdiagError, match='began another bag'):
+        one.check('/bags/a', 'ppp')
