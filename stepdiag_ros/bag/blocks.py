@@ -153,7 +153,8 @@ def _assemble(table: TopicTable, parts: list[_Part], setup_names: tuple[str, ...
     for part, _ in kept:
         count, beams = part.health.shape[1], len(part.columns)
         # Rounded, not cut: 0.02 s times 3 is 0.06 s and not 59 999 999 ns.
-        periods = part.period[:1] if (part.period == part.period[0]).all() else part.period
+        alike = count == 1 or (part.period == part.period[0]).all()
+        periods = np.where(count == 1, 0.0, part.period[:1]) if alike else part.period
         offset = np.rint(np.arange(count) * periods[:, None] * SECOND).astype(np.int64)
         for rows, at in _runs(starts[begin:begin + len(part.stamp)], count):
             _put(time, at, part.stamp[rows, None] + (offset if len(offset) == 1 else offset[rows]))
@@ -221,8 +222,9 @@ def _usable(part: _Part, setup_names: tuple[str, ...], dropped: _Dropped) -> tup
         if name not in setup_names:
             good &= dropped.keep(inverse != position, f'of unknown setup {name!r} (the description '
                                  f'has {", ".join(setup_names)})')
-    timed = (part.period > 0) & np.isfinite(part.period) | (part.health.shape[1] == 1)
-    good &= dropped.keep(timed | ~good, 'with a sample period that is no number above 0')
+    # Longer than years cannot be meant, and would not fit the nanoseconds.
+    timed = (part.period > 0) & (part.period * part.health.shape[1] < 1e9) | (part.health.shape[1] == 1)
+    good &= dropped.keep(timed | ~good, 'with a sample period that is no sensible number above 0')
     if good.all():
         return part, setup
     rest = {k: v[good] for k, v in vars(part).items() if k != 'columns'}

@@ -32,8 +32,8 @@ def parse_qos(text: str, topic: str) -> list[dict]:
     return profiles
 
 
-class PlainDumper(yaml.SafeDumper):
-    """YAML without anchors: yaml-cpp reads them, people do not."""
+class PlainDumper(getattr(yaml, 'CSafeDumper', yaml.SafeDumper)):
+    """YAML without anchors (yaml-cpp reads them, people do not), by libyaml where it is there."""
 
     def ignore_aliases(self, data):
         return True

@@ -181,8 +181,8 @@ class McapFile:
         tail = stream.read(_TAIL.size)
         if len(tail) == _TAIL.size and tail.endswith(MAGIC) and tail[0] == Opcode.FOOTER:
             summary = _TAIL.unpack(tail)[2]
-            stream.seek(summary)
-            data = stream.read(size - summary) if summary else b''
+            stream.seek(min(summary, size))
+            data = stream.read() if summary else b''
             position = 0
             while position + 9 <= len(data):
                 opcode, length = _RECORD.unpack_from(data, position)
@@ -315,9 +315,11 @@ class McapFile:
             stream = _stream(body)
             if opcode == Opcode.SCHEMA:
                 schema = Schema.read(stream)
+                _printable(schema.name, schema.encoding)
                 self.schemas[schema.id] = schema
             elif opcode == Opcode.CHANNEL:
                 channel = Channel.read(stream)
+                _printable(channel.topic, channel.message_encoding)
                 self.channels[channel.id] = channel
             elif opcode == Opcode.HEADER:
                 self.header = Header.read(stream)
@@ -325,7 +327,7 @@ class McapFile:
                 self.metadata.append(Metadata.read(stream))
             elif opcode == Opcode.STATISTICS:
                 self.statistics = Statistics.read(stream)
-        except (struct.error, UnicodeDecodeError, McapError) as error:
+        except (struct.error, ValueError, McapError) as error:
             self._fault(f'the record at byte {begin} is damaged: {error or "cut off"}')
 
 
@@ -361,6 +363,13 @@ def _hinted(buffer: np.ndarray, hints: list[bytes]) -> tuple[np.ndarray, np.ndar
     fits = (lengths >= HEADER_SIZE - 9).all() and (ends[:-1] <= offsets[1:]).all() \
         and ends[-1] <= len(buffer)
     return (offsets, lengths.astype(np.intp) - (HEADER_SIZE - 9)) if fits else none
+
+
+def _printable(*names: str) -> None:
+    """``ValueError`` if a name holds what no name holds."""
+    for name in names:
+        if not name.isprintable():
+            raise ValueError(f'it names {name!r}')
 
 
 def _stream(body: bytes) -> ReadDataStream:

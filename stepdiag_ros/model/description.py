@@ -87,7 +87,8 @@ class Description:
             at = f' line {where.line + 1}' if where else ''
             raise StepdiagError(
                 f'{source}:{at} cell_description is not valid YAML: '
-                f'{getattr(error, "problem", error)}; write it as the contract shows') from None
+                f'{" ".join(str(getattr(error, "problem", error)).split())}; '
+                'write it as the contract shows') from None
         return cls.from_dict(data, source)
 
     @classmethod

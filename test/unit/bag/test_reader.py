@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from mcap.reader import make_reader
 
 from stepdiag_ros.bag.codec import (
     encode_displacement,
@@ -20,7 +21,9 @@ from stepdiag_ros.bag.codec import (
 from stepdiag_ros.bag.export import write_log
 from stepdiag_ros.bag.msgdef import schema_text
 from stepdiag_ros.bag.reader import read_log
+from stepdiag_ros.bag.recover import recover
 from stepdiag_ros.bag.schemas import DESCRIPTION, DISPLACEMENT, SPOT, STEP, TOPICS
+from stepdiag_ros.bag.summary import summarise
 from stepdiag_ros.bag.writer import BagWriter
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.model.log import DWELL, CalibrationLog
@@ -265,7 +268,7 @@ def test_every_flipped_byte_is_noticed(tmp_path, small_log, differs):
     bag = write_log(small_log, tmp_path / 'bag')
     file = only_file(bag)
     data = file.read_bytes()
-    for place in range(0, len(data), 37):
+    for place in range(0, len(data), 61):
         flipped = bytearray(data)
         flipped[place] ^= 0x10
         file.write_bytes(flipped)
@@ -290,6 +293,36 @@ def test_flipped_byte_without_data_crc_is_found_in_its_chunk(tmp_path, small_log
     file.write_bytes(data)
     with pytest.raises(StepdiagError, match=r'chunk \d+ at byte \d+ fails its CRC'):
         read_log(bag)
+
+
+def test_any_damage_is_a_line_or_a_log(tmp_path, small_log):
+    """Random bytes in a file without CRCs: every outcome is a log or one line, for all commands."""
+    bag = write_log(small_log, tmp_path / 'bag', compression='none')
+    with open(only_file(bag), 'rb') as stream:
+        chunks = make_reader(stream).get_summary().chunk_indexes
+    whole = bytearray(only_file(bag).read_bytes())
+    end = struct.unpack_from('<Q', whole, len(whole) - 28)[0]
+    for place in (end - 4, len(whole) - 12, *(c.chunk_start_offset + 33 for c in chunks)):
+        whole[place:place + 4] = bytes(4)
+    file = tmp_path / 'damaged.mcap'
+    file.write_bytes(whole)
+    assert warned(read_log(file), 'no CRCs')
+    random = np.random.default_rng(5)
+    read = 0
+    for number in range(60):
+        data = whole.copy()
+        for place in random.integers(8, len(data), 1 + number % 4):
+            data[place] = random.integers(256)
+        if number % 10 == 0:
+            data = data[:random.integers(len(data))]
+        file.write_bytes(data)
+        for command in (read_log, summarise, lambda f: recover(f, tmp_path / f'mended_{number}')):  # noqa: B023
+            try:
+                command(file)
+                read += 1
+            except StepdiagError as error:
+                assert '\n' not in str(error), number
+    assert read > 60
 
 
 def test_file_without_crcs_says_so(shared):
@@ -558,6 +591,7 @@ def test_dwell_without_samples(tmp_path, small_log):
     ({'refractive_index': 0.0}, 'refractive index'),
     ({'refractive_index': np.nan}, 'refractive index'),
     ({'sample_period_s': 0.0}, 'sample period'),
+    ({'sample_period_s': 1e300}, 'sample period'),
     ({'sample_period_s': np.nan}, 'sample period')])
 def test_block_that_cannot_be(tmp_path, small_log, change, what):
     messages = messages_of(small_log)
