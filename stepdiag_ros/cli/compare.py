@@ -51,6 +51,11 @@ def run(args: argparse.Namespace) -> int:
                                 'give the known errors with --truth FILE')
         reference, label = best.errors, 'enhanced'
     outcome = compare(results, reference, label, log.description)
+    if args.out is not None:
+        from stepdiag_ros.report.compare_picture import draw
+
+        solutions = {n: r for n, r in results.items() if isinstance(r, Solution)}
+        draw(outcome, solutions, args.out, title=name)
     if args.json:
         print(json.dumps(_json(outcome, results, skipped), indent=1))
     else:
@@ -58,12 +63,7 @@ def run(args: argparse.Namespace) -> int:
         print()
         for method, why in skipped.items():
             print(f'not run: {method} ({METHODS[method].title}): {why}')
-    if args.out is not None:
-        from stepdiag_ros.report.compare_picture import draw
-
-        solutions = {n: r for n, r in results.items() if isinstance(r, Solution)}
-        draw(outcome, solutions, args.out, title=name)
-        if not args.json:
+        if args.out is not None:
             print(f'picture: {args.out}')
     return 0
 

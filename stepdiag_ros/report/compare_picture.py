@@ -20,9 +20,10 @@ def draw(comparison: Comparison, solutions: Mapping[str, Solution], path: Path, 
     """Six columns (three translations, three rotations) by three axes, squareness below."""
     matplotlib.rcParams['svg.hashsalt'] = 'stepdiag'
     figure = Figure(figsize=(17, 11), layout='constrained')
-    grid = figure.add_gridspec(4, 6)
+    upper, lower = figure.subfigures(2, 1, height_ratios=(3.2, 1.0))
+    curve_axes, square_axes = upper.subplots(3, 6), lower.subplots(1, 3)
     for place, name in enumerate(CURVES):
-        axes = figure.add_subplot(grid[place // 6, place % 6])
+        axes = curve_axes[place // 6, place % 6]
         for (method, solution), colour, mark in zip(solutions.items(), COLOURS, MARKS, strict=False):
             if solution.has(name):
                 position, value, sigma = solution.curve(name)
@@ -40,7 +41,7 @@ def draw(comparison: Comparison, solutions: Mapping[str, Solution], path: Path, 
         if place // 6 == 2:
             axes.set_xlabel('position [mm]', fontsize=9)
     for place, name in enumerate(SQUARENESS):
-        axes = figure.add_subplot(grid[3, 2 * place:2 * place + 2])
+        axes = square_axes[place]
         shown = {m: s for m, s in solutions.items() if s.has(name)}
         for row, (method, solution) in enumerate(shown.items()):
             value, sigma = solution.squareness(name)
@@ -53,7 +54,7 @@ def draw(comparison: Comparison, solutions: Mapping[str, Solution], path: Path, 
         axes.set_title(f'{name}  [µrad]', fontsize=10)
         axes.grid(alpha=0.3)
     handles, labels = [], []
-    for axes in figure.axes:
+    for axes in curve_axes.flat:
         for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
             if label not in labels:
                 handles.append(handle)
