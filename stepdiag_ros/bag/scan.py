@@ -27,6 +27,7 @@ MAGIC = b'\x89MCAP0\r\n'
 HEADER_SIZE = 31    # opcode, length, channel, sequence, log time, publish time of a message
 _RECORD = struct.Struct('<BQ')
 _CHUNK = struct.Struct('<QQQI')
+_WORTH = 300    # messages in a chunk from which its indexes pay
 _TAIL = struct.Struct('<BQQQI8s')    # footer and closing magic
 
 
@@ -343,10 +344,12 @@ class _Chunk:
 def _hinted(buffer: np.ndarray, hints: list[bytes]) -> tuple[np.ndarray, np.ndarray]:
     """Offsets and data lengths (m,) of the messages that the indexes name, all checked.
 
-    Empty if a single one does not stand where it should or reaches into the next: then
-    the indexes are worth nothing.
+    Empty if there are so few that a walk is faster, or if a single one does not stand
+    where it should or reaches into the next: then the indexes are worth nothing.
     """
     none = np.zeros(0, np.intp), np.zeros(0, np.intp)
+    if sum(map(len, hints)) < 16 * _WORTH:
+        return none
     pieces = [np.frombuffer(body, '<u8', (len(body) - 6) // 16 * 2, 6)[1::2] for body in hints
               if len(body) > 6]
     if not pieces:
