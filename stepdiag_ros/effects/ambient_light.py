@@ -40,13 +40,15 @@ class AmbientLight(Effect):
     def appearance(self, view: StopView) -> list[Form]:
         pull = view.zeros(1)
         pull[0, :, view.beams:] = -view.spot_model
-        forms = []
-        for course in courses(view.time):
-            one = np.ones(len(view.time))
-            with_constant = Course(course.label, np.vstack([one, course.values]),
-                                   np.vstack([0.0 * one, course.rates]), course.shape)
-            forms.append(follow(view, with_constant, pull, ('share',), 0.02, '1'))
+        forms = [follow(view, self._with_constant(course), pull, ('share',), 0.02, '1')
+                 for course in courses(view.time)]
         return self._from_intensity(view, pull) + forms
+
+    def _with_constant(self, course: Course) -> Course:
+        one = np.ones((1, course.values.shape[1]))
+        retune = None if course.retune is None else lambda shape: self._with_constant(course.retune(shape))
+        return Course(course.label, np.concatenate([one, course.values]),
+                      np.concatenate([0.0 * one, course.rates]), course.shape, retune)
 
     @staticmethod
     def _from_intensity(view: StopView, pull: np.ndarray) -> list[Form]:

@@ -8,8 +8,8 @@ order, with forms broad enough for a reality that follows no formula.  A test ho
 against the other.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -152,7 +152,8 @@ class Form:
     a typical size of each, in its unit; the evidence is averaged over sizes from ``scale/30`` to
     ``30·scale``.  ``inside`` (k, n, b, c) [m per unit]: the same inside the dwell, bin means minus the
     dwell's mean, or None where nothing happens there.  ``shape``: shape parameters by name with unit
-    in the name, e.g. ``{'tau_s': 400.0}``.
+    in the name, e.g. ``{'tau_s': 400.0}``.  ``retune``: the form with other shape parameters, or None where
+    there are none to tune; ``tuned_from``: label of the form that it was tuned from, empty if it was not.
     """
 
     label: str
@@ -162,6 +163,12 @@ class Form:
     units: str = 'm'
     inside: np.ndarray | None = None
     shape: Mapping[str, float] = field(default_factory=dict)
+    retune: Callable[[Mapping[str, float]], 'Form'] | None = None
+    tuned_from: str = ''
+
+    def at(self, shape: Mapping[str, float]) -> 'Form':
+        """The same form with other shape parameters; only where there is something to tune."""
+        return replace(self.retune(shape), tuned_from=self.tuned_from or self.label)
 
 
 class Effect:

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from stepdiag_ros.effects.base import Form, StopView
-from stepdiag_ros.effects.timeforms import Course, drift_form
+from stepdiag_ros.effects.timeforms import Course, drift_form, exponential
 
 
 def follow(view: StopView, course: Course, signature: np.ndarray, names: tuple[str, ...], scale: float,
@@ -57,16 +57,16 @@ def relaxations(time: np.ndarray) -> list[Course]:
     """What relaxes after a beginning at time 0: linear, exponential, logarithmic; ``time`` (n,) [s]."""
     span = max(float(time.max()), 1e-9)
     result = [Course('linear', (time / span)[None], np.full((1, len(time)), 1.0 / span), {})]
-    for fraction in (0.03, 0.1, 0.3, 1.0):
-        tau = fraction * span
-        result.append(Course(f'exponential, τ = {tau:.0f} s', saturating(time, tau)[None],
-                             np.exp(-time / tau)[None] / tau, {'tau_s': tau}))
-    for fraction in (0.01, 0.1):
-        start = fraction * span
-        size = np.log1p(1.0 / fraction)
-        result.append(Course(f'logarithmic from {start:.0f} s', np.log1p(time / start)[None] / size,
-                             1.0 / (start + time)[None] / size, {'start_s': start}))
+    result += [exponential(time, fraction * span) for fraction in (0.03, 0.1, 0.3, 1.0)]
+    result += [_logarithm(time, fraction * span, span) for fraction in (0.01, 0.1)]
     return result
+
+
+def _logarithm(time: np.ndarray, start: float, span: float) -> Course:
+    size = np.log1p(span / start)
+    return Course(f'logarithmic from {start:.0f} s', np.log1p(time / start)[None] / size,
+                  1.0 / (start + time)[None] / size, {'start_s': start},
+                  lambda shape: _logarithm(time, shape['start_s'], span))
 
 
 def drawn_size(rng: np.random.Generator, low: float, high: float, size: int | None = None

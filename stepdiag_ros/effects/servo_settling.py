@@ -46,7 +46,8 @@ class ServoSettling(Effect):
     def appearance(self, view: StopView) -> list[Form]:
         forms = []
         for start, along in self._directions(view).items():
-            each = [self._with(view, along, f'τ = {tau:g} s{start}', tau) for tau in TAUS]
+            each = [[self._form(view, along, start, tau, alike) for alike in (True, False)]
+                    for tau in TAUS]
             forms += [form for pair in each for form in pair]
             # Servo and structure have time constants of their own.
             forms += [self._sum([each[k][which] for k in MIXED]) for which in range(2)]
@@ -73,21 +74,23 @@ class ServoSettling(Effect):
             found[', at the first stops too'] = -sign.T[:, :, None] * view.by_shift
         return found
 
-    def _with(self, view: StopView, along: np.ndarray, label: str, tau: float) -> list[Form]:
+    def _form(self, view: StopView, along: np.ndarray, start: str, tau: float, alike: bool) -> Form:
+        """One time constant; ``alike``: one size for all axes, or else each its own."""
         binned = self._bin_means(view.bin_time, tau)
         mean = binned.mean(axis=1)
         columns = along * mean[:, None]
         inside = along[:, :, None, :] * (binned - mean[:, None])[:, :, None]
-        shape = {'tau_s': tau}
-        return [Form(f'{label}, all axes alike', columns.sum(axis=0, keepdims=True), ('all',),
-                     np.full(1, 3e-6), inside=inside.sum(axis=0, keepdims=True), shape=shape),
-                Form(f'{label}, each axis', columns, ('X', 'Y', 'Z'), np.full(3, 3e-6),
-                     inside=inside, shape=shape)]
+        if alike:
+            columns, inside = columns.sum(axis=0, keepdims=True), inside.sum(axis=0, keepdims=True)
+        names = ('all',) if alike else ('X', 'Y', 'Z')
+        return Form(f'τ = {tau:.3g} s{start}, {"all axes alike" if alike else "each axis"}', columns, names,
+                    np.full(len(names), 3e-6), inside=inside, shape={'tau_s': tau},
+                    retune=lambda shape: self._form(view, along, start, shape['tau_s'], alike))
 
     @staticmethod
     def _bin_means(middle: np.ndarray, tau: float) -> np.ndarray:
-        """Means of ``exp(−t/τ)`` (n, b) over bins of equal width that begin with the dwell."""
-        width = 2.0 * middle[:, :1]
-        begin = middle - 0.5 * width
-        share = np.where(width > 0.0, width, 1.0) / tau
-        return np.exp(-begin / tau) * -np.expm1(-share) / share
+        """Means of ``exp(−t/τ)`` (n, b) over bins of equal width around ``middle`` (n, b) [s]."""
+        width = np.mean(np.diff(middle, axis=1), axis=1, keepdims=True) if middle.shape[1] > 1 \
+            else 2.0 * middle
+        half = np.maximum(width, 1e-9 * tau) / (2.0 * tau)
+        return np.exp(-middle / tau) * np.sinh(half) / half

@@ -5,6 +5,7 @@ multiplies with its signature.  Constants are left out: resets and misalignments
 them or the signature's own constant stands beside.
 """
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,12 +18,30 @@ PERIOD_FRACTIONS = (1.0, 0.7, 0.5, 0.35, 0.25)
 
 @dataclass(frozen=True)
 class Course:
-    """``values`` (k, n) over the times and their ``rates`` (k, n) [1/s]; ``label``; ``shape`` parameters."""
+    """``values`` (k, n) over the times and their ``rates`` (k, n) [1/s]; ``label``; ``shape`` parameters;
+    ``retune``: the course with other ones, None where there are none."""
 
     label: str
     values: np.ndarray
     rates: np.ndarray
     shape: dict[str, float]
+    retune: Callable[[Mapping[str, float]], 'Course'] | None = None
+
+
+def exponential(since: np.ndarray, tau: float) -> Course:
+    """``1 − exp(−t/τ)`` over ``since`` (n,) [s]."""
+    fading = np.exp(-since / tau)[None]
+    return Course(f'exponential, τ = {tau:.0f} s', 1.0 - fading, fading / tau, {'tau_s': tau},
+                  lambda shape: exponential(since, shape['tau_s']))
+
+
+def cycle(since: np.ndarray, period: float) -> Course:
+    """A sine and a cosine of ``period`` [s] over ``since`` (n,) [s], both zero at 0."""
+    angular = 2.0 * np.pi / period
+    phase = angular * since
+    return Course(f'cycle of {period:.0f} s', np.stack([np.sin(phase), np.cos(phase) - 1.0]),
+                  angular * np.stack([np.cos(phase), -np.sin(phase)]), {'period_s': period},
+                  lambda shape: cycle(since, shape['period_s']))
 
 
 def courses(time: np.ndarray, flexible: bool = True) -> list[Course]:
@@ -31,19 +50,8 @@ def courses(time: np.ndarray, flexible: bool = True) -> list[Course]:
     span = max(float(np.ptp(time)), 1e-9)
     since = time - time.min()
     result = [Course('linear', (since / span)[None], np.full((1, len(time)), 1.0 / span), {})]
-    for fraction in TAU_FRACTIONS:
-        tau = fraction * span
-        fading = np.exp(-since / tau)[None]
-        result.append(Course(f'exponential, τ = {tau:.0f} s', 1.0 - fading, fading / tau,
-                             {'tau_s': tau}))
-    for fraction in PERIOD_FRACTIONS:
-        period = fraction * span
-        angular = 2.0 * np.pi / period
-        phase = angular * since
-        result.append(Course(f'cycle of {period:.0f} s',
-                             np.stack([np.sin(phase), np.cos(phase) - 1.0]),
-                             angular * np.stack([np.cos(phase), -np.sin(phase)]),
-                             {'period_s': period}))
+    result += [exponential(since, fraction * span) for fraction in TAU_FRACTIONS]
+    result += [cycle(since, fraction * span) for fraction in PERIOD_FRACTIONS]
     if flexible:
         scaled = 2.0 * since / span - 1.0
         basis = [np.polynomial.legendre.Legendre.basis(d) for d in range(1, 6)]
@@ -69,4 +77,6 @@ def drift_form(view: StopView, course: Course, signature: np.ndarray, names: tup
     inside = rates[:, :, None, :] * away[None, :, :, None]
     return Form(f'{label}{", " if label else ""}{course.label}', columns,
                 tuple(f'{name}{i or ""}' for i in range(count) for name in names),
-                np.tile(scale, count), units, inside, course.shape)
+                np.tile(scale, count), units, inside, course.shape,
+                None if course.retune is None else lambda shape: drift_form(
+                    view, course.retune(shape), signature, names, scale, label, units))
