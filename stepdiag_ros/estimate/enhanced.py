@@ -111,11 +111,11 @@ def start(parameters: Parameters, model: ForwardModel, table: StopTable,
 
 def fit(description: Description, table: StopTable, noise: NoiseModel | None = None,
         readings: np.ndarray | None = None, theta: np.ndarray | None = None,
-        parameters: Parameters | None = None) -> Fit:
+        parameters: Parameters | None = None, settled: float = SETTLED) -> Fit:
     """Solve for all unknowns of the stops in ``table``.
 
     ``noise`` is estimated from the table when not given; ``readings`` replaces the table's own
-    (n, beams + 2); ``theta`` starts the iteration.
+    (n, beams + 2); ``theta`` starts the iteration, ``settled`` [χ²] ends it.
     """
     parameters = parameters or parameters_of(description, table)
     model = ForwardModel(description, table, parameters)
@@ -155,7 +155,7 @@ def fit(description: Description, table: StopTable, noise: NoiseModel | None = N
                 break
             part /= 2.0
         predicted, jacobian, arrival = model.jacobian(theta)
-        if promised < SETTLED * max(1.0, 1e-6 * value) or part < SHORTEST:
+        if promised < settled * max(1.0, 1e-6 * value) or part < SHORTEST:
             converged = True
             break
     residual = readings - predicted

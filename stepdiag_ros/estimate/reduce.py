@@ -24,7 +24,7 @@ class StopTable:
     ``repeat``, ``direction``, ``index``, ``axis`` (n,) as in the contract's Step;
     ``commanded`` (n, 3) [m]; ``move_ns``, ``dwell_ns``, ``done_ns`` (n,) int64 (−1: no move seen).
     ``displacement`` (n, beams), ``spot`` (n, 2) [m]: means over the dwell, NaN where there is none;
-    ``displacement_scatter``, ``spot_scatter`` [m]: standard deviation of one sample in the dwell;
+    ``displacement_scatter``, ``spot_scatter`` [m]: standard deviation of one sample against its neighbours;
     ``displacement_count``, ``spot_count`` (n,): samples used.
     ``displacement_rows``, ``spot_rows`` (n, 2): the dwell's samples are ``[first, last)`` of the log.
     ``intensity`` (n,) [V] and ``refractive_index`` (n,): means over the dwell.
@@ -181,7 +181,8 @@ def _average(samples: Samples, start_ns: np.ndarray, end_ns: np.ndarray, setup: 
         # Subtracting the first sample keeps the mean exact to the last bit of a long distance.
         mean[i] = values[0] + (values - values[0]).mean(axis=0)
         if count[i] > 1:
-            scatter[i] = values.std(axis=0, ddof=1)
+            # From neighbours in time: what creeps or drifts inside a dwell is not sensor noise.
+            scatter[i] = np.sqrt(np.mean(np.diff(values, axis=0)**2, axis=0) / 2.0)
         health[i] = samples.health[lo:hi][good].mean()
         index[i] = samples.refractive_index[lo:hi][good].mean()
     return _Averages(mean, scatter, count, rows, health, index, left_out)

@@ -16,7 +16,8 @@ from stepdiag_ros.estimate.noise import estimate_noise
 from stepdiag_ros.estimate.enhanced import readings_of
 from stepdiag_ros.gap.closing import Closing, closing
 from stepdiag_ros.gap.inside import Timing, Vibration, timing, vibration
-from stepdiag_ros.gap.joint import Joint, fit_jointly, unexplained
+from stepdiag_ros.estimate.solution import Solution
+from stepdiag_ros.gap.joint import Joint, fit_jointly, freed_solution, unexplained
 from stepdiag_ros.gap.observe import Observation, observe
 from stepdiag_ros.gap.search import Candidate, EffectSet, Screen, probabilities, search
 from stepdiag_ros.gap.thresholds import (
@@ -73,6 +74,37 @@ class Diagnosis:
     shaking: Vibration | None
     leftover: str
     warnings: tuple[str, ...]
+    raw: list[EffectSet]
+    screen: Screen
+    next_measurement: str | None = None
+
+    def to_json_dict(self) -> dict:
+        """``gap.json`` of the contract, and more beside it."""
+        return {
+            'verdict': self.verdict,
+            'gap': {'before_m': self.closing.before_m, 'after_m': self.closing.after_m,
+                    'noise_floor_m': self.closing.floor_m, 'held_out': self.closing.held_out,
+                    'reduced_chi2_before': self.closing.before,
+                    'reduced_chi2_after': self.closing.after},
+            'where': [share.to_json_dict() for share in self.shares],
+            'effects': [{'name': f.name, 'probability': f.probability, 'parameters': dict(f.parameters),
+                         'sigma': dict(f.sigma), 'units': f.units, 'form': f.form, 'closes': f.closes,
+                         'what': f.title, 'remedy': f.remedy} for f in self.effects],
+            'indistinguishable': [list(group) for group in self.indistinguishable],
+            'next_measurement': self.next_measurement,
+            'unknown': self.leftover or None,
+            'ranking': dict(sorted(self.ranking.items(), key=lambda item: -item[1])),
+            'sets': [{'names': list(names), 'probability': p} for names, p in self.sets],
+            'errors': self.solution.to_json_dict()['errors'],
+            'noise': {'position_repeatability_m': self.joint.noise.position,
+                      'angle_repeatability_rad': self.joint.noise.angle,
+                      'source': self.joint.noise.source},
+            'warnings': list(self.warnings)}
+
+    @property
+    def solution(self) -> Solution:
+        """The 21 errors with the effects taken out, their uncertainty included."""
+        return freed_solution(self.joint)
 
 
 def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
@@ -106,7 +138,7 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
                      {**names, 'nothing': nothing},
                      tuple((s.names, w) for s, w in zip(sets, weights, strict=True))[:20],
                      _confused(sets, best), observation, joint, clocks, shaking, leftover,
-                     log.warnings + observation.table.warnings)
+                     log.warnings + observation.table.warnings, sets, screen)
 
 
 def _noise(observation: Observation):
@@ -119,8 +151,8 @@ def _settle(observation: Observation,
     """Search and fit in turns until the chosen set stays the same."""
     joint = fit_jointly(observation, [], _noise(observation))
     previous: tuple = ()
-    for turn in range(ROUNDS):
-        screen = _screen(joint, effects, thorough=True)
+    for _ in range(ROUNDS):
+        screen = _screen(joint, effects)
         sets = search(screen)
         best = sets[0] if sets[0].log_bayes > ALARM else EffectSet((), 0.0)
         chosen: list[tuple[Effect, Form]] = []
@@ -138,7 +170,7 @@ def _settle(observation: Observation,
     return joint, sets, screen
 
 
-def _screen(joint: Joint, effects: Mapping[str, Effect], thorough: bool) -> Screen:
+def _screen(joint: Joint, effects: Mapping[str, Effect]) -> Screen:
     view = joint.observation.view
     candidates = []
     for effect in effects.values():

@@ -20,46 +20,33 @@ SIZES = np.logspace(-1.5, 1.5, 9)
 
 @dataclass(frozen=True)
 class Judged:
-    """``log_bayes`` of a form; ``fall``: what of zᵀz its best fit takes away; ``coefficients`` (k,) and
-    ``covariance`` (k, k) in units of the form's scale; ``strength``: root of zᵀPz along its columns."""
+    """``log_bayes`` of a form against nothing; ``fall``: what of zᵀz its best fit takes away."""
 
     log_bayes: float
     fall: float
-    coefficients: np.ndarray
-    covariance: np.ndarray
 
 
-def judge(columns: np.ndarray, data: np.ndarray, dof: float, noise_dof: float) -> Judged:
-    """Evidence for ``columns`` (N, k) in ``data`` (N,) with ``dof`` free dimensions."""
-    gram = columns.T @ columns
-    along = columns.T @ data
-    return judge_gram(gram, along, float(data @ data), dof, noise_dof)
-
-
-def judge_gram(gram: np.ndarray, along: np.ndarray, total: float, dof: float,
-               noise_dof: float) -> Judged:
-    """As :func:`judge` from the products ``ZᵀZ`` (k, k), ``Zᵀz`` (k,) and ``zᵀz``."""
+def judge(gram: np.ndarray, along: np.ndarray, total: float, dof: float,
+          noise_dof: float) -> list[Judged]:
+    """Evidence for F forms of k columns each, from the products ``ZᵀZ`` (F, k, k), ``Zᵀz`` (F, k) and
+    ``zᵀz``, in data with ``dof`` free dimensions."""
     value, vector = np.linalg.eigh(gram)
     value = np.maximum(value, 0.0)
-    turned = vector.T @ along
-    variance = SIZES[:, None] ** 2
-    gain = np.sum(turned**2 * variance / (1.0 + variance * value), axis=1)
+    turned = np.einsum('fji,fj->fi', vector, along)
+    variance = SIZES[:, None, None] ** 2
+    gain = np.sum(turned**2 * variance / (1.0 + variance * value), axis=2)
     share = np.minimum(gain / (noise_dof + total), 1.0 - 1e-12)
-    logs = (-0.5 * np.sum(np.log1p(variance * value), axis=1)
+    logs = (-0.5 * np.sum(np.log1p(variance * value), axis=2)
             - 0.5 * (dof + noise_dof) * np.log1p(-share))
-    best = int(np.argmax(logs))
+    top = logs.max(axis=0)
+    mean = top + np.log(np.mean(np.exp(logs - top), axis=0))
     shrink = 1.0 / (value + SIZES[-1] ** -2.0)
-    coefficients = vector @ (turned * shrink)
-    covariance = (vector * shrink) @ vector.T
-    fall = float(2.0 * coefficients @ along - coefficients @ gram @ coefficients)
-    return Judged(float(_log_mean(logs)), max(fall, 0.0), coefficients, covariance)
-
-
-def _log_mean(values: np.ndarray) -> float:
-    top = values.max()
-    return top + np.log(np.mean(np.exp(values - top)))
+    fall = np.sum(turned**2 * shrink * (2.0 - value * shrink), axis=1)
+    return [Judged(float(m), max(float(f), 0.0)) for m, f in zip(mean, fall, strict=True)]
 
 
 def log_mean(values: list[float]) -> float:
     """Logarithm of the mean of exponentials."""
-    return float(_log_mean(np.asarray(values, float)))
+    numbers = np.asarray(values, float)
+    top = numbers.max()
+    return float(top + np.log(np.mean(np.exp(numbers - top))))

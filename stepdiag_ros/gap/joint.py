@@ -11,7 +11,9 @@ import numpy as np
 
 from stepdiag_ros.effects.base import Effect, Form
 from stepdiag_ros.estimate.enhanced import Fit, readings_of
+from stepdiag_ros.estimate.evaluate import solution_of
 from stepdiag_ros.estimate.noise import NoiseModel, estimate_noise
+from stepdiag_ros.estimate.solution import Solution
 from stepdiag_ros.gap.evidence import SIZES
 from stepdiag_ros.gap.observe import Observation, sane_fit, view_of
 from stepdiag_ros.gap.parity import Parity, parity
@@ -70,7 +72,7 @@ def fit_jointly(observation: Observation, chosen: list[tuple[Effect, Form]],
         added = sum(a.contribution for a in active)
         freed = replace(table, displacement=table.displacement - added[:, :-2],
                         spot=table.spot - added[:, -2:])
-        result = sane_fit(observation.log, freed)
+        result = sane_fit(observation.log, freed, observation.fit.theta)
         noise = estimate_noise(freed, observation.log.description.noise, result.arrival)
         view = replace(view_of(observation.log, table, result, observation.view.bin_time),
                        reading=readings)
@@ -128,3 +130,21 @@ def unexplained(space: Parity, active: tuple[Active, ...]) -> np.ndarray:
     for a in active:
         rest = rest - space.project(a.form) @ (a.coefficients / a.form.scale)
     return rest
+
+
+def freed_solution(joint: Joint) -> Solution:
+    """The machine's errors with the effects taken out; what the effects' own uncertainty adds included."""
+    result = joint.fit
+    if joint.active:
+        columns = [joint.parity.white_part(a.form.columns) * a.form.scale for a in joint.active]
+        white = np.concatenate(columns, axis=1)
+        jacobian = np.concatenate([w(result.jacobian.toarray()) for w in joint.parity._white])
+        # The unknowns follow a change of the coefficients by −(JᵀJ + P)⁻¹ JᵀB.
+        normal = jacobian.T @ jacobian + result.precision
+        follow = np.linalg.solve(normal, jacobian.T @ white)
+        left = white.T @ white - white.T @ jacobian @ follow
+        spread = np.linalg.inv(left + np.eye(len(left)) / SIZES[-1] ** 2)
+        result = replace(result, covariance=np.linalg.inv(normal) + follow @ spread @ follow.T)
+    rest = unexplained(joint.parity, joint.active)[:joint.parity.stops]
+    result = replace(result, chi2=float(rest @ rest), dof=joint.parity.dof[0])
+    return solution_of(result, joint.observation.table)

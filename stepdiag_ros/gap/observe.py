@@ -16,6 +16,8 @@ from stepdiag_ros.model.air import refractive_index
 from stepdiag_ros.model.log import CalibrationLog, ScalarSeries
 
 BINS = 5
+SETTLED = 1e-2
+"""The diagnosis needs a fit to a hundredth of a standard deviation, not to the last digit [χ²]."""
 GROSS = 4.0
 """Reduced χ² above which the noise is scaled up for the fit, so that a gross effect bends it less."""
 
@@ -44,13 +46,13 @@ def observe(log: CalibrationLog) -> Observation:
     return Observation(log, table, nominal, view_of(log, table, nominal, time), bins, sigma)
 
 
-def sane_fit(log: CalibrationLog, table: StopTable, readings: np.ndarray | None = None) -> Fit:
+def sane_fit(log: CalibrationLog, table: StopTable, theta: np.ndarray | None = None) -> Fit:
     """The nominal fit; where the model fails grossly, with the noise scaled up until it does not.
 
     The widths of the unknowns then hold machine and misalignments to plausible sizes instead of
-    letting them explain the gap away.
+    letting them explain the gap away.  ``theta`` starts the iteration.
     """
-    result = fit(log.description, table, readings=readings)
+    result = fit(log.description, table, theta=theta, settled=SETTLED)
     noise, scale = result.noise, 1.0
     for _ in range(6):
         reduced = result.chi2 / max(result.dof, 1)
@@ -59,7 +61,7 @@ def sane_fit(log: CalibrationLog, table: StopTable, readings: np.ndarray | None 
         scale *= np.sqrt(max(reduced, GROSS)) if np.isfinite(reduced) else 100.0
         softened = replace(noise, position=noise.position * scale, angle=noise.angle * scale,
                            sensor=noise.sensor * scale)
-        result = fit(log.description, table, noise=softened, readings=readings)
+        result = fit(log.description, table, noise=softened, theta=theta, settled=SETTLED)
     return result
 
 
@@ -155,7 +157,8 @@ def _scales(log: CalibrationLog, table: StopTable) -> np.ndarray | None:
 
 
 def _bins(log: CalibrationLog, table: StopTable) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Bin means minus dwell means (n, b, c) [m], their noise (n, c) [m], middles of the bins (n, b) [s]."""
+    """Bin means minus dwell means (n, b, c) [m], their noise (n, c) [m], mean times of the bins' samples
+    after the dwell began (n, b) [s]."""
     n, beams = len(table), table.displacement.shape[1]
     bins = np.full((n, BINS, beams + 2), np.nan)
     sigma = np.full((n, beams + 2), np.nan)
@@ -169,14 +172,17 @@ def _bins(log: CalibrationLog, table: StopTable) -> tuple[np.ndarray, np.ndarray
                 continue
             values = samples.values[lo:hi]
             values = values - values[0]
-            place = ((samples.time_ns[lo:hi] - table.dwell_ns[i]) * 1e-9 / length[i] * BINS)
-            place = np.clip(place.astype(int), 0, BINS - 1)
+            since = samples.time_ns[lo:hi] - table.dwell_ns[i]
+            # In whole nanoseconds: on a common time grid rounding would put some samples a bin too early.
+            place = np.clip(since * BINS // (table.done_ns[i] - table.dwell_ns[i]), 0, BINS - 1)
             count = np.bincount(place, minlength=BINS)
             if np.any(count == 0) or not np.isfinite(values).all():
                 continue
             sums = np.stack([np.bincount(place, values[:, k], BINS)
                              for k in range(values.shape[1])], axis=1)
             bins[i, :, columns] = sums / count[:, None] - values.mean(axis=0)
+            if columns.start == 0:
+                time[i] = np.bincount(place, since * 1e-9, BINS) / count
             differences.append((i, np.median(np.abs(np.diff(values, axis=0)), axis=0),
                                 count.mean()))
         if differences:

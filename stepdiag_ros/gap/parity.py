@@ -44,11 +44,19 @@ class Parity:
     def size(self) -> int:
         return len(self.data)
 
+    def white_part(self, columns: np.ndarray) -> np.ndarray:
+        """White columns, not yet projected: (k, n, c) → (stops, k)."""
+        flat = columns.reshape(len(columns), -1).T
+        return np.concatenate([w(flat) for w in self._white])
+
+    def absorbed(self, white: np.ndarray) -> np.ndarray:
+        """Coordinates (r, k) of white columns in what the fit can imitate."""
+        return self._basis.T @ white
+
     def stop_part(self, columns: np.ndarray) -> np.ndarray:
         """White, projected columns: (k, n, c) → (stops, k)."""
-        flat = columns.reshape(len(columns), -1).T
-        white = np.concatenate([w(flat) for w in self._white])
-        return white - self._basis @ (self._basis.T @ white)
+        white = self.white_part(columns)
+        return white - self._basis @ self.absorbed(white)
 
     def bin_part(self, inside: np.ndarray) -> np.ndarray:
         """White contrasts of bins: (k, n, b, c) → (N − stops, k)."""

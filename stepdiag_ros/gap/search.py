@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from stepdiag_ros.effects.base import Form
-from stepdiag_ros.gap.evidence import Judged, judge_gram, log_mean
+from stepdiag_ros.gap.evidence import Judged, judge, log_mean
 from stepdiag_ros.gap.parity import Parity
 from stepdiag_ros.gap.unknown import NAME as UNKNOWN
 
@@ -24,6 +24,8 @@ FORMS_OF_ONE = 3
 MOST_REPEATS = 4
 MOST_FORMS = 6
 """Most forms of one effect, of one that repeats, and of a set."""
+HOPELESS = 60.0
+"""Sets this far behind in log evidence are not carried on."""
 GAIN = 3.0
 """Least growth of log evidence for which a set is carried on with a further member."""
 
@@ -74,11 +76,12 @@ class Screen:
     candidates: Sequence[Candidate]
     noise_dof: float
     repeatable: frozenset = frozenset()
-    _columns: np.ndarray = field(init=False)
+    _white: np.ndarray = field(init=False)
     _bins: dict = field(init=False)
     _slices: list = field(init=False)
-    _gram: list = field(init=False)
-    _along: list = field(init=False)
+    _by_width: dict = field(init=False)
+    _grams: dict = field(init=False)
+    _alongs: dict = field(init=False)
 
     def __post_init__(self):
         stops = self.parity.stops
@@ -88,24 +91,32 @@ class Screen:
         self._slices = [slice(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True)]
         stacked = np.concatenate([c.form.columns * c.form.scale[:, None, None]
                                   for c in self.candidates])
-        self._columns = self.parity.stop_part(stacked)
-        along = self._columns.T @ data[:stops]
-        self._bins, self._gram, self._along = {}, [], []
+        # The data are projected, so are products with them: the columns need not be, which would
+        # be the dearest step.  Their own products are put right by what the fit absorbs.
+        self._white = self.parity.white_part(stacked)
+        absorbed = self.parity.absorbed(self._white)
+        along = self._white.T @ data[:stops]
+        self._bins, self._by_width = {}, {}
+        grams, alongs = [], []
         for number, (candidate, part) in enumerate(zip(self.candidates, self._slices, strict=True)):
-            columns = self._columns[:, part]
-            gram, projected = columns.T @ columns, along[part].copy()
+            columns, lost = self._white[:, part], absorbed[:, part]
+            gram, projected = columns.T @ columns - lost.T @ lost, along[part].copy()
             if candidate.form.inside is not None:
                 inside = self.parity.bin_part(candidate.form.inside) * candidate.form.scale
                 self._bins[number] = inside
                 gram = gram + inside.T @ inside
                 projected += inside.T @ data[stops:]
-            self._gram.append(gram)
-            self._along.append(projected)
+            grams.append(gram)
+            alongs.append(projected)
+            self._by_width.setdefault(len(projected), []).append(number)
+        self._grams = {k: np.stack([grams[i] for i in n]) for k, n in self._by_width.items()}
+        self._alongs = {k: np.stack([alongs[i] for i in n]) for k, n in self._by_width.items()}
 
     def columns_of(self, number: int) -> np.ndarray:
         """Columns (N, k) of one candidate, per unit of its scale."""
-        full = np.zeros((self.parity.size, self._gram[number].shape[0]))
-        full[:self.parity.stops] = self._columns[:, self._slices[number]]
+        full = np.zeros((self.parity.size, len(self.candidates[number].form.columns)))
+        white = self._white[:, self._slices[number]]
+        full[:self.parity.stops] = white - self.parity._basis @ self.parity.absorbed(white)
         if number in self._bins:
             full[self.parity.stops:] = self._bins[number]
         return full
@@ -125,15 +136,18 @@ class Screen:
         taken = basis.T @ data
         total = float(data @ data - taken @ taken)
         dof = sum(self.parity.dof) - basis.shape[1]
-        overlap = basis[:stops].T @ self._columns
-        judged = []
-        for number, part in enumerate(self._slices):
-            cross = overlap[:, part]
-            if number in self._bins:
-                cross = cross + basis[stops:].T @ self._bins[number]
-            judged.append(judge_gram(self._gram[number] - cross.T @ cross,
-                                     self._along[number] - cross.T @ taken, total, dof,
-                                     self.noise_dof))
+        overlap = basis[:stops].T @ self._white
+        judged: list[Judged | None] = [None] * len(self._slices)
+        for width, numbers in self._by_width.items():
+            cross = np.stack([overlap[:, self._slices[i]] for i in numbers])
+            for place, i in enumerate(numbers):
+                if i in self._bins:
+                    cross[place] += basis[stops:].T @ self._bins[i]
+            gram = self._grams[width] - np.einsum('frk,frl->fkl', cross, cross)
+            along = self._alongs[width] - np.einsum('frk,r->fk', cross, taken)
+            for i, result in zip(numbers, judge(gram, along, total, dof, self.noise_dof),
+                                 strict=True):
+                judged[i] = result
         return judged
 
     def by_effect(self, members: Sequence[int] = ()) -> dict[str, Member]:
@@ -167,9 +181,10 @@ def search(screen: Screen) -> list[EffectSet]:
         front.append(found)
     while front:
         front = sorted(front, key=lambda s: -s.log_bayes)[:BEAM]
+        front = [s for s in front if s.log_bayes > max(GAIN, front[0].log_bayes - HOPELESS)]
         grown = []
         for found in front:
-            if found.log_bayes < GAIN or UNKNOWN in found.names:
+            if UNKNOWN in found.names:
                 continue
             for member in screen.by_effect([m.candidate for m in found.members]).values():
                 larger = EffectSet((*found.members, member), found.log_bayes + member.log_bayes)
