@@ -12,13 +12,13 @@ waiting, and the answers read meanwhile.
 
 import time
 from collections import deque
-from typing import Any
 
 import numpy as np
 
 from stepdiag_ros.devices.base import DeviceError, DisplacementBlock
 from stepdiag_ros.devices.jsonstream import JsonStream
 from stepdiag_ros.devices.link import Link
+from stepdiag_ros.devices.optical_switch import OpticalSwitch
 
 PORT = 9090
 NAMESPACES = ('com.attocube.sen', 'com.attocube.ids')
@@ -35,12 +35,12 @@ LATE_S = 0.05
 class Ids3010:
     """Client of one IDS3010 whose first ``beams`` axes look at the mirror.
 
-    ``newline``: end each request with one (the device takes both).  ``switch``: an object
-    with ``select(name)`` that routes the beams to a setup, if there is one.
+    ``newline``: end each request with one (the device takes both).  ``switch``: what
+    routes the laser where several machines share it (:class:`OpticalSwitch`), if there is one.
     """
 
     def __init__(self, host: str, port: int = PORT, beams: int = 1, timeout_s: float = 5.0,
-                 newline: bool = True, switch: Any = None):
+                 newline: bool = True, switch: OpticalSwitch | None = None):
         if not 1 <= beams <= 3:
             raise DeviceError(f'interferometer at {host}:{port}: has 1 to 3 beams, not {beams}')
         self._link = Link('interferometer', host, port, timeout_s)
@@ -90,9 +90,16 @@ class Ids3010:
 
     def close(self) -> None:
         self._link.close()
+        if self._switch is not None:
+            self._switch.close()
 
     def select_setup(self, name: str) -> None:
+        pass   # one head looks at every setup of a machine; its base unit is moved by hand
+
+    def select_machine(self, name: str) -> None:
+        """Route the laser to another machine; without a switch there is only one."""
         if self._switch is not None:
+            self._switch.connect()
             self._switch.select(name)
 
     def reset(self) -> None:

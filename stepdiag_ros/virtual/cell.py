@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.model.description import (
     DIAGONALS,
     LINEAR,
@@ -97,7 +98,9 @@ class Instruments:
     """Addresses and settings of the three instruments.
 
     ``namespace`` is the firmware's (``ids`` before 1.9, ``sen`` since); ``newline`` whether it ends
-    an answer with one; ``multiplexer`` names the machines that share the interferometer's host.
+    an answer with one.  ``multiplexer`` names the machines that share the interferometer through an
+    optical ``switch``, this one first (empty: it is this one's alone); ``machine_files`` are the cell
+    files of the others.
     """
 
     interferometer: Endpoint = Endpoint()
@@ -107,6 +110,8 @@ class Instruments:
     namespace: str = 'sen'
     newline: bool = True
     multiplexer: tuple[str, ...] = ()
+    machine_files: tuple[str, ...] = ()
+    switch: Endpoint = Endpoint()
     detector: Detector = Detector()
 
 
@@ -180,7 +185,7 @@ def _cell(top: Reader) -> Cell:
                 geometry=drawn.geometry(keys.get('geometry'), seed, description),
                 misalignments=misalignments, psd_zero=zero, air=_air(keys.get('air')),
                 motion=motion, effects=_named_mappings(keys.get('effects')),
-                instruments=_instruments(keys.get('instruments')),
+                instruments=_instruments(keys.get('instruments'), machine.name),
                 sampling=_sampling(keys.get('sampling')),
                 faults=_named_mappings(keys.get('faults')))
 
@@ -275,7 +280,7 @@ def _endpoint(keys: dict[str, Reader], port: str = 'port') -> Endpoint:
     return Endpoint(host, keys[port].count(0, 65535) if port in keys else 0)
 
 
-def _instruments(node: Reader | None) -> Instruments:
+def _instruments(node: Reader | None, name: str) -> Instruments:
     if node is None or node.is_null:
         return Instruments()
     given: dict[str, Any] = {}
@@ -288,7 +293,7 @@ def _instruments(node: Reader | None) -> Instruments:
         if 'newline' in keys:
             given['newline'] = keys['newline'].boolean()
         if 'multiplexer' in keys:
-            given['multiplexer'] = tuple(item.text() for item in keys['multiplexer'].items())
+            given |= _multiplexer(keys['multiplexer'], name)
     if 'psd' in top:
         keys = top['psd'].mapping(('host', 'port', 'stream_port', 'length', 'sum_voltage',
                                    'channels', 'rotation', 'gain', 'zero'))
@@ -311,6 +316,28 @@ def _instruments(node: Reader | None) -> Instruments:
     if 'cnc' in top:
         given['cnc'] = _endpoint(top['cnc'].mapping(('host', 'port')))
     return Instruments(**given)
+
+
+def _multiplexer(node: Reader, name: str) -> dict[str, Any]:
+    """An optical switch and the other machines behind it, each described by a cell file."""
+    keys = node.mapping(('host', 'port', 'machines'))
+    if 'machines' not in keys or not keys['machines'].items():
+        raise node.fail("the key 'machines' is missing or empty; name the other machines' cell files")
+    names, files = [name], []
+    for item in keys['machines'].items():
+        file = Path(node.source).parent / item.text()
+        try:
+            other = load_cell(file)
+        except StepdiagError as error:
+            raise item.fail(f'cannot be used: {error}') from None
+        if other.instruments.multiplexer:
+            raise item.fail('has a multiplexer itself; name it in one of the files only')
+        if other.description.machine.name in names:
+            raise item.fail(f'is a machine {other.description.machine.name!r} too; '
+                            'give each machine a name of its own')
+        names.append(other.description.machine.name)
+        files.append(str(file))
+    return {'multiplexer': tuple(names), 'machine_files': tuple(files), 'switch': _endpoint(keys)}
 
 
 def _sampling(node: Reader | None) -> Sampling:

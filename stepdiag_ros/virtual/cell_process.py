@@ -1,7 +1,9 @@
 """The virtual cell as processes: ``python -m stepdiag_ros.virtual.cell_process CELL.yaml --runtime DIR``.
 
 Starts interferometer, PSD and control, writes ``DIR/endpoints.yaml`` when all three
-listen, and ends them on SIGTERM or Ctrl-C.  If one of them dies the others are ended
+listen, and ends them on SIGTERM or Ctrl-C.  Where machines share the interferometer
+(``multiplexer``), the others' controls and PSDs are started too, each in ``DIR/<machine>``
+with its own ``endpoints.yaml``.  If one of them dies the others are ended
 too and the exit status is 2.
 """
 
@@ -28,33 +30,56 @@ from stepdiag_ros.virtual.serving import (
 from stepdiag_ros.virtual.truth import truth
 
 SERVERS = {'cnc': 'cnc_server', 'interferometer': 'interferometer_server', 'psd': 'psd_server'}
+OWN = ('cnc', 'psd')
+"""What each of several machines has to itself."""
 START_TIMEOUT_S = 60.0
 GRACE_S = 3.0
 
 
 class CellProcess:
-    """The three servers of a cell; a context manager."""
+    """The servers of a cell; a context manager."""
 
     def __init__(self, cell_path: Path, runtime: Path):
         self._cell_path, self._runtime = Path(cell_path), Path(runtime)
         self._children: dict[str, subprocess.Popen] = {}
+        self._beside: dict[str, Path] = {}    # runtime directories of the machines that share
 
     def start(self) -> dict:
         """Start the servers; returns the endpoints once all listen."""
-        load_cell(self._cell_path)   # complain here, in one line, and not from three children
-        self._runtime.mkdir(parents=True, exist_ok=True)
-        self._clean()
-        for name, module in SERVERS.items():
-            self._children[name] = subprocess.Popen(
-                [sys.executable, '-m', f'stepdiag_ros.virtual.{module}', str(self._cell_path),
-                 '--runtime', str(self._runtime), '--parent', str(os.getpid())])
-        endpoints = {name: self._wait_for(name) for name in SERVERS}
-        endpoints |= {'cell': str(self._cell_path.resolve()), 'pid': os.getpid()}
-        write_atomically(self._runtime / ENDPOINTS_FILE, yaml.safe_dump(endpoints, sort_keys=False))
-        return endpoints
+        # Complain here, in one line, and not from three children.
+        instruments = load_cell(self._cell_path).instruments
+        self._beside = {name: self._runtime / name for name in instruments.multiplexer[1:]}
+        for folder in (self._runtime, *self._beside.values()):
+            folder.mkdir(parents=True, exist_ok=True)
+            self._clean(folder)
+        for name in SERVERS:
+            self._spawn(name, name, self._cell_path, self._runtime)
+        for file, (machine, folder) in zip(instruments.machine_files, self._beside.items(),
+                                           strict=True):
+            for name in OWN:
+                self._spawn(f'{name} of {machine}', name, Path(file), folder)
+        endpoints = {name: self._wait_for(name, self._runtime) for name in SERVERS}
+        if instruments.multiplexer:
+            endpoints['switch'] = self._wait_for('switch', self._runtime)
+        for file, (machine, folder) in zip(instruments.machine_files, self._beside.items(),
+                                           strict=True):
+            shared = {name: endpoints[name] for name in ('interferometer', 'switch')}
+            self._tell(folder, shared | {name: self._wait_for(name, folder) for name in OWN}, file)
+            endpoints.setdefault('machines', {})[machine] = str(folder / ENDPOINTS_FILE)
+        return self._tell(self._runtime, endpoints, self._cell_path)
 
-    def _wait_for(self, name: str) -> dict:
-        path, end = self._runtime / f'{name}.yaml', time.monotonic() + START_TIMEOUT_S
+    def _spawn(self, title: str, name: str, cell: Path, runtime: Path) -> None:
+        self._children[title] = subprocess.Popen(
+            [sys.executable, '-m', f'stepdiag_ros.virtual.{SERVERS[name]}', str(cell),
+             '--runtime', str(runtime), '--parent', str(os.getpid())])
+
+    def _tell(self, runtime: Path, endpoints: dict, cell: str | Path) -> dict:
+        told = endpoints | {'cell': str(Path(cell).resolve()), 'pid': os.getpid()}
+        write_atomically(runtime / ENDPOINTS_FILE, yaml.safe_dump(told, sort_keys=False))
+        return told
+
+    def _wait_for(self, name: str, runtime: Path) -> dict:
+        path, end = runtime / f'{name}.yaml', time.monotonic() + START_TIMEOUT_S
         while not path.exists():
             dead = self.dead()
             if dead:
@@ -84,11 +109,20 @@ class CellProcess:
                 child.kill()
                 child.wait()
         self._children = {}
-        self._clean()
+        self._clean(self._runtime)
+        for folder in self._beside.values():
+            self._clean(folder)
+            try:
+                folder.rmdir()
+            except OSError:
+                pass   # somebody keeps something there, or it was never made
+        self._beside = {}
 
-    def _clean(self) -> None:
-        for name in (ENDPOINTS_FILE, MOTION_FILE, FAULT_FILE, *(f'{n}.yaml' for n in SERVERS)):
-            (self._runtime / name).unlink(missing_ok=True)
+    @staticmethod
+    def _clean(runtime: Path) -> None:
+        for name in (ENDPOINTS_FILE, MOTION_FILE, FAULT_FILE, 'switch.yaml',
+                     *(f'{n}.yaml' for n in SERVERS)):
+            (runtime / name).unlink(missing_ok=True)
 
     def __enter__(self) -> 'CellProcess':
         return self

@@ -3,10 +3,14 @@
 Requests that arrive together were sent on a time grid; they are answered with the
 positions at the times since the last ones, evenly spaced, as an instrument that works
 them off at a steady pace would have taken them.
+
+Where a cell shares its interferometer, an optical switch on a port of its own (SCPI)
+routes the laser to one machine's world or another's.
 """
 
 import asyncio
 import json
+import re
 import time
 from pathlib import Path
 from typing import Any
@@ -15,7 +19,7 @@ import numpy as np
 
 from stepdiag_ros.devices.jsonstream import JsonStream
 from stepdiag_ros.virtual.air import environment
-from stepdiag_ros.virtual.cell import Cell
+from stepdiag_ros.virtual.cell import Cell, load_cell
 from stepdiag_ros.virtual.draw import normals
 from stepdiag_ros.virtual.faults import Faults
 from stepdiag_ros.virtual.offline import SENSOR_SIGMA
@@ -71,6 +75,11 @@ class Instrument:
             'com.attocube.system.getFirmwareVersion':
                 lambda params: [0, '1.9.0' if cell.instruments.namespace == 'sen' else '1.8.0'],
         }
+
+    def route(self, world: World) -> None:
+        """From now on look at another machine."""
+        self.world, self.cell = world, world.cell
+        self._late_ns = round(world.clock_offset('interferometer') * 1e9)
 
     def answer(self, requests: list[Any]) -> list[dict]:
         """Responses to requests that arrived together, in their order."""
@@ -222,9 +231,51 @@ def _json(value: Any) -> str:
     return json.dumps(value, separators=(',', ':'))
 
 
+class Switch(asyncio.Protocol):
+    """One client of the optical switch: channel n is the n-th machine."""
+
+    def __init__(self, instrument: Instrument, worlds: list[World]):
+        self._instrument, self._worlds = instrument, worlds
+        self._rest = b''
+
+    def connection_made(self, transport) -> None:
+        self._transport = transport
+
+    def data_received(self, data: bytes) -> None:
+        *lines, self._rest = (self._rest + data).split(b'\n')
+        for line in lines:
+            self._command(line.decode('ascii', 'replace').strip().upper())
+
+    def _command(self, line: str) -> None:
+        wanted = re.fullmatch(r'ROUT(?:E)?:CLOS(?:E)?\s*\(@(\d+)\)', line)
+        if wanted and 1 <= int(wanted.group(1)) <= len(self._worlds):
+            self._instrument.route(self._worlds[int(wanted.group(1)) - 1])
+        elif re.fullmatch(r'ROUT(?:E)?:CLOS(?:E)?\?', line):
+            channel = self._worlds.index(self._instrument.world) + 1
+            self._transport.write(b'(@%d)\n' % channel)
+        elif line == '*IDN?':
+            self._transport.write(b'stepdiag_ros,virtual optical switch,0,1\n')
+
+
+async def open_switch(cell: Cell, runtime: Path, instrument: Instrument) -> None:
+    """Serve the optical switch in front of the machines that share the instrument."""
+    worlds = [instrument.world]
+    for file in cell.instruments.machine_files:
+        other = load_cell(file)
+        worlds.append(await open_world(other, runtime / other.description.machine.name))
+    where = cell.instruments.switch
+    server = await asyncio.get_running_loop().create_server(
+        lambda: Switch(instrument, worlds), where.host, where.port)
+    announce(runtime, 'switch', {
+        'host': where.host, 'port': server.sockets[0].getsockname()[1],
+        'channels': {name: i + 1 for i, name in enumerate(cell.instruments.multiplexer)}})
+
+
 async def main(cell: Cell, runtime: Path) -> None:
     world = await open_world(cell, runtime)
     instrument = Instrument(cell, world, Faults(runtime, 'interferometer', cell.faults))
+    if cell.instruments.multiplexer:
+        await open_switch(cell, runtime, instrument)
     where = cell.instruments.interferometer
     server = await asyncio.get_running_loop().create_server(
         lambda: Connection(instrument), where.host, where.port)
