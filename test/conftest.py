@@ -6,6 +6,7 @@ import signal
 import time
 import uuid
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -26,27 +27,41 @@ MARK = uuid.uuid4().hex
 os.environ[MARK_NAME] = MARK
 
 
-@pytest.fixture
-def ros_domain(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[int]:
-    """A ROS_DOMAIN_ID that no other test on this machine has, set in the environment.
+@contextmanager
+def held_domain(log_folder: Path) -> Iterator[int]:
+    """Sets a ROS_DOMAIN_ID that nobody else on this machine has while the context lasts.
 
-    ROS's log files go to the test's own folder.
+    The lock dies with its holder, so a killed test run leaves no domain taken.
     """
     LOCKS.mkdir(exist_ok=True)
     deadline = time.monotonic() + 240
     while time.monotonic() < deadline:
         for domain in DOMAINS:
-            with open(LOCKS / str(domain), 'w') as lock:
+            with open(LOCKS / str(domain), 'w') as lock, pytest.MonkeyPatch.context() as patch:
                 try:
                     fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 except BlockingIOError:
                     continue
-                monkeypatch.setenv('ROS_DOMAIN_ID', str(domain))
-                monkeypatch.setenv('ROS_LOG_DIR', str(tmp_path / 'ros_log'))
+                patch.setenv('ROS_DOMAIN_ID', str(domain))
+                patch.setenv('ROS_LOG_DIR', str(log_folder))
                 yield domain
                 return
         time.sleep(0.2)
     pytest.fail(f'all ROS domains {DOMAINS.start} to {DOMAINS.stop - 1} are taken; see {LOCKS}')
+
+
+@pytest.fixture
+def ros_domain(tmp_path: Path) -> Iterator[int]:
+    """A ROS domain of the test's own, set in the environment; ROS's log files go to its folder."""
+    with held_domain(tmp_path / 'ros_log') as domain:
+        yield domain
+
+
+@pytest.fixture(scope='module')
+def module_domain(tmp_path_factory: pytest.TempPathFactory) -> Iterator[int]:
+    """As `ros_domain`, for a graph that runs for all tests of a module."""
+    with held_domain(tmp_path_factory.mktemp('ros_log')) as domain:
+        yield domain
 
 
 @pytest.fixture(scope='session')
