@@ -1,0 +1,86 @@
+"""Evaluate a log: the 21 errors with their uncertainties.
+
+By default with the enhanced step diagonal method; --method takes another one that the log
+holds enough for.
+
+  stepdiag evaluate bags/demo
+  stepdiag evaluate log.mcap --json > errors.json
+  stepdiag evaluate bags/demo --method step_diagonal
+"""
+
+import argparse
+import json
+
+from stepdiag_ros.bag.reader import read_log
+from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.estimate.methods import METHODS, run_method
+from stepdiag_ros.estimate.solution import Solution
+from stepdiag_ros.model.machine import CURVES, SQUARENESS
+
+NAME = 'evaluate'
+HELP = 'evaluate a log: the 21 errors with their uncertainties'
+FAR_FROM_MODEL = 2.0
+"""Reduced χ² above which a reader is sent to `stepdiag gap`."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument('bag', metavar='BAG', nargs='+', help='rosbag2 folder or .mcap file')
+    parser.add_argument('--method', default='enhanced', choices=[m for m in METHODS],
+                        help='method of evaluation (default: enhanced)')
+    parser.add_argument('--namespace', help="the machine's namespace where a log holds several")
+    parser.add_argument('--json', action='store_true', help='print the whole answer as JSON')
+
+
+def run(args: argparse.Namespace) -> int:
+    answers, failed = {}, []
+    for bag in args.bag:
+        try:
+            result = run_method(args.method, read_log(bag, args.namespace))
+        except StepdiagError as error:
+            if len(args.bag) == 1:
+                raise
+            failed.append(str(error))
+            continue
+        answers[bag] = result
+    if args.json:
+        documents = {bag: result.to_json_dict() for bag, result in answers.items()}
+        whole = documents if len(args.bag) > 1 else next(iter(documents.values()))
+        print(json.dumps(whole, indent=1))
+    else:
+        for bag, result in answers.items():
+            print(text(bag, result) if isinstance(result, Solution)
+                  else f'{bag}\n{json.dumps(result.to_json_dict(), indent=1)}')
+    if failed:
+        raise StepdiagError('; '.join(failed))
+    return 0
+
+
+def text(bag: str, solution: Solution) -> str:
+    """The answer for people: each curve's range and uncertainty, squareness, what is not known."""
+    lines = [f'{bag}: {solution.method}, {solution.status}']
+    if solution.reduced_chi2 is not None:
+        lines.append(f'reduced χ² {solution.reduced_chi2:.3f} with {solution.dof} degrees of freedom')
+    if solution.noise:
+        lines.append('noise from {source}: position {p:.3f} µm, angle {a:.3f} µrad (1σ an arrival)'.format(
+            source=solution.noise['source'], p=1e6 * solution.noise['position_repeatability_m'],
+            a=1e6 * solution.noise['angle_repeatability_rad']))
+    lines += ['', f'{"error":6} {"least":>9} {"greatest":>9} {"U (k=2)":>9}']
+    for name in CURVES:
+        if solution.has(name):
+            _, value, sigma = solution.curve(name)
+            unit = 'µm' if name[1] in 'XYZ' else 'µrad'
+            lines.append(f'{name:6} {1e6 * value.min():9.3f} {1e6 * value.max():9.3f} '
+                         f'{2e6 * sigma.max():9.3f} {unit}')
+    for name in SQUARENESS:
+        if solution.has(name):
+            value, sigma = solution.squareness(name)
+            lines.append(f'{name:6} {1e6 * value:9.3f} {"":9} {2e6 * sigma:9.3f} µrad')
+    if solution.gauge:
+        lines += ['', f'Counted as: {solution.gauge}.']
+    if solution.unidentifiable:
+        lines += ['', 'Not to be told from this log:']
+        lines += [f'  {" with ".join(entry.names)}: {entry.why}' for entry in solution.unidentifiable]
+    lines += [f'warning: {warning}' for warning in solution.warnings]
+    if solution.method == 'enhanced' and (solution.reduced_chi2 or 0.0) > FAR_FROM_MODEL:
+        lines.append(f'The rigid-body model does not describe this log: stepdiag gap {bag} says why.')
+    return '\n'.join(lines)
