@@ -159,7 +159,7 @@ def _settle(observation: Observation,
         for member in best.members:
             form = screen.candidates[member.candidate].form
             chosen.append((effects.get(member.effect, Effect()), form))
-        identity = tuple(sorted((e.name, f.label) for e, f in chosen))
+        identity = tuple(sorted((e.name, f.tuned_from or f.label) for e, f in chosen))
         if identity == previous:
             break
         previous = identity
@@ -175,6 +175,7 @@ def _screen(joint: Joint, effects: Mapping[str, Effect]) -> Screen:
     candidates = []
     for effect in effects.values():
         candidates += [Candidate(effect.name, '', form) for form in effect.appearance(view)]
+    candidates += [Candidate(a.effect.name, '', a.form) for a in joint.active if a.form.tuned_from]
     for family, forms in unknown_families(view).items():
         candidates += [Candidate(UNKNOWN, family, form) for form in forms]
     named = [a for a in joint.active if a.effect.name]

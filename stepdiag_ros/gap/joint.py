@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stepdiag_ros.effects.base import Effect, Form
+from stepdiag_ros.effects.tuning import same_form, tune
 from stepdiag_ros.estimate.enhanced import Fit, readings_of
 from stepdiag_ros.estimate.evaluate import solution_of
 from stepdiag_ros.estimate.noise import NoiseModel, estimate_noise
@@ -65,6 +66,7 @@ def fit_jointly(observation: Observation, chosen: list[tuple[Effect, Form]],
     """Fit machine and ``chosen`` effects; ``observation`` and ``noise`` start the rounds."""
     table, readings = observation.table, readings_of(observation.table)
     space = parity(observation, observation.fit, noise, readings)
+    chosen = tuned(space, chosen)
     active = solve(space, chosen)
     if not chosen:
         return Joint(observation, noise, space, ())
@@ -81,6 +83,7 @@ def fit_jointly(observation: Observation, chosen: list[tuple[Effect, Form]],
         rest = observation.bins - sum(a.inside for a in active)
         scale = _bin_scale(rest, observation.bin_sigma)
         space = parity(observation, result, noise, readings, scale)
+        chosen = tuned(space, chosen)
         updated = solve(space, chosen)
         moved = max((np.max(np.abs(new.coefficients - old.coefficients)
                             / (SETTLED * (np.sqrt(np.diag(new.covariance))
@@ -98,12 +101,21 @@ def _bin_scale(bins: np.ndarray, sigma: np.ndarray) -> float:
     return max(1.0, float(np.median(ratio)) / 0.6745) if len(ratio) else 1.0
 
 
-def same_form(effect: Effect, form: Form, view) -> Form:
-    """The form of the same label, laid at another view."""
-    for other in effect.appearance(view):
-        if other.label == form.label:
-            return other
-    return form
+def tuned(space: Parity, chosen: list[tuple[Effect, Form]]) -> list[tuple[Effect, Form]]:
+    """The chosen forms, each with the shape parameters that suit best given the others."""
+    active = solve(space, chosen)
+    result = []
+    for k, (effect, form) in enumerate(chosen):
+        rest = unexplained(space, active[:k] + active[k + 1:])
+
+        def explained(tried: Form, rest: np.ndarray = rest) -> float:
+            columns = space.project(tried)
+            normal = columns.T @ columns + np.eye(columns.shape[1]) / SIZES[-1] ** 2
+            along = columns.T @ rest
+            return float(along @ np.linalg.solve(normal, along))
+
+        result.append((effect, tune(form, explained)))
+    return result
 
 
 def solve(space: Parity, chosen: list[tuple[Effect, Form]]) -> tuple[Active, ...]:

@@ -14,6 +14,7 @@ import numpy as np
 from stepdiag_ros.effects.base import Form
 from stepdiag_ros.gap.evidence import Judged, judge, log_mean
 from stepdiag_ros.gap.parity import Parity
+from stepdiag_ros.gap.thresholds import MEMBER_ALARM, MISFIT, UNKNOWN_DOUBT
 from stepdiag_ros.gap.unknown import NAME as UNKNOWN
 
 BEAM = 4
@@ -193,6 +194,10 @@ def search(screen: Screen) -> list[EffectSet]:
                     continue
                 if again and (member.log_bayes < GAIN or not _may_repeat(screen, found, member)):
                     continue
+                if not again and member.log_bayes < least_growth(found):
+                    # Too weak to be claimed beside the others: a thought, not a way on.
+                    member = Member(member.effect, member.candidate, min(member.log_bayes, 0.0))
+                    larger = EffectSet((*found.members, member), found.log_bayes + member.log_bayes)
                 if larger.names not in sets or sets[larger.names].log_bayes < larger.log_bayes:
                     sets[larger.names] = larger
                     if member.log_bayes > GAIN:
@@ -204,6 +209,15 @@ def search(screen: Screen) -> list[EffectSet]:
         if found.key not in best or best[found.key].log_bayes < found.log_bayes:
             best[found.key] = found
     return sorted(best.values(), key=lambda s: -(s.log_bayes + log_prior(s, len(first))))
+
+
+def least_growth(found: EffectSet) -> float:
+    """Log evidence that one more effect must bring.
+
+    No form fits reality to the last part: of what the set explains so far, a few percent may be left
+    over by its own forms, and a further effect must bring more than that.
+    """
+    return MEMBER_ALARM + MISFIT * found.log_bayes
 
 
 def _may_repeat(screen: Screen, found: EffectSet, member: Member) -> bool:
@@ -219,10 +233,11 @@ def _may_repeat(screen: Screen, found: EffectSet, member: Member) -> bool:
 def log_prior(found: EffectSet, effects: int) -> float:
     """Logarithm of the prior probability of a set among ``effects`` possible ones."""
     number = len(found.key)
+    doubt = UNKNOWN_DOUBT if UNKNOWN in found.key else 0.0
     ways = 1.0
     for i in range(number):
         ways *= (effects - i) / (i + 1)
-    return float(np.log(PRIOR_NUMBER[number]) - np.log(max(ways, 1.0)))
+    return float(np.log(PRIOR_NUMBER[number]) - np.log(max(ways, 1.0)) - doubt)
 
 
 def probabilities(sets: Sequence[EffectSet], effects: int,

@@ -6,6 +6,12 @@ what they gave on logs sealed afterwards.
 
 ALARM = 6.0
 """Least log evidence of a set of effects against none for which anything is claimed."""
+MEMBER_ALARM = 6.0
+"""Least log evidence of one more effect given those before it …"""
+MISFIT = 0.03
+"""… plus this share of theirs, which forms that are not quite right may leave over."""
+UNKNOWN_DOUBT = 8.0
+"""Log odds against a nameless pattern where a name explains as much."""
 TEMPER = 1.0
 """Factor on log evidence before it becomes odds."""
 CONFUSED = 3.0
