@@ -141,8 +141,9 @@ def _figures(result: Any, reference: GeometricErrors,
 
 def text_table(comparison: Comparison, details: bool = True) -> str:
     """The comparison as a table for the terminal, µm and µrad."""
-    methods = list(comparison.deviation)
-    width = max([14, *(len(m) for m in methods)])
+    # The reference beside itself would be a column of zeros.
+    methods = [m for m in comparison.deviation if m != comparison.reference]
+    width = max([14, *map(len, methods)])
     lines = [f'Largest deviation from {comparison.reference}, µm and µrad '
              '(all in the reference lines of ISO 230-1)',
              ' ' * 13 + ''.join(f'{m:>{width + 2}}' for m in methods)]
@@ -152,11 +153,14 @@ def text_table(comparison: Comparison, details: bool = True) -> str:
                  for v in values]
         return f'{label:<13}' + ''.join(f'{c:>{width + 2}}' for c in cells)
 
-    for group in GROUPS:
+    if not methods:
+        lines = [f'No other method than {comparison.reference} gives errors on this log.']
+    for group in GROUPS if methods else ():
         lines.append(row(group, [comparison.worst(m, group) for m in methods]))
     shares = [comparison.within_k2[m] for m in methods]
-    lines.append(f'{"within k = 2":<13}' + ''.join(
-        f'{"–" if s is None else f"{100 * s:.0f} %":>{width + 2}}' for s in shares))
+    if methods:
+        lines.append(f'{"within k = 2":<13}' + ''.join(
+            f'{"–" if s is None else f"{100 * s:.0f} %":>{width + 2}}' for s in shares))
     if details:
         lines.append('')
         for name in (*CURVES, *SQUARENESS):

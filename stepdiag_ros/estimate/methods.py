@@ -191,7 +191,7 @@ def run_method(name: str, log: CalibrationLog) -> Any:
     cell = readings_of_stops(log.description, reduce_log(log))
     missing = method.lacks(cell)
     if missing:
-        raise StepdiagError(f'{log.source}: method {name} needs {missing}')
+        raise StepdiagError(f'{log.source}: method {name} needs {missing}{cell.why()}')
     return method.run(log, cell)
 
 
@@ -202,7 +202,7 @@ def run_all(log: CalibrationLog) -> tuple[dict[str, Any], dict[str, str]]:
     for name, method in METHODS.items():
         missing = method.lacks(cell)
         if missing:
-            skipped[name] = f'needs {missing}'
+            skipped[name] = f'needs {missing}{cell.why()}'
             continue
         try:
             results[name] = method.run(log, cell)

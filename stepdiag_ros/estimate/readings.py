@@ -67,19 +67,27 @@ class SetupReadings:
 
 @dataclass(frozen=True)
 class CellReadings:
-    """All setups of one machine, by name; ``steps`` an axis of a diagonal."""
+    """All setups of one machine, by name; ``steps`` an axis of a diagonal.
+
+    ``left_out``: setups of the log that could not be used, and why.
+    """
 
     machine: Machine
     steps: int
     setups: Mapping[str, SetupReadings]
+    left_out: Mapping[str, str] = field(default_factory=dict)
 
     def diagonals(self, method: str, needed: int = 3) -> list[str]:
         """Names of the body diagonals at hand, in the contract's order."""
         names = [name for name in DIAGONALS if name in self.setups]
         if len(names) < needed:
             raise StepdiagError(f'{method}: needs {needed} body diagonals, the log has '
-                                f'{len(names)} ({", ".join(names) or "none"})')
+                                f'{len(names)} ({", ".join(names) or "none"}){self.why()}')
         return names
+
+    def why(self) -> str:
+        """What was left out, to end a complaint with; empty where nothing was."""
+        return ''.join(f'; {name}: {text}' for name, text in self.left_out.items())
 
     def without(self, *names: str) -> 'CellReadings':
         return replace(self, setups={n: s for n, s in self.setups.items() if n not in names})
@@ -155,38 +163,43 @@ def simulate(machine: Machine, steps: int, sights: list[Sight], errors: Geometri
 def readings_of_stops(description: Description, table: StopTable) -> CellReadings:
     """Means over the runs of each setup of a reduced log.
 
-    Each run was reset at its own first stop.  For the mean, every run is shifted to agree
-    on average with the others, then stop 0 is made zero.  For the ISO tests (``forward_m``,
-    ``backward_m``) the order of events counts: a forward run starts from zero at its first
-    stop, a backward run goes on from where the forward run of its repeat ended.  Stops
-    missing from every run of a setup make the setup unusable (:class:`StepdiagError`).
-    The standard deviation of a mean is that of the scatter between runs of the same direction.
+    A traverse is one run's stops in one direction.  For the mean, every traverse is shifted to
+    agree on average with the others, then stop 0 is made zero.  For the ISO tests (``forward_m``,
+    ``backward_m``) the resets count: a run starts from zero at its first forward stop, a backward
+    run of its own goes on from where the forward run of its repeat ended.  A setup with a
+    stop that no run has is left out, with the reason.  The standard deviation of a mean is
+    that of the scatter between runs of the same direction.
     """
-    setups = {}
+    setups, left_out = {}, {}
     for number, name in enumerate(table.setup_names):
         rows = table.setup == number
-        if rows.any() and name in description.setups:
+        if not rows.any() or name not in description.setups:
+            continue
+        try:
             setups[name] = _setup_readings(sight_of(description, name), table.select(rows))
-    return CellReadings(description.machine, description.plan.steps, setups)
+        except StepdiagError as error:
+            left_out[name] = str(error)
+    return CellReadings(description.machine, description.plan.steps, setups, left_out)
 
 
 def _setup_readings(sight: Sight, table: StopTable) -> SetupReadings:
     n, beams = len(sight.positions), table.displacement.shape[1]
-    runs = np.unique(table.run)
-    length, spots = np.full((len(runs), n, beams), np.nan), np.full((len(runs), n, 2), np.nan)
-    direction, repeat = np.zeros(len(runs), int), np.zeros(len(runs), int)
-    for r, run in enumerate(runs):
-        mine = np.flatnonzero((table.run == run) & (table.index < n))
-        length[r, table.index[mine]] = table.displacement[mine]
-        spots[r, table.index[mine]] = table.spot[mine]
-        direction[r], repeat[r] = table.direction[mine[0]], table.repeat[mine[0]]
+    # A traverse goes once along the stops; an imported table holds many in one run without a reset.
+    keys, member = np.unique(np.stack([table.run, table.repeat, table.direction], axis=1),
+                             axis=0, return_inverse=True)
+    member = np.ravel(member)
+    length, spots = np.full((len(keys), n, beams), np.nan), np.full((len(keys), n, 2), np.nan)
+    for t in range(len(keys)):
+        mine = np.flatnonzero((member == t) & (table.index < n))
+        length[t, table.index[mine]] = table.displacement[mine]
+        spots[t, table.index[mine]] = table.spot[mine]
     missing = np.flatnonzero(np.isnan(length[:, :, 0]).all(axis=0))
     if missing.size:
-        raise StepdiagError(f'interferometer/displacement: setup {sight.name} has no reading at stop '
-                            f'{missing[0]} in any run ({missing.size} such stops); measure it again')
-    aligned = _align(length)
+        raise StepdiagError(f'no run has a reading at stop {missing[0]} '
+                            f'({missing.size} such stops); measure it again')
+    aligned, direction = _align(length), keys[:, 2]
     mean = np.nanmean(aligned, axis=0)
-    forward, backward = _in_order(length[:, :, 0], direction, repeat)
+    forward, backward = _in_order(length[:, :, 0], keys)
     has_spots = np.isfinite(spots).any(axis=0).all()
     spot_mean = np.nanmean(spots, axis=0) if has_spots else None
     return SetupReadings(
@@ -215,17 +228,24 @@ def _sigma(values: np.ndarray, direction: np.ndarray) -> np.ndarray:
     return np.full(values.shape[1], np.sqrt(squares / freedom / len(values)))
 
 
-def _in_order(length: np.ndarray, direction: np.ndarray,
-              repeat: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Complete forward and backward runs (f, n), (b, n), the latter joined at the turning stop."""
+def _in_order(length: np.ndarray, keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Complete forward and backward traverses (f, n), (b, n) from (t, n); ``keys`` (t, 3) run, repeat,
+    direction.
+
+    What shares a run shares its reset: those readings keep their differences.  A backward
+    traverse in a run of its own goes on from the end of the forward one of its repeat.
+    """
     complete = np.isfinite(length).all(axis=1)
+    shift: dict[int, float] = {}
+    ends: dict[int, float] = {}
     forward, backward = [], []
-    for r in np.unique(repeat):
-        ups = np.flatnonzero(complete & (repeat == r) & (direction > 0))
-        downs = np.flatnonzero(complete & (repeat == r) & (direction < 0))
-        up = [length[i] - length[i, 0] for i in ups]
-        forward += up
-        end = up[0][-1] if up else 0.0
-        backward += [length[i] - length[i, -1] + end for i in downs]
+    for t in np.flatnonzero(complete & (keys[:, 2] > 0)):
+        run, repeat, _ = keys[t]
+        shift.setdefault(run, length[t, 0])
+        forward.append(length[t] - shift[run])
+        ends.setdefault(repeat, forward[-1][-1])
+    for t in np.flatnonzero(complete & (keys[:, 2] < 0)):
+        run, repeat, _ = keys[t]
+        backward.append(length[t] - shift.get(run, length[t, -1] - ends.get(repeat, 0.0)))
     n = length.shape[1]
     return np.reshape(forward, (-1, n)), np.reshape(backward, (-1, n))

@@ -115,6 +115,39 @@ def test_readings_join_the_runs(field_log):
     assert 0.0 < setup.displacement_sigma_m[0] < 2e-6
 
 
+def test_a_setup_with_a_hole_is_left_out_and_named(field_log):
+    from dataclasses import replace
+    log, _ = field_log
+    table = reduce_log(log)
+    ppp = table.setup == table.setup_names.index('ppp')
+    gone = ppp & (table.index == 5)
+    displacement = table.displacement.copy()
+    displacement[gone] = np.nan
+    cell = readings_of_stops(log.description, replace(table, displacement=displacement))
+    assert 'ppp' not in cell.setups
+    assert 'no run has a reading at stop 5' in cell.left_out['ppp']
+    assert METHODS['step_diagonal'].lacks(cell) is None
+    assert METHODS['new_formulation'].lacks(cell) == '4 body diagonals (has 3)'
+    # One run without that stop is no harm.
+    displacement = table.displacement.copy()
+    displacement[gone & (table.run == table.run[ppp][0])] = np.nan
+    whole = readings_of_stops(log.description, table).setups['ppp']
+    cell = readings_of_stops(log.description, replace(table, displacement=displacement))
+    assert np.abs(cell.setups['ppp'].displacement_m - whole.displacement_m).max() < 2e-6
+    assert len(cell.setups['ppp'].forward_m) == len(whole.forward_m) - 1
+
+
+def test_imported_positioning_test(shared, tmp_path):
+    """A measured stage brought in as a bag: one run without resets, B as published."""
+    from stepdiag_ros.bag.reader import read_log
+    from stepdiag_ros.cli.main import main
+    bag = tmp_path / 'stage'
+    assert main(['import', str(shared / 'real_data' / 'stage_a_x.csv'), '--to', str(bag)]) == 0
+    result = run_method('iso230_2', read_log(bag)).axes['lin_x']
+    assert result.runs == 5
+    assert result.B * 1e6 == pytest.approx(33.6, abs=0.05)
+
+
 DESCRIPTION = Description(Machine('m', 'FXYZ', (0.8, 0.6, 0.5), (0, 0, 0)), Plan(2, 'XYZ', 1),
                           {'ppp': Setup('ppp', 0.3, (0, 0), ((0, 0),))})
 
