@@ -17,7 +17,7 @@ from stepdiag_ros.virtual import faults
 from stepdiag_ros.virtual.cell_process import CellProcess
 
 DEMO = Path(__file__).resolve().parents[2] / 'cells' / 'demo.yaml'
-TIMEOUT_S = 0.7
+TIMEOUT_S = 2.0
 
 
 @pytest.fixture(scope='module')

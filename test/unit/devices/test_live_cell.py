@@ -133,7 +133,7 @@ def test_blocks_join_without_gap(bench):
         gaps = np.diff([block.stamp_ns for block in blocks]) - 100_000_000
         # On the host's clock: seamless but where this machine was busy with something else.
         assert np.median(np.abs(gaps)) < 1_000_000
-        assert abs(time.time_ns() - blocks[-1].stamp_ns) < 2_000_000_000
+        assert abs(time.time_ns() - blocks[-1].stamp_ns) < 20_000_000_000
         device.close()
 
 
