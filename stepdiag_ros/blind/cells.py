@@ -48,7 +48,7 @@ def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
 
 
 def draw_cell(rng: np.random.Generator, kind: str, small: bool = False) -> tuple[Cell, Conditions]:
-    """A cell without effects, and the conditions of its log.  ``small``: few steps, for tests."""
+    """A cell without effects, and the conditions of its log.  ``small``: three steps at 25 Hz."""
     field = kind == 'field'
     longest = rng.uniform(0.4, 1.3) if field else _log_uniform(rng, 0.2, 3.0)
     volume = longest * np.array([1.0, rng.uniform(0.6, 1.0), rng.uniform(0.4, 0.9)])
@@ -63,7 +63,7 @@ def draw_cell(rng: np.random.Generator, kind: str, small: bool = False) -> tuple
     steps = 8 if field else int(rng.integers(5, 13))
     repeats = 2 if field or rng.random() < 0.75 else 3
     if small:
-        steps, repeats = 4, 2
+        steps, repeats = 3, 2
     order = 'XYZ' if field or rng.random() < 0.8 else ''.join(rng.permutation(list('XYZ')))
     setups = _setups(rng, field, machine)
     noise = Noise(3e-9 if field else _log_uniform(rng, 2e-9, 2e-8), _log_uniform(rng, 5e-8, 5e-7),
@@ -74,7 +74,9 @@ def draw_cell(rng: np.random.Generator, kind: str, small: bool = False) -> tuple
     rate = 50.0 if field else float(rng.choice([20.0, 40.0, 50.0, 80.0, 100.0, 200.0],
                                                p=[0.2, 0.2, 0.25, 0.15, 0.15, 0.05]))
     moving = bool(field or rng.random() < 0.6)
-    motion = Motion(feed=float(rng.choice([0.1, 0.15, 0.25])), dwell=0.6 if field else round(
+    if small:
+        rate = 25.0
+    motion = Motion(feed=0.4 if small else float(rng.choice([0.1, 0.15, 0.25])), dwell=0.6 if field else round(
         rng.uniform(0.3, 1.0), 2), mount=float(round(rng.uniform(60.0, 600.0))),
         settling=rng.uniform(0.002, 0.008), in_position=IN_POSITION_M)
     cell = Cell(source=NAME, seed=int(rng.integers(1 << 40)), description=description,

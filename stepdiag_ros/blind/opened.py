@@ -2,14 +2,20 @@
 
 import hashlib
 import json
+import multiprocessing
+import os
+import sys
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 from typing import Any
 
 from stepdiag_ros.blind.answer import ANSWER_HASHES, ANSWERS, answer_hashes, log_names
-from stepdiag_ros.blind.score import Case, score
+from stepdiag_ros.blind.apart import apart
+from stepdiag_ros.blind.score import COUNTS_FROM, Case, score
 from stepdiag_ros.blind.seal import MANIFEST, SEALED, write_json
 from stepdiag_ros.errors import StepdiagError
 
+APART = 'apart.json'
 ROWS = (
     ('false_alarms', 'false alarms on null logs', '0 of 300', True),
     ('detection', 'detection', '≥ 99 %', True),
@@ -59,13 +65,39 @@ def load(folder: Path) -> tuple[list[Case], dict[str, Any]]:
             raise StepdiagError(f'{folder / ANSWERS / file}: its SHA-256 is not the one published in '
                                 f'{ANSWER_HASHES}; the answer was changed after answering')
     truth = json.loads(text)
+    rivals = json.loads((folder / APART).read_text()) if (folder / APART).exists() else {}
     cases = []
     for name in names:
         place = folder / ANSWERS / name
-        cases.append(Case(name, truth['logs'][name], json.loads((place / 'gap.json').read_text()),
+        cases.append(Case(name, {**truth['logs'][name], **rivals.get(name, {})},
+                          json.loads((place / 'gap.json').read_text()),
                           json.loads((place / 'extra.json').read_text())))
     return cases, {'seed': truth['seed'], 'purpose': truth['purpose'], 'logs': len(names),
                    'truth_sha256': published, 'answers_sha256': locked['answers_sha256']}
+
+
+def judge_apart(folder: Path, processes: int = 2, progress: bool = True) -> None:
+    """Find for every log with one effect how far the nearest rival stays off; kept in ``apart.json``."""
+    truth = json.loads((folder / SEALED).read_text())
+    done = json.loads((folder / APART).read_text()) if (folder / APART).exists() else {}
+    missing = [name for name, entry in truth['logs'].items() if name not in done
+               and entry['category'] == 'single' and entry['effects'][0]['visibility']['total'] >= COUNTS_FROM]
+    os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
+    context = multiprocessing.get_context('forkserver')
+    with ProcessPoolExecutor(processes, mp_context=context) as pool:
+        running = {pool.submit(apart, truth['purpose'], truth['seed'], truth['logs'][name]): name
+                   for name in missing}
+        for count, future in enumerate(as_completed(running), 1):
+            name = running[future]
+            own = truth['logs'][name]['effects'][0]['name']
+            left = future.result()
+            rival = min((n for n in left if n != own), key=left.__getitem__)
+            done[name] = {'least_apart': left[rival], 'rival': rival, 'own_left': left[own]}
+            if progress:
+                print(f'\rjudged {count} of {len(missing)}', end='', file=sys.stderr, flush=True)
+            if count % 20 == 0:
+                write_json(folder / APART, done)
+    write_json(folder / APART, done)
 
 
 def shown(figure: dict[str, Any], proportion: bool) -> str:

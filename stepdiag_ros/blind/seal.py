@@ -48,6 +48,12 @@ def orders(purpose: str, seed: int, counts: dict[str, int], world: str = 'varied
             for number, place in enumerate(rng.permutation(len(wanted)))]
 
 
+def kind_order(purpose: str, seed: int, entry: dict[str, Any]) -> Order:
+    """The order that the log of a truth's entry was made from."""
+    return Order(purpose, seed, entry['number'], entry['category'],
+                 tuple(e['name'] for e in entry['effects']), entry['world'], entry['small'])
+
+
 def _evenly(rng: np.random.Generator, names: Iterable[str], count: int) -> list[str]:
     names = list(names)
     rounds = -(-count // len(names)) if count else 0

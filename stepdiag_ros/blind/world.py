@@ -21,8 +21,8 @@ from stepdiag_ros.virtual.truth import truth
 
 PURPOSES = {'develop': 1, 'sealed': 2}
 CATEGORIES = ('null', 'single', 'pair', 'outside')
-LEAST, MOST = 3.0, 40.0
-"""Range of visibilities that are drawn."""
+LEAST, MOST, GROSS = 3.0, 40.0, 1000.0
+"""Visibilities that are drawn lie between the first two; a few go up to the third."""
 CLOSE = 1.1
 """A size is found when the visibility is right within this factor."""
 ATTEMPTS = 10
@@ -57,10 +57,11 @@ def kind_of(name: str) -> type[Hidden]:
 
 
 def draw_target(rng: np.random.Generator, pair: bool) -> float:
-    """A visibility: many near the threshold of 8 and above, some below, some far above."""
-    low, high = ((8.0, 20.0), (LEAST, 8.0), (20.0, MOST))[rng.choice(3, p=[0.6, 0.2, 0.2])]
+    """A visibility: many near the threshold of 8 and above, some below, some far above, a few gross."""
+    low, high = ((8.0, 20.0), (LEAST, 8.0), (20.0, MOST), (MOST, GROSS))[
+        rng.choice(4, p=[0.55, 0.2, 0.15, 0.1])]
     if pair:
-        low, high = (8.0, 30.0)
+        low, high = (8.0, MOST)
     return float(np.exp(rng.uniform(np.log(low), np.log(high))))
 
 
@@ -131,7 +132,7 @@ def _finish(order: Order, cell, conditions, yardstick, effects, seen) -> SealedW
         yardstick = Yardstick(cell, log)
     entry: dict[str, Any] = {
         'category': order.category if effects or order.category == 'null' else 'null',
-        'world': order.world, 'number': order.number,
+        'world': order.world, 'small': order.small, 'number': order.number,
         'effects': [{'name': e.name, 'outside': e.outside, **e.describe(),
                      'visibility': {'stops': v.stops, 'inside': v.inside, 'total': v.total}}
                     for e, v in zip(effects, seen, strict=True)],

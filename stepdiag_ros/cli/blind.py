@@ -25,14 +25,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                       help='sealed, or develop: to tune on, never the same logs (default: sealed)')
     seal.add_argument('--world', default='varied',
                       help='varied machines and plans, or field: the usual plan (default: varied)')
-    seal.add_argument('--small', action='store_true', help='four steps an axis, for a quick look')
+    seal.add_argument('--small', action='store_true', help='three steps an axis, for a quick look')
     seal.add_argument('--out', type=Path, required=True, help='folder of the set')
     answer = steps.add_parser('answer', help='diagnose the logs and lock the answers')
     answer.add_argument('folder', type=Path, help='folder of the set')
     opened = steps.add_parser('open', help='check the hashes and score')
     opened.add_argument('folder', type=Path, help='folder of the set')
+    opened.add_argument('--apart', action='store_true',
+                        help='judge first which effects another could stand for (some seconds a log)')
     opened.add_argument('--json', action='store_true', help='print the score as JSON')
-    for sub in (seal, answer):
+    for sub in (seal, answer, opened):
         sub.add_argument('--processes', type=int, default=2, help='logs worked on at a time (2)')
         sub.add_argument('--quiet', action='store_true', help='no progress')
 
@@ -58,7 +60,9 @@ def _answer(args: argparse.Namespace) -> int:
 
 
 def _open(args: argparse.Namespace) -> int:
-    from stepdiag_ros.blind.opened import open_set, table
+    from stepdiag_ros.blind.opened import judge_apart, open_set, table
+    if args.apart:
+        judge_apart(args.folder, args.processes, not args.quiet)
     result = open_set(args.folder)
     print(json.dumps(result, indent=1) if args.json else table(result))
     return 0

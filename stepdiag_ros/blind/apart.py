@@ -1,0 +1,50 @@
+"""Could another effect of the vocabulary stand for the true one?  Judged without noise.
+
+Of a log with one effect the same world is made again with and without it.  The change, in the
+parity space of the undisturbed log and with the true noise, is fitted by every form in which each
+rival effect may appear; what the best form leaves is what is there to tell the two apart, in
+standard deviations.  Where some rival leaves less than a few, no diagnosis could be sure, and the
+log does not count among the separable ones.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from stepdiag_ros.blind.seal import kind_order
+from stepdiag_ros.blind.world import make
+from stepdiag_ros.effects import all_effects
+from stepdiag_ros.effects.base import Form
+from stepdiag_ros.estimate.enhanced import readings_of
+from stepdiag_ros.estimate.noise import NoiseModel, sensor_noise
+from stepdiag_ros.gap.observe import observe
+from stepdiag_ros.gap.parity import parity
+from stepdiag_ros.model.description import Noise
+
+
+def apart(purpose: str, seed: int, entry: dict[str, Any]) -> dict[str, float]:
+    """σ that the best form of each effect of the vocabulary leaves of the truth ``entry``'s effect."""
+    made = make(kind_order(purpose, seed, entry))
+    bare, changed = observe(made.yardstick.log), observe(made.log)
+    true = Noise(**entry['noise'])
+    noise = NoiseModel(true.position_repeatability, true.angle_repeatability,
+                       sensor_noise(bare.table, true), 'belief')
+    space = parity(bare, bare.fit, noise, readings_of(bare.table))
+    change = Form('truth', np.nan_to_num(readings_of(changed.table) - readings_of(bare.table))[None],
+                  ('size',), np.ones(1), inside=np.nan_to_num(changed.bins - bare.bins)[None])
+    target = space.project(change)[:, 0]
+    left = {}
+    for name, kind in all_effects().items():
+        rests = [_rest(target, space.project(form)) for form in kind().appearance(bare.view)]
+        left[name] = float(min(rests, default=np.linalg.norm(target)))
+    return left
+
+
+def _rest(target: np.ndarray, columns: np.ndarray) -> float:
+    """Norm of what the columns leave of the target."""
+    norms = np.linalg.norm(columns, axis=0)
+    columns = columns[:, norms > 1e-9 * max(norms.max(initial=0.0), 1e-300)]
+    if not columns.shape[1]:
+        return float(np.linalg.norm(target))
+    solution, *_ = np.linalg.lstsq(columns / np.linalg.norm(columns, axis=0), target, rcond=1e-9)
+    return float(np.linalg.norm(target - columns / np.linalg.norm(columns, axis=0) @ solution))

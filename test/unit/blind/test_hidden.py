@@ -1,0 +1,85 @@
+"""The sealed world's effects: all of the vocabulary, forms of their own, acting in proportion."""
+
+import numpy as np
+import pytest
+
+from stepdiag_ros.blind.hidden import Hidden, course
+from stepdiag_ros.blind.outside import OUTSIDE
+from stepdiag_ros.blind.vocabulary import NAMES, VOCABULARY
+from stepdiag_ros.blind.world import Order, make
+from stepdiag_ros.effects import VOCABULARY as CONTRACT
+
+ALL = [kind.name for kind in (*VOCABULARY, *OUTSIDE)]
+
+
+def test_vocabulary_is_the_contracts() -> None:
+    assert NAMES == CONTRACT
+
+
+def test_outside_is_outside() -> None:
+    names = {kind.name for kind in OUTSIDE}
+    assert len(names) >= 10
+    assert not names & set(CONTRACT)
+    assert all(kind.outside for kind in OUTSIDE)
+    assert not any(kind.outside for kind in VOCABULARY)
+
+
+@pytest.mark.parametrize('seed', range(12))
+def test_courses_start_at_zero_and_reach_one(seed: int) -> None:
+    along, _ = course(np.random.default_rng(seed), 1800.0)
+    values = along(np.linspace(0.0, 1800.0, 400))
+    assert values[0] == pytest.approx(0.0, abs=1e-12)
+    assert np.ptp(values) == pytest.approx(1.0, abs=1e-9)
+
+
+@pytest.mark.parametrize('name', ALL)
+def test_every_effect_can_be_seen_and_leaves_a_whole_log(name: str) -> None:
+    category = 'single' if name in NAMES else 'outside'
+    made = make(Order('develop', 7, 1, category, (name,), 'field', small=True))
+    entry = made.truth['effects'][0]
+    assert entry['name'] == name
+    assert entry['visibility']['total'] >= 3.0
+    assert entry['size'] > 0.0
+    assert sum(share['share'] for share in made.truth['shares']) == pytest.approx(1.0)
+    assert np.isfinite(made.log.displacement.values).all()
+    assert np.isfinite(made.log.spot.values).all()
+    # The same noise acts with and without it: what differs is the effect alone.
+    bare = made.yardstick.log
+    assert len(bare.displacement) == len(made.log.displacement)
+    assert not (np.array_equal(bare.displacement.values, made.log.displacement.values)
+                and np.array_equal(bare.spot.values, made.log.spot.values)
+                and np.array_equal(bare.displacement.time_ns, made.log.displacement.time_ns)
+                and np.array_equal(bare.spot.time_ns, made.log.spot.time_ns))
+
+
+def test_weather_of_the_topics_is_the_weather_that_acts() -> None:
+    for number in range(1, 9):
+        made = make(Order('develop', 7, number, 'single', ('air_refraction_drift',), 'field', small=True))
+        if 'air_temperature' in made.log.environment:
+            break
+    else:
+        pytest.fail('no log of eight holds the air topics; half of them should')
+    effect: Hidden = made.effects[0]
+    series = made.log.environment['air_temperature']
+    before = made.yardstick.log.environment['air_temperature']
+    seconds = (series.time_ns - series.time_ns[0]) * 1e-9
+    warm, _, _ = effect.weather(seconds)
+    np.testing.assert_allclose(series.value - before.value, warm, atol=1e-9)
+    # The instrument keeps to one index of air.
+    assert np.ptp(made.log.displacement.refractive_index) < 1e-12
+
+
+def test_same_order_same_log() -> None:
+    order = Order('develop', 7, 3, 'single', ('backlash',), 'varied', small=True)
+    first, second = make(order), make(order)
+    np.testing.assert_array_equal(first.log.displacement.values, second.log.displacement.values)
+    assert first.truth == second.truth
+    other = make(Order('sealed', 7, 3, 'single', ('backlash',), 'varied', small=True))
+    assert other.truth['errors'] != first.truth['errors']
+
+
+def test_null_log_holds_nothing_but_noise() -> None:
+    made = make(Order('develop', 7, 5, 'null', (), 'field', small=True))
+    assert made.truth['effects'] == []
+    assert 'visibility' not in made.truth
+    np.testing.assert_array_equal(made.log.displacement.values, made.yardstick.log.displacement.values)

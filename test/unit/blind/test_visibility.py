@@ -1,0 +1,74 @@
+"""Visibility: the norm in parity space, held against a brute-force fit and against chance."""
+
+import numpy as np
+import pytest
+
+from stepdiag_ros.blind.cells import draw_cell
+from stepdiag_ros.blind.forms_machine import Backlash
+from stepdiag_ros.blind.logs import measure, stage_of
+from stepdiag_ros.blind.visibility import Yardstick, true_parameters
+from stepdiag_ros.estimate.enhanced import fit, readings_of
+from stepdiag_ros.estimate.forward import ForwardModel
+from stepdiag_ros.estimate.noise import NoiseModel, sensor_noise
+
+
+@pytest.fixture(scope='module')
+def scene():
+    rng = np.random.default_rng(11)
+    cell, conditions = draw_cell(rng, 'field', small=True)
+    log = measure(cell, conditions)
+    effect = Backlash(stage_of(cell, log, conditions.start_ns), rng)
+    effect.size = 1.5e-6
+    return cell, conditions, Yardstick(cell, log), effect
+
+
+def test_truth_predicts_the_log(scene) -> None:
+    cell, _, yardstick, _ = scene
+    model = ForwardModel(cell.description, yardstick.table, yardstick.parameters)
+    theta = true_parameters(cell, yardstick.parameters)
+    apart = readings_of(yardstick.table) - model.predict(theta)
+    spots = apart[:, -2:]
+    # Spots need no reset: what is left is the repeatability of the attitude over some metres.
+    assert np.abs(spots).max() < 2e-5
+    assert np.abs(spots).max() > 0.0
+
+
+def test_visibility_is_the_rise_of_chi_square(scene) -> None:
+    cell, conditions, yardstick, effect = scene
+    log = measure(cell, conditions, [effect])
+    seen = yardstick.visibility(log)
+    noise = NoiseModel(cell.description.noise.position_repeatability,
+                       cell.description.noise.angle_repeatability,
+                       sensor_noise(yardstick.table, cell.description.noise), 'belief')
+    # Twice the effect and none of it, same noise: the cross terms cancel in the second difference.
+    readings = readings_of(yardstick.table)
+    delta = yardstick.change(log)
+    chi2 = [fit(cell.description, yardstick.table, noise=noise, readings=readings + k * delta).chi2
+            for k in (-1.0, 0.0, 1.0)]
+    power = 0.5 * (chi2[0] + chi2[2]) - chi2[1]
+    assert seen.total == pytest.approx(np.sqrt(power), rel=0.02)
+    assert seen.total == seen.stops
+
+
+def test_what_the_fit_can_imitate_is_not_seen(scene) -> None:
+    cell, _, yardstick, _ = scene
+    model = ForwardModel(cell.description, yardstick.table, yardstick.parameters)
+    theta = true_parameters(cell, yardstick.parameters)
+    _, jacobian, _ = model.jacobian(theta)
+    rng = np.random.default_rng(3)
+    step = 1e-6 * rng.standard_normal(yardstick.parameters.size)
+    imitated = (jacobian @ step).reshape(readings_of(yardstick.table).shape)
+    plain = np.linalg.norm(yardstick.white(imitated))
+    left = np.linalg.norm(yardstick.white(yardstick.left(imitated)))
+    assert plain > 10.0
+    assert left < 0.02 * plain
+
+
+def test_visibility_grows_with_size(scene) -> None:
+    cell, conditions, yardstick, effect = scene
+    values = []
+    for size in (1e-6, 3e-6):
+        effect.size = size
+        values.append(yardstick.visibility(measure(cell, conditions, [effect])).total)
+    effect.size = 1.5e-6
+    assert values[1] == pytest.approx(3.0 * values[0], rel=0.05)
