@@ -120,9 +120,20 @@ class Operator:
     # -- lifecycle and parameters ------------------------------------------------
 
     def state(self, node: str, timeout_s: float = 10.0) -> str:
-        """The node's lifecycle state; :class:`StepdiagError` if it does not answer."""
-        return self._call(GetState, f'{node}/get_state', GetState.Request(),
-                          timeout_s).current_state.label
+        """The node's lifecycle state; :class:`StepdiagError` if it does not answer.
+
+        Asked again every other second: the service of a node that was killed is still
+        known for a while, and what is sent to it is lost.
+        """
+        end = time.monotonic() + timeout_s
+        while True:
+            left = max(0.1, end - time.monotonic())
+            try:
+                return self._call(GetState, f'{node}/get_state', GetState.Request(),
+                                  min(2.0, left)).current_state.label
+            except StepdiagError:
+                if time.monotonic() >= end:
+                    raise
 
     def transition(self, node: str, name: str, timeout_s: float = 60.0) -> bool:
         """Ask for a transition; whether the node made it."""
@@ -139,19 +150,21 @@ class Operator:
         if state == target:
             return
         for name in way.get((state, target), ()):
+            asked_s = time.monotonic()
             if not self.transition(node, name, timeout_s):
-                raise StepdiagError(f'{self.namespace}/{node} refuses to {name}: {self._why(node)}')
+                raise StepdiagError(f'{self.namespace}/{node} refuses to {name}: '
+                                    f'{self._why(node, asked_s)}')
         if (now := self.state(node, timeout_s)) != target:
             raise StepdiagError(f'{self.namespace}/{node} is {now}, not {target}')
 
-    def _why(self, node: str) -> str:
-        """What the node says of itself, once it has had the time to say it."""
-        end = time.monotonic() + 2.5
+    def _why(self, node: str, since_s: float) -> str:
+        """What the node has said of itself since a moment (monotonic)."""
+        end = time.monotonic() + 3.0
         while time.monotonic() < end:
-            health = self.health(node)
-            if health is not None and health.level == DiagnosticStatus.ERROR:
+            at, health = self._heard.get(f'{self.namespace}/{node}', (0.0, None))
+            if at > since_s and health.level == DiagnosticStatus.ERROR:
                 return health.message
-            time.sleep(0.1)
+            time.sleep(0.05)
         return 'see its log'
 
     def set_parameters(self, node: str, values: Mapping[str, Any]) -> None:

@@ -243,8 +243,9 @@ class StepSequencer(StepdiagNode):
 
     def _await_ready(self, handle: ServerGoalHandle) -> None:
         """Every source delivers and the recorder hears it, or the goal is refused."""
-        end = time.monotonic() + self.value('ready_timeout')
-        while wants := self._watch.wants() + self._unconnected():
+        began = time.monotonic()
+        end = began + self.value('ready_timeout')
+        while wants := self._watch.wants(since_s=began) + self._unconnected():
             if handle.is_cancel_requested or self._leave.is_set():
                 raise Cancelled
             if time.monotonic() > end:
@@ -298,6 +299,8 @@ class StepSequencer(StepdiagNode):
         while not answered.wait(0.1):
             if self._leave.is_set():
                 raise Cancelled
+            if wants := self._watch.wants():
+                raise StepdiagError(f'no answer from {name}: ' + '; '.join(wants))
             if time.monotonic() > end:
                 raise StepdiagError(f'the service {name} does not answer for {SERVICE_TIMEOUT_S:g} s')
         if not future.result().success:

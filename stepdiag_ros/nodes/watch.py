@@ -72,8 +72,10 @@ class Watch:
         with self._lock:
             return self._recording
 
-    def wants(self, light: bool = False) -> list[str]:
+    def wants(self, light: bool = False, since_s: float = 0.0) -> list[str]:
         """What is missing for a start, a phrase each; empty: all is well.
+
+        What came before ``since_s`` (monotonic) does not count.
 
         ``light``: a source must also see its beam, which before the mirror of a setup is
         mounted it cannot.
@@ -84,12 +86,14 @@ class Watch:
             for topic, source in self._sources.items():
                 if source.last_s is None:
                     wants.append(f'nothing was heard on {topic}')
+                elif source.last_s < since_s:
+                    wants.append(f'{topic} delivers nothing')
                 elif now - source.last_s > self._timeout_s:
                     wants.append(f'{topic} has been silent for {now - source.last_s:.1f} s')
                 elif light and source.dark_s is not None and now - source.dark_s > self._timeout_s:
                     wants.append(f'{topic} delivers no signal (is the beam interrupted?)')
             said = self._recording
-            if said is None or now - said.at_s > self._timeout_s:
+            if said is None or said.at_s < since_s or now - said.at_s > self._timeout_s:
                 wants.append('the recorder is silent')
             elif not said.recording:
                 wants.append('the recorder is not recording')

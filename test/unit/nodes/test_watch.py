@@ -57,6 +57,20 @@ def test_a_source_that_falls_silent_is_named():
     assert [w.split(' has been silent')[0] for w in one.wants()] == list(SOURCES)
 
 
+def test_what_came_before_the_goal_does_not_count():
+    one = watch()
+    for topic in SOURCES:
+        block(one, topic)
+    one.recorder(recording())
+    began = time.monotonic()
+    assert one.wants(since_s=began) == [f'{SOURCES[0]} delivers nothing', f'{SOURCES[1]} delivers nothing',
+                                        'the recorder is silent']
+    for topic in SOURCES:
+        block(one, topic)
+    one.recorder(recording())
+    assert one.wants(since_s=began) == []
+
+
 def test_dark_beams_matter_in_a_run_only():
     one = watch(timeout_s=0.02)
     one.recorder(recording())

@@ -1,0 +1,86 @@
+"""A tiny cell for the tests of the graph, and one that runs for a whole module."""
+
+import fcntl
+import os
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from stepdiag_ros.nodes import environment
+
+environment.prepare()
+
+CELL = """
+schema: 1
+seed: 7
+machine: {{name: {name}, chain: FXYZ, volume: [0.10, 0.08, 0.06], tool: [0.0, 0.0, -0.10]}}
+plan: {{steps: 1, order: XYZ, repeats: 1}}
+setups:
+  ppp: {{standoff: 0.20, psd_offset: [0.02, 0.0], beams: [[0.0, 0.0]]}}
+  lin_x: {{standoff: 0.20, psd_offset: [0.02, 0.0], beams: [[0.0, 0.0]], length: 0.10, stops: 2}}
+geometry:
+  drawn: {{positioning: 8.0e-6, straightness: 4.0e-6, angle: 2.0e-5, squareness: 1.5e-5}}
+misalignments:
+  drawn: {{laser: 3.0e-4, mirror: 2.0e-4, psd_zero: 0.0}}
+air: {{period: 1.0, scale_temperature: [20.1, 20.2, 20.3]}}
+motion: {{feed: 0.5, acceleration: 8.0, jerk: 800.0, in_position: 5.0e-8, settling: 0.002, dwell: {dwell}}}
+sampling: {{interferometer: 200.0, psd: 200.0, block: 0.05}}
+"""
+LOCKS = Path('/tmp') / f'stepdiag-ros-domains-{os.getuid()}'
+
+
+@pytest.fixture(scope='module')
+def module_domain(tmp_path_factory) -> Iterator[int]:
+    """A ROS_DOMAIN_ID for a whole module, by the same locks as the fixture ``ros_domain``."""
+    LOCKS.mkdir(exist_ok=True)
+    deadline = time.monotonic() + 240
+    with pytest.MonkeyPatch.context() as patch:
+        while time.monotonic() < deadline:
+            for domain in range(1, 101):
+                with open(LOCKS / str(domain), 'w') as lock:
+                    try:
+                        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                    except BlockingIOError:
+                        continue
+                    patch.setenv('ROS_DOMAIN_ID', str(domain))
+                    patch.setenv('ROS_LOG_DIR', str(tmp_path_factory.mktemp('ros_log')))
+                    yield domain
+                    return
+            time.sleep(0.2)
+    pytest.fail('all ROS domains are taken')
+
+
+def write_cell(folder: Path, name: str = 'tiny', dwell: float = 0.12) -> Path:
+    path = folder / f'{name}.yaml'
+    path.write_text(CELL.format(name=name, dwell=dwell), encoding='utf-8')
+    return path
+
+
+@pytest.fixture
+def cell_file(tmp_path: Path) -> Path:
+    return write_cell(tmp_path)
+
+
+@pytest.fixture(scope='module')
+def cell(module_domain, tmp_path_factory):
+    """A tiny cell, up and active."""
+    from stepdiag_ros.nodes.bringup import Bringup
+    folder = tmp_path_factory.mktemp('cell')
+    with Bringup(write_cell(folder), bag_folder=folder, runtime=folder / 'run') as running:
+        yield running
+
+
+def eventually(condition: Callable[[], object], timeout_s: float = 60.0) -> object:
+    """Wait until ``condition()`` is true; its value."""
+    end = time.monotonic() + timeout_s
+    while not (value := condition()):
+        assert time.monotonic() < end, f'{condition} did not come true'
+        time.sleep(0.05)
+    return value
+
+
+@pytest.fixture(name='eventually')
+def _eventually():
+    return eventually

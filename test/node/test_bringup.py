@@ -1,0 +1,128 @@
+"""A node dies and comes back; a calibration loses its driver; Ctrl-C leaves nothing."""
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+
+from stepdiag_ros.bag.reader import read_log
+from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.nodes.bringup import Bringup
+from stepdiag_ros.nodes.environment import NETWORK, free_domain, prepare
+
+
+def test_a_node_that_dies_is_started_again_and_that_is_said(ros_domain, cell_file, tmp_path, eventually):
+    said = []
+    with Bringup(cell_file, bag=tmp_path / 'log', runtime=tmp_path / 'run', say=said.append) as cell:
+        assert cell.watch() == []
+        before = cell.pids()
+        for node in ('psd_driver', 'recorder'):
+            os.kill(before[node], signal.SIGKILL)
+            eventually(lambda node=node: cell.watch() == [node])
+            assert cell.operator.state(node) == 'active'
+            assert cell.pids()[node] != before[node]
+        assert any('psd_driver was killed by signal 9; starting it again' in text for text in said)
+        assert any('log_2' in text and 'stepdiag recover' in text for text in said)
+        assert cell.restarts == 2
+        # The whole graph works again, and the new bag is whole.
+        eventually(lambda: cell.operator.recorder.bag.endswith('log_2'))
+        assert cell.operator.calibrate(setups=['lin_x']).succeeded
+        pids = cell.pids()
+    assert len(read_log(tmp_path / 'log_2').steps) == 12
+    assert not [pid for pid in pids.values() if Path(f'/proc/{pid}').exists()]
+
+
+def test_a_driver_that_dies_in_a_run_ends_it(ros_domain, cell_file, tmp_path):
+    with Bringup(cell_file, bag=tmp_path / 'log', runtime=tmp_path / 'run') as cell:
+        killed = threading.Event()
+
+        def kill(feedback) -> None:
+            if feedback.stop >= 2 and not killed.is_set():
+                killed.set()
+                os.kill(cell.pids()['interferometer_driver'], signal.SIGKILL)
+        outcome = cell.operator.calibrate(dwell_s=1.0, feedback=kill, meanwhile=cell.watch)
+        assert killed.is_set() and outcome.how == 'aborted'
+        assert 'interferometer' in outcome.message and outcome.stops < 12
+    log = read_log(tmp_path / 'log')
+    assert len(log.steps) > 0
+
+
+def test_ctrl_c_leaves_no_process_and_a_whole_bag(ros_domain, cell_file, tmp_path, eventually):
+    run = tmp_path / 'run'
+    up = subprocess.Popen([sys.executable, '-m', 'stepdiag_ros.cli.main', 'up', str(cell_file), '--bag',
+                           str(tmp_path / 'log'), '--runtime', str(run)], stdout=subprocess.PIPE,
+                          stderr=subprocess.STDOUT, text=True)
+    try:
+        lines = []
+        reader = threading.Thread(target=lambda: lines.extend(up.stdout), daemon=True)
+        reader.start()
+        eventually(lambda: any('calibrate with' in line for line in lines), 120)
+        assert up.poll() is None
+        from stepdiag_ros.nodes.operator import Operator
+        with Operator('/tiny') as operator:
+            assert operator.calibrate(setups=['lin_x']).succeeded
+        children = _children(up.pid)
+        assert len(children) >= 6
+        up.send_signal(signal.SIGINT)
+        assert up.wait(60) == 0
+        reader.join(10)
+    finally:
+        if up.poll() is None:
+            up.kill()
+            up.wait()
+        up.stdout.close()
+    assert any('all processes have ended' in line for line in lines)
+    assert not [pid for pid in children if Path(f'/proc/{pid}').exists()]
+    log = read_log(tmp_path / 'log')
+    assert len(log.steps) == 12 and not [w for w in log.warnings if 'recover' in w or 'metadata' in w]
+
+
+def test_children_end_with_a_killed_bringup(ros_domain, cell_file, tmp_path, eventually):
+    up = subprocess.Popen([sys.executable, '-m', 'stepdiag_ros.cli.main', 'up', str(cell_file), '--bag',
+                           str(tmp_path / 'log'), '--runtime', str(tmp_path / 'run')],
+                          stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    try:
+        eventually(lambda: (tmp_path / 'log' / 'metadata.yaml').exists()
+                   and len(_children(up.pid)) >= 9, 120)
+        children = _children(up.pid)
+    finally:
+        up.kill()
+        up.wait()
+    eventually(lambda: not [pid for pid in children if Path(f'/proc/{pid}').exists()], 60)
+
+
+def test_a_cell_file_with_an_error_is_one_line_and_nothing_is_started(tmp_path):
+    path = tmp_path / 'bad.yaml'
+    path.write_text('schema: 1\nmachine: {name: m, volume: [0.1, 0.1, 0.1]}\nplan: {steps: 0}\n'
+                    'setups:\n  ppp: {standoff: 0.2}\n', encoding='utf-8')
+    with pytest.raises(StepdiagError, match=r'bad\.yaml.*steps'):
+        Bringup(path)
+
+
+def test_a_users_network_is_left_alone(monkeypatch):
+    for name in NETWORK:
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'SUBNET')
+    prepare()
+    assert 'FASTRTPS_DEFAULT_PROFILES_FILE' not in os.environ
+    assert os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] == 'SUBNET'
+
+
+def test_a_free_domain_is_one_that_nobody_uses():
+    assert free_domain() in range(1, 100)
+
+
+def _children(pid: int) -> list[int]:
+    """All descendants of a process."""
+    found, front = [], [pid]
+    while front:
+        parent = front.pop()
+        for task in Path(f'/proc/{parent}/task').glob('*/children'):
+            front += [int(word) for word in task.read_text().split()]
+        found += front[len(front):]
+        found.append(parent)
+    return [one for one in found if one != pid]

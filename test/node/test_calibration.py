@@ -1,0 +1,165 @@
+"""A whole live run on a tiny cell: refused, cancelled, done; live, replayed and read, the same bits."""
+
+import json
+import threading
+
+import numpy as np
+import pytest
+
+from stepdiag_ros.bag.reader import read_log
+from stepdiag_ros.cli.demo import same_result
+from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.estimate import evaluate
+from stepdiag_ros.model.log import DONE, DWELL, MOVE
+from stepdiag_ros.nodes.replaying import assemble
+
+
+@pytest.fixture(scope='module')
+def live(cell):
+    """One calibration of the tiny cell: outcome, feedback, live document, bag."""
+    operator, feedback = cell.operator, []
+    bag = cell.runtime.parent / 'whole'
+    operator.new_log(str(bag))
+    outcome = operator.calibrate(feedback=feedback.append)
+    assert outcome.succeeded, outcome.message
+    document = operator.evaluate()
+    operator.bring('recorder', 'inactive')
+    return outcome, feedback, document, bag
+
+
+def test_all_runs_are_done_forward_and_backward(live):
+    outcome, *_ = live
+    assert outcome.run_ids == ('ppp/0/+', 'ppp/0/-', 'lin_x/0/+', 'lin_x/0/-')
+    assert outcome.stops == 12 and outcome.message.startswith('12 stops in 4 runs')
+
+
+def test_feedback_says_where_it_is(live):
+    _, feedback, *_ = live
+    assert [f.stop for f in feedback] == sorted(f.stop for f in feedback)
+    assert all(f.stops == 12 for f in feedback)
+    moving = [f for f in feedback if f.axis != 255]
+    assert {f.axis for f in moving} == {0, 1, 2}
+    assert any(f.doing == 'Z to stop 3 of 3' for f in moving)
+    assert moving[-1].time_left < moving[len(moving) // 2].time_left
+
+
+def test_the_bag_holds_the_contracts_events(live):
+    log = read_log(live[3])
+    steps = log.steps
+    assert log.namespace == '/tiny' and len(steps) == 3 * 12
+    np.testing.assert_array_equal(steps.phase, np.tile([MOVE, DWELL, DONE], 12))
+    assert (np.diff(steps.time_ns) >= 0).all()
+    ppp = steps.run == steps.run_ids.index('ppp/0/-')
+    assert list(steps.index[ppp][::3]) == [3, 2, 1, 0]
+    assert list(steps.axis[ppp][::3]) == [255, 2, 1, 0]
+    assert not [w for w in log.warnings if 'lost' in w or 'missing' in w or 'runs backwards' in w]
+    assert {'air_temperature', 'air_pressure', 'humidity'} <= log.environment.keys()
+
+
+def test_runs_begin_at_zero(live):
+    log = read_log(live[3])
+    first = np.flatnonzero((log.steps.axis == 255) & (log.steps.phase == DWELL))
+    for event in first:
+        inside = (log.displacement.time_ns >= log.steps.time_ns[event]) \
+            & (log.displacement.time_ns < log.steps.time_ns[event + 1]) & (log.displacement.health > 0)
+        assert inside.any()
+        assert abs(log.displacement.values[inside, 0].mean()) < 2e-7
+
+
+def test_live_replayed_and_read_have_the_same_bits(live):
+    _, _, document, bag = live
+    offline = evaluate(read_log(bag)).to_json_dict()
+    again = evaluate(read_log(bag)).to_json_dict()
+    replayed = evaluate(assemble(bag).build()).to_json_dict()
+    assert same_result(offline, again)
+    assert same_result(json.loads(json.dumps(document)), json.loads(json.dumps(offline)))
+    assert same_result(replayed, offline)
+    assert document['dof'] > 0 and np.isfinite(document['reduced_chi2'])
+
+
+def test_a_goal_is_refused_while_a_source_is_silent(cell, live):
+    operator = cell.operator
+    operator.new_log(str(cell.runtime.parent / 'refused'))
+    operator.set_parameters('step_sequencer', {'ready_timeout': 4.0})
+    operator.bring('psd_driver', 'inactive')
+    try:
+        outcome = operator.calibrate()
+    finally:
+        operator.bring('psd_driver', 'active')
+        operator.set_parameters('step_sequencer', {'ready_timeout': 10.0})
+    assert outcome.how == 'aborted' and outcome.stops == 0
+    assert outcome.message.startswith('refused to start: ') and '/tiny/psd/spot' in outcome.message
+    operator.bring('recorder', 'inactive')
+    with pytest.raises(StepdiagError, match='step'):
+        read_log(cell.runtime.parent / 'refused')   # nothing has moved
+
+
+def test_a_goal_is_refused_while_nothing_is_recorded(cell, live):
+    operator = cell.operator
+    operator.bring('recorder', 'inactive')
+    operator.set_parameters('step_sequencer', {'ready_timeout': 1.0})
+    try:
+        outcome = operator.calibrate()
+    finally:
+        operator.set_parameters('step_sequencer', {'ready_timeout': 10.0})
+    assert outcome.how == 'aborted' and 'the recorder is not recording' in outcome.message
+
+
+def test_an_unknown_setup_is_refused(cell, live):
+    outcome = cell.operator.calibrate(setups=['nnp'])
+    assert outcome.how == 'aborted' and "unknown setup 'nnp'" in outcome.message
+
+
+def test_other_steps_than_the_description_are_refused(cell, live):
+    outcome = cell.operator.calibrate(steps=7)
+    assert outcome.how == 'aborted' and '7 steps were asked for' in outcome.message
+
+
+def test_cancel_leaves_the_machine_still_and_the_bag_whole(cell, live):
+    operator = cell.operator
+    bag = cell.runtime.parent / 'cancelled'
+    operator.new_log(str(bag))
+    def stop_at_two(feedback) -> None:
+        if feedback.stop >= 2:
+            operator.cancel()
+    outcome = operator.calibrate(feedback=stop_at_two)
+    assert outcome.how == 'canceled' and 2 <= outcome.stops < 12
+    assert 'the machine stands still' in outcome.message
+    operator.bring('recorder', 'inactive')
+    log = read_log(bag)
+    assert (log.steps.phase == DONE).sum() == outcome.stops
+    # Another goal can follow, into the same sequencer.
+    operator.new_log(str(cell.runtime.parent / 'after'))
+    assert operator.calibrate(setups=['lin_x']).succeeded
+
+
+def test_a_second_goal_into_the_same_bag_counts_its_repeats_on(cell, live):
+    operator = cell.operator
+    bag = cell.runtime.parent / 'twice'
+    operator.new_log(str(bag))
+    assert operator.calibrate(setups=['lin_x']).run_ids == ('lin_x/0/+', 'lin_x/0/-')
+    assert operator.calibrate(setups=['lin_x']).run_ids == ('lin_x/1/+', 'lin_x/1/-')
+    operator.bring('recorder', 'inactive')
+    assert set(read_log(bag).steps.repeat) == {0, 1}
+
+
+def test_a_second_goal_at_the_same_time_is_rejected(cell, live):
+    operator = cell.operator
+    operator.new_log(str(cell.runtime.parent / 'busy'))
+    refused, tried = [], threading.Event()
+
+    def knock(feedback) -> None:
+        if not tried.is_set():
+            tried.set()
+            threading.Thread(target=second).start()
+
+    def second() -> None:
+        from stepdiag_ros.nodes.operator import Operator
+        with Operator('tiny') as other:
+            try:
+                refused.append(other.calibrate(setups=['lin_x']))
+            except StepdiagError as error:
+                refused.append(error)
+    outcome = operator.calibrate(dwell_s=1.0, setups=['ppp'], feedback=knock)
+    assert outcome.succeeded
+    assert isinstance(refused[0], StepdiagError) and 'rejects the goal' in str(refused[0])

@@ -1,0 +1,105 @@
+"""Every node of a running cell: lifecycle, parameters, diagnostics."""
+
+import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
+from rcl_interfaces.msg import ParameterType
+from rcl_interfaces.srv import DescribeParameters, ListParameters
+
+from stepdiag_ros.errors import StepdiagError
+
+NODES = ('recorder', 'evaluation_solver', 'interferometer_driver', 'psd_driver', 'step_sequencer')
+
+
+def call(cell, kind, name, request):
+    client = cell.operator.node.create_client(kind, name)
+    assert client.wait_for_service(timeout_sec=30.0)
+    return cell.operator.wait(client.call_async(request), 30.0, name)
+
+
+@pytest.mark.parametrize('node', NODES)
+def test_a_node_says_once_a_second_how_it_is(cell, node, eventually):
+    status = eventually(lambda: cell.operator.health(node))
+    assert status.name == f'tiny/{node}'
+    values = eventually(lambda: {v.key: v.value for v in cell.operator.health(node).values})
+    eventually(lambda: {v.key: v.value for v in cell.operator.health(node).values}['state'] == 'active')
+    assert 'state' in values and status.message
+
+
+@pytest.mark.parametrize('node', NODES)
+def test_every_parameter_is_described_and_numbers_have_a_range(cell, node):
+    names = call(cell, ListParameters, f'{node}/list_parameters', ListParameters.Request()).result.names
+    own = [n for n in names if not n.startswith('qos_overrides.') and n not in
+           ('use_sim_time', 'start_type_description_service')]
+    assert 'autostart' in own
+    described = call(cell, DescribeParameters, f'{node}/describe_parameters',
+                     DescribeParameters.Request(names=own)).descriptors
+    for descriptor in described:
+        assert descriptor.description, descriptor.name
+        if descriptor.type == ParameterType.PARAMETER_DOUBLE:
+            assert descriptor.floating_point_range and '[' in descriptor.description, descriptor.name
+        if descriptor.type == ParameterType.PARAMETER_INTEGER:
+            assert descriptor.integer_range, descriptor.name
+
+
+def test_quality_of_service_can_be_overridden(cell):
+    names = call(cell, ListParameters, 'interferometer_driver/list_parameters',
+                 ListParameters.Request()).result.names
+    assert 'qos_overrides./tiny/interferometer/displacement.publisher.depth' in names
+    assert 'qos_overrides./tiny/interferometer/displacement.publisher.reliability' in names
+
+
+def test_a_value_out_of_range_is_refused(cell):
+    with pytest.raises(StepdiagError, match='parameter sample_rate cannot be -1.0'):
+        cell.operator.set_parameters('interferometer_driver', {'sample_rate': -1.0})
+
+
+@pytest.mark.parametrize('node', NODES)
+def test_a_node_goes_down_and_up_again(cell, node, eventually):
+    operator = cell.operator
+    for state in ('inactive', 'unconfigured', 'inactive', 'active'):
+        operator.bring(node, state)
+        assert operator.state(node) == state
+    eventually(lambda: cell.operator.health(node).level != DiagnosticStatus.ERROR)
+
+
+def test_drivers_deliver_at_their_rate(cell, eventually):
+    for node in ('interferometer_driver', 'psd_driver'):
+        def rate(node=node):
+            values = {v.key: v.value for v in cell.operator.health(node).values}
+            return float(values.get('rate_Hz', 0.0))
+        assert eventually(lambda rate=rate: rate() > 100.0)
+
+
+def test_configuring_without_an_instrument_says_so_in_one_line(cell, eventually):
+    operator = cell.operator
+    operator.bring('psd_driver', 'unconfigured')
+    port = next(int(v.value.rsplit(':', 1)[1]) for v in eventually(
+        lambda: [v for v in operator.health('psd_driver').values if v.key == 'device']))
+    operator.set_parameters('psd_driver', {'port': 1, 'timeout': 1.0})
+    try:
+        assert not operator.transition('psd_driver', 'configure')
+        assert operator.state('psd_driver') == 'unconfigured'
+        said = eventually(lambda: operator.health('psd_driver').level == DiagnosticStatus.ERROR
+                          and operator.health('psd_driver').message)
+        assert '127.0.0.1:1' in said and '\n' not in said
+    finally:
+        operator.set_parameters('psd_driver', {'port': port, 'timeout': 5.0})
+        operator.bring('psd_driver', 'active')
+
+
+def test_the_recorder_confirms_what_it_hears(cell, eventually):
+    wanted = {f'/tiny/{t}' for t in (
+        'interferometer/displacement', 'psd/spot', 'cell_description', 'environment/air_temperature',
+        'environment/air_pressure', 'environment/humidity')}
+    assert eventually(lambda: cell.operator.recorder and wanted <= set(cell.operator.recorder.hears))
+    assert sum(cell.operator.recorder.lost) == 0
+
+
+def test_unknown_parameters_of_the_psd_are_refused_in_one_line(cell, eventually):
+    operator = cell.operator
+    operator.bring('psd_driver', 'unconfigured')
+    operator.set_parameters('psd_driver', {'channels': [0, 1, 2, 2]})
+    with pytest.raises(StepdiagError, match='name four different analogue inputs'):
+        operator.bring('psd_driver', 'inactive')
+    operator.set_parameters('psd_driver', {'channels': [0, 1, 2, 3]})
+    operator.bring('psd_driver', 'active')
