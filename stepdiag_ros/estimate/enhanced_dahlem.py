@@ -50,7 +50,16 @@ from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate.readings import CellReadings, observe
 from stepdiag_ros.estimate.solution import Solution, Unidentifiable
 from stepdiag_ros.estimate.step_diagonal import vector_steps
-from stepdiag_ros.estimate.stepwise import accumulate, increments, knots, rotation_names, solution, translation_names
+from stepdiag_ros.estimate.stepwise import (
+    accumulate,
+    angle_effect,
+    at_stops,
+    increments,
+    knots,
+    rotation_names,
+    solution,
+    translation_names,
+)
 from stepdiag_ros.model.machine import CURVES, Curve, GeometricErrors
 from stepdiag_ros.model.sensor import Misalignment
 
@@ -152,7 +161,7 @@ class _ClosedForm:
         # Eq. 4: rows (setup, u or v), then eq. 5.
         self.tilt_inverse = np.linalg.pinv(self.triads[:, :2].reshape(-1, 3))
         self.mean_inverse = np.linalg.pinv(self._mean_matrix())
-        self.angle_effect = {n: self._angle_effect(n) for n in self.all}
+        self.angle_effect = {n: angle_effect(s.sight, cell.machine) for n, s in self.setups.items()}
         if layout == 'b':
             self.length = {n: self._lengths(n) for n in self.all}
         else:
@@ -200,19 +209,6 @@ class _ClosedForm:
 
     # ---- equations ----------------------------------------------------------------------------
 
-    def _angle_effect(self, name: str) -> np.ndarray:
-        """Distance by each of the nine angles of the axes at each stop, (n, 9) [m/rad]."""
-        small = 1e-5
-        sight, machine = self.setups[name].sight, self.cell.machine
-        effect = []
-        for axis in range(3):
-            for name_ in rotation_names(axis):
-                sides = [observe(sight, machine, GeometricErrors(
-                    {name_: Curve(np.zeros(1), np.full(1, sign * small))}, {}))[0][:, 0]
-                    for sign in (1.0, -1.0)]
-                effect.append((sides[0] - sides[1]) / (2.0 * small))
-        return np.stack(effect, axis=1)
-
     def _mean_matrix(self) -> np.ndarray:
         """Mean steps (setup, axis) by three squarenesses [m a step] and two mirror angles a setup."""
         count = len(self.names)
@@ -229,17 +225,6 @@ class _ClosedForm:
             matrix[:, 3:] = 0.0
         return matrix
 
-    def _at_stops(self, curves: np.ndarray, name: str) -> np.ndarray:
-        """Nine curves (3, 3, n + 1, c) at a setup's stops (stops, 9, c), straight between knots."""
-        sight, steps = self.setups[name].sight, self.cell.steps
-        out = []
-        for axis in range(3):
-            place = sight.positions[:, axis] / self.step[axis]
-            low = np.clip(np.floor(place + 1e-6).astype(int), 0, steps - 1)
-            part = (place - low)[:, None]
-            out.append(curves[axis][:, low] * (1.0 - part) + curves[axis][:, low + 1] * part)
-        return np.moveaxis(np.concatenate(out), 0, 1)
-
     def solve(self, left: np.ndarray, tilt: np.ndarray) -> _Change:
         """Answer to distances (size, c) and tilts (size, 2, c)."""
         steps, count = self.cell.steps, len(self.names)
@@ -251,7 +236,8 @@ class _ClosedForm:
         left = left.copy()
         against_laser = []
         for name in self.all:
-            rows, at = self.rows[name], self._at_stops(turn, name)
+            rows = self.rows[name]
+            at = at_stops(self.setups[name].sight, self.cell.machine, turn)
             left[rows] -= np.einsum('nk,nkc->nc', self.angle_effect[name], at)
             left[rows] -= left[rows][:1]
             total = at[:, 0:3] + at[:, 3:6] + at[:, 6:9]
@@ -292,31 +278,37 @@ class _ClosedForm:
     # ---- propagation ----------------------------------------------------------------------------
 
     def sensitivity(self) -> _Change:
-        """Answer to a unit error of every reading: distances of beam 0, then the tilts' sources."""
+        """Answer to a unit error of every reading, in the order of :meth:`variance`."""
         n = self.size
-        left, tilt = np.zeros((n, 3 * n)), np.zeros((n, 2, 3 * n))
+        if self.layout == 'b':
+            left, tilt = np.zeros((n, 3 * n)), np.zeros((n, 2, 3 * n))
+            left[:, :n] = np.eye(n)
+            tilt[np.arange(n), 0, n + np.arange(n)] = 1.0
+            tilt[np.arange(n), 1, 2 * n + np.arange(n)] = 1.0
+            return self.solve(left, tilt)
+        # Beam 0 serves distance and tilt at once.
+        beams = max(len(s.sight.beams) for s in self.setups.values())
+        left, tilt = np.zeros((n, beams * n)), np.zeros((n, 2, beams * n))
         left[:, :n] = np.eye(n)
-        tilt[np.arange(n), 0, n + np.arange(n)] = 1.0
-        tilt[np.arange(n), 1, 2 * n + np.arange(n)] = 1.0
+        for name, setup in self.setups.items():
+            unit = self._tilt(name, np.eye(len(setup.sight.beams)), None)
+            for row in range(self.rows[name].start, self.rows[name].stop):
+                tilt[row, :, row + n * np.arange(len(unit))] = unit
         return self.solve(left, tilt)
 
     def variance(self) -> np.ndarray:
-        """Variances (3 size,) of distances [m²], α and β [rad²].
+        """Layout b: variances (3 size,) of distances [m²], then α, then β [rad²].
 
-        In layout a the tilts share beam 0 with the distances; that correlation is small
-        (offsets of centimetres against arms of a metre) and is left out.
+        Layout a: variances (beams size,) of the distances of beam 0, then beam 1, … [m²].
         """
-        length, alpha, beta = (np.zeros(self.size) for _ in range(3))
+        length, tilt = np.zeros(self.size), np.zeros(self.size)
         for name, setup in self.setups.items():
-            rows, sigma = self.rows[name], setup.displacement_sigma_m
-            length[rows] = sigma ** 2
+            length[self.rows[name]] = setup.displacement_sigma_m ** 2
             if self.layout == 'b':
-                alpha[rows] = beta[rows] = (setup.spot_sigma_m / (2.0 * self.length[name])) ** 2
-                continue
-            beams = len(setup.sight.beams)
-            unit = np.stack([self._tilt(name, np.eye(beams), None)[:, k] for k in (0, 1)])
-            alpha[rows], beta[rows] = (sigma ** 2 * np.sum(unit[k] ** 2) for k in (0, 1))
-        return np.concatenate([length, alpha, beta])
+                tilt[self.rows[name]] = (setup.spot_sigma_m / (2.0 * self.length[name])) ** 2
+        if self.layout == 'b':
+            return np.concatenate([length, tilt, tilt])
+        return np.tile(length, max(len(s.sight.beams) for s in self.setups.values()))
 
     def blind(self) -> tuple[Unidentifiable, ...]:
         found = []

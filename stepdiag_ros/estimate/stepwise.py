@@ -17,10 +17,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from stepdiag_ros.estimate.gauge import GAUGE, SLOPES, STRAIGHTNESS, slope_weights
-from stepdiag_ros.estimate.readings import Sight
+from stepdiag_ros.estimate.readings import Sight, observe
 from stepdiag_ros.estimate.solution import Solution, Unidentifiable
 from stepdiag_ros.model.description import Machine
-from stepdiag_ros.model.machine import AXES, CURVES, SQUARENESS
+from stepdiag_ros.model.machine import AXES, CURVES, SQUARENESS, Curve, GeometricErrors
 from stepdiag_ros.model.sensor import Misalignment
 
 
@@ -94,6 +94,28 @@ def solution(method: str, positions: Mapping[str, np.ndarray], curves: Mapping[s
     return Solution(method, {n: np.asarray(positions[n]) for n in order}, tuple(names), value,
                     (matrix * spread) @ matrix.T, gauge=GAUGE, unidentifiable=unidentifiable,
                     misalignments=misalignments or {}, **more)
+
+
+def angle_effect(sight: Sight, machine: Machine) -> np.ndarray:
+    """Distance of beam 0 by each of the nine angles of the axes (EAX … ECZ) at each stop, (n, 9) [m/rad]."""
+    small, effect = 1e-5, []
+    for axis in range(3):
+        for name in rotation_names(axis):
+            sides = [observe(sight, machine, GeometricErrors(
+                {name: Curve(np.zeros(1), np.full(1, turn))}, {}))[0][:, 0] for turn in (small, -small)]
+            effect.append((sides[0] - sides[1]) / (2.0 * small))
+    return np.stack(effect, axis=1)
+
+
+def at_stops(sight: Sight, machine: Machine, curves: np.ndarray) -> np.ndarray:
+    """Nine curves (axis, component, knots, c) at a setup's stops (n, 9, c), straight between knots."""
+    steps, out = curves.shape[2] - 1, []
+    for axis in range(3):
+        place = sight.positions[:, axis] / machine.volume[axis] * steps
+        low = np.clip(np.floor(place + 1e-6).astype(int), 0, steps - 1)
+        part = (place - low)[:, None]
+        out.append(curves[axis][:, low] * (1.0 - part) + curves[axis][:, low + 1] * part)
+    return np.moveaxis(np.concatenate(out), 0, 1)
 
 
 def translation_names(axis: int) -> tuple[str, str, str]:

@@ -31,7 +31,16 @@ from stepdiag_ros.estimate import new_formulation
 from stepdiag_ros.estimate.readings import CellReadings, SetupReadings
 from stepdiag_ros.estimate.solution import Solution, Unidentifiable
 from stepdiag_ros.estimate.step_diagonal import angular_effect
-from stepdiag_ros.estimate.stepwise import accumulate, analytic_jacobian, increments, knots, rotation_names, solution
+from stepdiag_ros.estimate.stepwise import (
+    accumulate,
+    analytic_jacobian,
+    angle_effect,
+    at_stops,
+    increments,
+    knots,
+    rotation_names,
+    solution,
+)
 from stepdiag_ros.model.machine import Curve, GeometricErrors
 
 FACES = ('xy', 'xz', 'yz')
@@ -51,7 +60,7 @@ def evaluate(cell: CellReadings, linear: Mapping[str, np.ndarray], tilts: bool =
         if name not in linear:
             raise StepdiagError(f'three_face: {name} must be given from a linear run')
         given[name] = np.asarray(linear[name], float)
-    angles = None
+    angles, plain = None, cell
     if tilts:
         angles = angles_of(cell)
         cell = replace(cell, setups={n: _without_angles(cell, n, angles) for n in cell.setups})
@@ -76,16 +85,21 @@ def evaluate(cell: CellReadings, linear: Mapping[str, np.ndarray], tilts: bool =
     names = ['EXX', 'EYY', 'EZZ', 'EYX', 'EXY', 'EZX', 'EXZ', 'EZY', 'EYZ']
     positions = {name: places['XYZ'.index(name[2])] for name in names}
     values = dict(zip(names, value.reshape(-1, n), strict=True))
+    variance = np.concatenate([*(s.displacement_sigma_m ** 2 for s in setups), np.zeros(3 * n)])
+    if angles is not None:
+        by_tilt, turn, tilt_variance = _tilt_sensitivity(plain)
+        jacobian = np.concatenate([jacobian, jacobian @ by_tilt], axis=1)
+        variance = np.concatenate([variance, tilt_variance])
     sensitivity = dict(zip(names, jacobian.reshape(9, n, -1), strict=True))
     blind = (Unidentifiable(('EAX', 'EBX', 'ECX', 'EAY', 'EBY', 'ECY', 'EAZ', 'EBZ', 'ECZ'),
                             'angular motions are taken for zero; measure the tilt'),)
     if angles is not None:
         blind = (Unidentifiable(('laser',), 'a laser off the face\'s diagonal shortens it in '
                                 'second order'),)
-        for name, curve in angles.curves.items():
+        for k, (name, curve) in enumerate(angles.curves.items()):
             positions[name], values[name] = curve.position, curve.value
-            sensitivity[name] = np.zeros((n, jacobian.shape[1]))
-    variance = np.concatenate([*(s.displacement_sigma_m ** 2 for s in setups), np.zeros(3 * n)])
+            lengths = np.zeros((n, jacobian.shape[1] - turn.shape[-1]))
+            sensitivity[name] = np.concatenate([lengths, turn[k // 3, k % 3]], axis=1)
     return solution('three_face', positions, values, sensitivity, variance, unidentifiable=blind)
 
 
@@ -94,28 +108,63 @@ def angles_of(cell: CellReadings) -> GeometricErrors:
 
     Each axis steps in two faces; ``(α, β) = (y, −x)/2L`` of each, four equations for three rotations.
     """
-    places = knots(cell.machine, cell.steps)
-    curves = {}
-    seen = {face: _tilt_steps(cell.setups[f'{face}_p'], cell.steps) for face in FACES}
+    tilts = {f: _tilts(cell.setups[f'{f}_p'])[..., None] for f in FACES}
+    turn, places = _turns(cell, tilts)[..., 0], knots(cell.machine, cell.steps)
+    return GeometricErrors({name: Curve(places[axis], turn[axis, k])
+                            for axis in range(3) for k, name in enumerate(rotation_names(axis))}, {})
+
+
+def _turns(cell: CellReadings, tilts: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Angular curves (axis, component, knot, c) from tilts (stops, 2, c) of each face."""
+    seen = {f: increments(cell.setups[f'{f}_p'].sight, tilts[f], cell.steps) for f in FACES}
+    turns = []
     for axis in range(3):
         faces = [f for f in FACES if 'xyz'[axis] in f]
         matrix = np.concatenate([cell.setups[f'{f}_p'].sight.triad[:2] for f in faces])
-        right = np.concatenate([seen[f][axis].T for f in faces])
-        turn = np.linalg.pinv(matrix) @ right
-        for name, value in zip(rotation_names(axis), accumulate(turn[..., None])[..., 0], strict=True):
-            curves[name] = Curve(places[axis], value)
-    return GeometricErrors(curves, {})
+        right = np.concatenate([np.moveaxis(seen[f][axis], 1, 0) for f in faces])
+        turns.append(accumulate(np.tensordot(np.linalg.pinv(matrix), right, axes=(1, 0))))
+    return np.array(turns)
 
 
-def _tilt_steps(setup: SetupReadings, steps: int) -> np.ndarray:
+def _tilts(setup: SetupReadings) -> np.ndarray:
+    """(α, β) (stops, 2) [rad] of a face."""
     if setup.spot_m is None:
         raise StepdiagError(f'three_face: setup {setup.sight.name} has no spots; tilts need a PSD')
+    return np.stack([setup.spot_m[:, 1], -setup.spot_m[:, 0]], axis=1) / (2.0 * _lengths(setup)[:, None])
+
+
+def _lengths(setup: SetupReadings) -> np.ndarray:
     sight = setup.sight
     length = sight.standoff + (sight.positions - sight.positions[0]) @ sight.direction
     if length.min() <= 0.0:
         raise StepdiagError(f'three_face: setup {sight.name} has no standoff; the spot needs a length')
-    tilt = np.stack([setup.spot_m[:, 1], -setup.spot_m[:, 0]], axis=1) / (2.0 * length[:, None])
-    return increments(sight, tilt, steps)
+    return length
+
+
+def _tilt_sensitivity(cell: CellReadings) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """By unit tilts (c of them, α and β of each stop of each face): the corrected inputs of the plane
+    forms (distances and positioning curves, c), the angular curves (3, 3, n + 1, c); the tilts'
+    variances (c,) [rad²]."""
+    setups = [cell.setups[f'{f}_p'] for f in FACES]
+    counts = [len(s.displacement_m) for s in setups]
+    total, first = 2 * sum(counts), 0
+    tilts, variance = {}, []
+    for face, setup, count in zip(FACES, setups, counts, strict=True):
+        unit = np.zeros((count, 2, total))
+        for k in range(2):
+            unit[np.arange(count), k, first + k * count + np.arange(count)] = 1.0
+        tilts[face], first = unit, first + 2 * count
+        variance += [(setup.spot_sigma_m / (2.0 * _lengths(setup))) ** 2] * 2
+    turn = _turns(cell, tilts)
+    rows = []
+    for setup in setups:
+        change = -np.einsum('nk,nkc->nc', angle_effect(setup.sight, cell.machine),
+                            at_stops(setup.sight, cell.machine, turn))
+        rows.append(change - change[:1])
+    tool = np.array(cell.machine.tool)
+    for axis in range(3):
+        rows.append(-np.moveaxis(np.cross(np.moveaxis(turn[axis], 0, -1), tool), -1, 0)[axis])
+    return np.concatenate(rows), turn, np.concatenate(variance)
 
 
 def _without_angles(cell: CellReadings, name: str, angles: GeometricErrors) -> SetupReadings:

@@ -104,8 +104,8 @@ def test_propagation_against_draws(machine, cell_sights, layout):
     moving = told > 1e-12
     ratio = np.std(values, axis=0)[moving] / told[moving]
     assert np.mean(ratio ** 2) == pytest.approx(1.0, abs=0.15)
-    # Of 50 draws a standard deviation is known to a tenth; layout a leaves a correlation out.
-    assert np.abs(ratio - 1).max() < 0.5
+    # Of 50 draws a standard deviation is known to a tenth, the worst of 80 to some three of them.
+    assert np.abs(ratio - 1).max() < 0.45
 
 
 def test_bad_input_is_named(machine, cell_sights):

@@ -1,12 +1,14 @@
 """Three-face step diagonal: right with a misaligned mirror, wrong with angles, right again with tilts."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate.readings import face_sight, simulate
 from stepdiag_ros.estimate.three_face import FACES, angles_of, evaluate
-from stepdiag_ros.model.machine import tool_pose
+from stepdiag_ros.model.machine import GeometricErrors, tool_pose
 from stepdiag_ros.model.sensor import Misalignment
 
 OFF = {f'{f}_p': Misalignment(mirror=(1e-4, 3e-4)) for f in FACES}
@@ -55,6 +57,26 @@ def test_every_angle_is_seen_from_two_faces(machine, draw_errors):
     for name, curve in found.curves.items():
         np.testing.assert_allclose(curve.value, errors.curves[name].value, atol=2e-9)
     assert len(found.curves) == 9
+
+
+@pytest.mark.parametrize('tilts', [False, True])
+def test_propagation_against_draws(machine, tilts):
+    rng = np.random.default_rng(11)
+    zero = GeometricErrors.zero()
+    cell = simulate(machine, 3, [face_sight(machine, f, 'p', 3, 0.3) for f in FACES], zero, sigma_m=1e-7)
+    linear = dict.fromkeys(('EXX', 'EYY', 'EZZ'), np.zeros(4))
+    values = []
+    for _ in range(150):
+        noisy = {n: replace(s, displacement_m=s.displacement_m + rng.normal(0, 1e-7, s.displacement_m.shape),
+                            spot_m=s.spot_m + rng.normal(0, 1e-7, s.spot_m.shape))
+                 for n, s in cell.setups.items()}
+        values.append(evaluate(replace(cell, setups=noisy), linear, tilts).value)
+    told = evaluate(cell, linear, tilts).sigma
+    moving = told > 1e-12
+    assert moving.sum() > (40 if tilts else 15)
+    ratio = np.std(values, axis=0)[moving] / told[moving]
+    assert np.mean(ratio ** 2) == pytest.approx(1.0, abs=0.12)
+    assert np.abs(ratio - 1).max() < 0.35
 
 
 def test_bad_input_is_named(machine, draw_errors):
