@@ -14,7 +14,7 @@ from stepdiag_ros.estimate.parameters import MISALIGNMENTS, Parameters, curve_ma
 from stepdiag_ros.estimate.reduce import StopTable
 from stepdiag_ros.model.description import Description
 from stepdiag_ros.model.machine import chain_from_tool, rotation
-from stepdiag_ros.model.sensor import distance, spot, station
+from stepdiag_ros.model.sensor import distance, station
 
 DIRECTIONS = 18 + len(MISALIGNMENTS)
 

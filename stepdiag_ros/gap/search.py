@@ -190,7 +190,7 @@ def search(screen: Screen) -> list[EffectSet]:
             for member in screen.by_effect([m.candidate for m in found.members]).values():
                 larger = EffectSet((*found.members, member), found.log_bayes + member.log_bayes)
                 again = member.effect in found.names
-                if len(larger.key) > LARGEST or not again and len(found.members) > MOST_FORMS:
+                if len(larger.key) > LARGEST or (not again and len(found.members) > MOST_FORMS):
                     continue
                 if again and (member.log_bayes < GAIN or not _may_repeat(screen, found, member)):
                     continue

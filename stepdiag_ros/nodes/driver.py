@@ -5,7 +5,6 @@ from collections.abc import Callable
 from typing import Any
 
 from stepdiag_msgs.srv import SelectSetup
-
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.nodes.acquisition import Acquisition
 from stepdiag_ros.nodes.base import ERROR, OK, WARN, Health, StepdiagNode

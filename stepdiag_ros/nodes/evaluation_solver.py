@@ -14,8 +14,8 @@ import time
 from action_msgs.msg import GoalStatus, GoalStatusArray
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
-from stepdiag_msgs.msg import GeometricErrors
 
+from stepdiag_msgs.msg import GeometricErrors
 from stepdiag_ros.bag.schemas import DESCRIPTION, STEP, TOPICS
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate import Solution, evaluate

@@ -14,9 +14,9 @@ import time
 import numpy as np
 from sensor_msgs.msg import FluidPressure, RelativeHumidity, Temperature
 from std_msgs.msg import Header
+
 from stepdiag_msgs.msg import Displacement
 from stepdiag_msgs.srv import ResetDisplacement
-
 from stepdiag_ros.devices.base import DisplacementBlock
 from stepdiag_ros.devices.ids3010 import PORT, Ids3010
 from stepdiag_ros.nodes.base import ERROR, OK, WARN, Health, overridable, reliable, run_node

@@ -26,10 +26,10 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
-from stepdiag_msgs.action import RunStepDiagonal
-from stepdiag_msgs.msg import RecorderStatus
 from std_srvs.srv import Trigger
 
+from stepdiag_msgs.action import RunStepDiagonal
+from stepdiag_msgs.msg import RecorderStatus
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.nodes.step_sequencer import ACTION
 

@@ -8,8 +8,8 @@ import sys
 
 import numpy as np
 from std_msgs.msg import Header
-from stepdiag_msgs.msg import SpotPosition
 
+from stepdiag_msgs.msg import SpotPosition
 from stepdiag_ros.devices import t7
 from stepdiag_ros.devices.base import SpotBlock
 from stepdiag_ros.devices.modbus_psd import ModbusPsd

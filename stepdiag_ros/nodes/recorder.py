@@ -12,7 +12,6 @@ from datetime import datetime
 from pathlib import Path
 
 from stepdiag_msgs.msg import RecorderStatus
-
 from stepdiag_ros.bag.qos import LATCHED, RELIABLE, qos_profile, qos_yaml
 from stepdiag_ros.bag.schemas import DESCRIPTION, TOPICS
 from stepdiag_ros.bag.writer import COMPRESSIONS, BagWriter

@@ -16,10 +16,10 @@ from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.task import Future
 from std_msgs.msg import Header, String
+
 from stepdiag_msgs.action import RunStepDiagonal
 from stepdiag_msgs.msg import Displacement, RecorderStatus, SpotPosition, Step
 from stepdiag_msgs.srv import ResetDisplacement, SelectSetup
-
 from stepdiag_ros.bag.schemas import DESCRIPTION, DISPLACEMENT, SPOT, STEP
 from stepdiag_ros.devices.linuxcnc_rsh import PORT, LinuxCncRsh
 from stepdiag_ros.errors import StepdiagError

@@ -23,11 +23,11 @@ class Source:
     """Publishes description, steps and displacement blocks at a steady rate; notes when."""
 
     def __init__(self):
-        from stepdiag_ros.nodes import base, ears
         import rclpy
         from rclpy.signals import SignalHandlerOptions
 
         from stepdiag_ros.bag.schemas import DESCRIPTION, STEP, TOPICS
+        from stepdiag_ros.nodes import base, ears
         self._context = rclpy.Context()
         rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
         self.node = rclpy.create_node('source', namespace='/kill', context=self._context)
@@ -54,8 +54,8 @@ class Source:
 
     def _run(self) -> None:
         from std_msgs.msg import Header
-        from stepdiag_msgs.msg import Displacement, Step
 
+        from stepdiag_msgs.msg import Displacement, Step
         from stepdiag_ros.bag.schemas import STEP
         from stepdiag_ros.nodes.stamps import stamp_of
         while not self._stop.wait(1.0 / RATE_HZ):
