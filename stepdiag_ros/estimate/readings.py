@@ -193,15 +193,18 @@ def _setup_readings(sight: Sight, table: StopTable) -> SetupReadings:
         mine = np.flatnonzero((member == t) & (table.index < n))
         length[t, table.index[mine]] = table.displacement[mine]
         spots[t, table.index[mine]] = table.spot[mine]
-    missing = np.flatnonzero(np.isnan(length[:, :, 0]).all(axis=0))
+    # A traverse without a single reading says nothing and has no mean.
+    alive = np.isfinite(length).any(axis=1).all(axis=1)
+    keys, length, spots = keys[alive], length[alive], spots[alive]
+    missing = np.flatnonzero(np.isnan(length).all(axis=0).any(axis=1))
     if missing.size:
         raise StepdiagError(f'no run has a reading at stop {missing[0]} '
                             f'({missing.size} such stops); measure it again')
     aligned, direction = _align(length), keys[:, 2]
-    mean = np.nanmean(aligned, axis=0)
+    mean = _mean(aligned, 0)
     forward, backward = _in_order(length[:, :, 0], keys)
     has_spots = np.isfinite(spots).any(axis=0).all()
-    spot_mean = np.nanmean(spots, axis=0) if has_spots else None
+    spot_mean = _mean(spots, 0) if has_spots else None
     return SetupReadings(
         sight, mean - mean[0], _sigma(aligned[:, :, 0], direction), spot_mean,
         _sigma(spots.mean(axis=2), direction) if has_spots else None, forward, backward)
@@ -209,9 +212,14 @@ def _setup_readings(sight: Sight, table: StopTable) -> SetupReadings:
 
 def _align(length: np.ndarray) -> np.ndarray:
     """Shift runs (r, n, k) so that each agrees on average with the first, stop by stop."""
-    common = length[0] if len(length) == 1 else np.nanmedian(
-        length - np.nanmean(length, axis=1, keepdims=True), axis=0)
-    return length - np.nanmean(length - common, axis=1, keepdims=True)
+    common = length[0] if len(length) == 1 else np.nanmedian(length - _mean(length, 1)[:, None], axis=0)
+    return length - _mean(length - common, 1)[:, None]
+
+
+def _mean(values: np.ndarray, axis: int) -> np.ndarray:
+    """Mean of what is there; NaN, and no warning, where nothing is."""
+    count = np.isfinite(values).sum(axis=axis)
+    return np.where(count, np.nansum(values, axis=axis), np.nan) / np.maximum(count, 1)
 
 
 def _sigma(values: np.ndarray, direction: np.ndarray) -> np.ndarray:
@@ -220,9 +228,9 @@ def _sigma(values: np.ndarray, direction: np.ndarray) -> np.ndarray:
     for sign in (1, -1):
         same = values[direction == sign]
         if len(same) > 1:
-            spread = same - np.nanmean(same, axis=0)
+            spread = same - _mean(same, 0)
             squares += np.nansum(spread ** 2)
-            freedom += np.isfinite(spread).sum() - spread.shape[1]
+            freedom += np.isfinite(spread).sum() - np.isfinite(spread).any(axis=0).sum()
     if not freedom:
         return np.zeros(values.shape[1])
     return np.full(values.shape[1], np.sqrt(squares / freedom / len(values)))

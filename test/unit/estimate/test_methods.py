@@ -137,6 +137,28 @@ def test_a_setup_with_a_hole_is_left_out_and_named(field_log):
     assert len(cell.setups['ppp'].forward_m) == len(whole.forward_m) - 1
 
 
+@pytest.mark.parametrize('channel', ['displacement', 'spot'])
+def test_a_run_that_saw_nothing_is_no_harm(field_log, channel):
+    from dataclasses import replace
+    log, _ = field_log
+    table = reduce_log(log)
+    values = getattr(table, channel).copy()
+    values[table.run == 0] = np.nan
+    name = table.setup_names[table.setup[table.run == 0][0]]
+    whole = readings_of_stops(log.description, table).setups[name]
+    cell = readings_of_stops(log.description, replace(table, **{channel: values}))
+    assert cell.left_out == {}
+    assert np.abs(cell.setups[name].displacement_m - whole.displacement_m).max() < 3e-6
+    assert np.isfinite(cell.setups[name].spot_m).all()
+    assert np.isfinite(cell.setups[name].spot_sigma_m).all()
+    # Nothing at all of a setup's spots: no tilts, and the method says so.
+    values[np.array(table.setup_names, object)[table.setup] == name] = np.nan
+    if channel == 'spot':
+        cell = readings_of_stops(log.description, replace(table, spot=values))
+        assert cell.setups[name].spot_m is None
+        assert METHODS['enhanced_dahlem'].lacks(cell) == f'psd/spot or three beams in setup {name}'
+
+
 def test_imported_positioning_test(shared, tmp_path):
     """A measured stage brought in as a bag: one run without resets, B as published."""
     from stepdiag_ros.bag.reader import read_log
