@@ -110,7 +110,9 @@ def test_what_it_starts_is_installed(launch_system: Finder, file: Path) -> None:
     for process in processes:
         assert process.named['package'] == 'stepdiag_ros'
         assert process.named['executable'] in executables
-        assert 'name' in process.named or process.named['executable'] == 'bringup'
+        assert 'namespace' in process.named, 'a machine has a namespace'
+        if process.kind == 'LifecycleNode':
+            assert 'name' in process.named, 'LifecycleNode cannot do without'
 
 
 @pytest.mark.parametrize('file', FILES, ids=lambda file: file.name)
