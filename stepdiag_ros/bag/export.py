@@ -122,16 +122,19 @@ def _uniform(time: np.ndarray, begin: int, end: int, most: int | None) -> Iterat
 
 
 def _period(time: np.ndarray) -> float | None:
-    """Sample period [s] from which every time follows by rounding, ``None`` if there is none."""
+    """Sample period [s] from which every time follows by rounding, ``None`` if there is none.
+
+    Each time, known to half a nanosecond, allows an interval of periods; any period in
+    the intersection will do, and the mean spacing, if it is in it, is what was meant.
+    """
     if len(time) == 1:
         return 1.0
-    span = int(time[-1] - time[0])
-    if span <= 0:
-        return None
-    mean = span / (len(time) - 1)
-    # The mean in seconds, or the same cut to the digits that a person would have written.
-    for period in (round(mean / _NS, 9), mean / _NS, round(mean / _NS, 12)):
+    number = np.arange(1, len(time))
+    since = (time[1:] - time[0]).astype(float)
+    low, high = ((since - 0.5) / number).max(), ((since + 0.5) / number).min()
+    mean = since[-1] / number[-1]
+    for period in (mean / _NS, (low + high) / 2.0 / _NS):
         if period > 0 and np.array_equal(
-                np.rint(np.arange(len(time)) * period * _NS).astype(np.int64), time - time[0]):
+                np.rint(number * period * _NS).astype(np.int64), time[1:] - time[0]):
             return period
     return None

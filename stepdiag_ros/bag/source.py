@@ -70,6 +70,9 @@ def _from_metadata(path: Path, file: Path, present: tuple[Path, ...]) -> BagSour
     if packed:
         raise StepdiagError(f'{path}: {packed[0]} is compressed as a whole file; unpack it and take '
                             f'the ending off in {METADATA}')
+    if str(info.get('compression_mode') or '').lower() == 'message':
+        raise StepdiagError(f'{path}: its messages are compressed one by one; convert it: '
+                            f'ros2 bag convert -i {path} -o out.yaml without compression_mode')
     files = tuple(path / name for name in listed)
     absent = [f.name for f in files if not f.exists()]
     if absent and len(absent) < len(files):

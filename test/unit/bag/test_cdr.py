@@ -52,6 +52,21 @@ def test_encoders_write_what_rosbags_writes(store, setup, order):
     assert codec.encode_string('Grüße', order) == theirs('std_msgs/msg/String', 'Grüße')
 
 
+@pytest.mark.parametrize('setup', ['ppp', 'lin_x', '', 'abcdefg'])
+def test_empty_sequences_take_no_padding(store, setup):
+    """Behind the length of an empty sequence the next field follows at once."""
+    types = store.types
+    header = types['std_msgs/msg/Header'](types['builtin_interfaces/msg/Time'](1, 2), setup)
+    none = np.zeros(0)
+    name = 'stepdiag_msgs/msg/SpotPosition'
+    theirs = bytes(store.serialize_cdr(types[name](header, 0.5, none, none, np.arange(2.0)), name))
+    mine = codec.encode_spot(1_000_000_002, setup, 0.5, none, none, np.arange(2.0))
+    assert mine == theirs
+    found, bad = decode(matrix(mine), contract_fields(name), frozenset({'x', 'intensity', 'sample_period'}))
+    assert len(bad) == 0 and found[0].values['intensity'].tolist() == [[0.0, 1.0]]
+    assert found[0].values['x'].shape == (1, 0)
+
+
 def test_rows_of_one_length_and_several_layouts():
     """Names of 3 and 5 letters with 9 and 7 bytes after them: alike long, laid out apart."""
     fields = (Field('name', 'string'), Field('tail', 'uint8', -1))

@@ -212,10 +212,13 @@ def test_blocks_of_differing_length_and_beams(tmp_path, small_log):
 
 
 def test_sample_time_is_rounded_not_cut(tmp_path, small_log):
-    """0.06 s is 0.02 s times 3, and not a nanosecond less."""
-    log = read_log(raw_bag(tmp_path / 'bag', messages_of(small_log)))
-    assert np.array_equal(log.displacement.time_ns[:5] - log.displacement.time_ns[0],
-                          np.arange(5) * 20_000_000)
+    """Cutting 0.007 s times 147 would lose a nanosecond."""
+    t = int(small_log.displacement.time_ns[0])
+    assert int(147 * 0.007 * SECOND) == 1_028_999_999
+    messages = [m for m in messages_of(small_log) if m[0] != DISPLACEMENT]
+    messages.append((DISPLACEMENT, encode_displacement(t, 'ppp', 0.007, np.zeros(200), 1.0, np.full(200, 9)), t, 1))
+    log = read_log(raw_bag(tmp_path / 'bag', messages))
+    assert np.array_equal(log.displacement.time_ns - t, np.arange(200) * 7_000_000)
 
 
 def test_extended_message_is_read(tmp_path, small_log, differs):
@@ -325,6 +328,32 @@ def test_any_damage_is_a_line_or_a_log(tmp_path, small_log):
     assert read > 60
 
 
+def test_flipped_byte_outside_the_chunks(tmp_path, small_log):
+    """The metadata record stands in no chunk: the CRC of the data section guards it."""
+    bag = write_log(small_log, tmp_path / 'bag')
+    data = bytearray(only_file(bag).read_bytes())
+    data[data.index(b'serialized_metadata') + 40] ^= 1
+    only_file(bag).write_bytes(data)
+    with pytest.raises(StepdiagError, match='CRC of its data section'):
+        read_log(bag)
+
+
+def test_chunk_that_is_no_longer_one(tmp_path, small_log):
+    """An opcode flipped in a file without CRCs: the counts do not agree."""
+    bag = write_log(small_log, tmp_path / 'bag')
+    file = only_file(bag)
+    data = bytearray(file.read_bytes())
+    end = struct.unpack_from('<Q', data, len(data) - 28)[0]
+    data[end - 4:end] = bytes(4)
+    with open(file, 'rb') as stream:
+        chunk, = make_reader(stream).get_summary().chunk_indexes
+    assert data[chunk.chunk_start_offset] == 6
+    data[chunk.chunk_start_offset] = 0x7F
+    file.write_bytes(data)
+    with pytest.raises(StepdiagError, match=r'announces \d+ messages and holds 0'):
+        read_log(bag)
+
+
 def test_file_without_crcs_says_so(shared):
     log = read_log(shared / 'field_logs' / 'open' / 'log_05')
     assert warned(log, 'no CRCs')
@@ -406,6 +435,12 @@ def test_foreign_storage_and_missing_file(tmp_path, small_log):
     text = file.read_text()
     file.write_text(text.replace('storage_identifier: mcap', 'storage_identifier: sqlite3'))
     with pytest.raises(StepdiagError, match=r'stored as sqlite3.*ros2 bag convert'):
+        read_log(bag)
+    file.write_text(text.replace("compression_mode: ''", 'compression_mode: MESSAGE'))
+    with pytest.raises(StepdiagError, match='compressed one by one'):
+        read_log(bag)
+    file.write_text(text.replace('bag_0.mcap', 'bag_0.mcap.zstd'))
+    with pytest.raises(StepdiagError, match=r'bag_0\.mcap\.zstd is compressed as a whole'):
         read_log(bag)
     file.write_text(text)
     only_file(bag).unlink()

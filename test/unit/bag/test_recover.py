@@ -143,11 +143,35 @@ def test_wrong_message_index_does_no_harm(tmp_path):
     length = int.from_bytes(data[starts[0] + 1:starts[0] + 9], 'little')
     index = starts[0] + 9 + length
     assert data[index] == 7
-    for place in (index + 9 + 6 + 8, index + 9 + 6 + 9, index + 9 + 6 + 24):
+    entries = index + 9 + 6
+    # The low and the high byte of the first, a middle and the last offset, in several ways.
+    for entry in (0, 77, 199):
+        for byte in (8, 9, 10, 15):
+            for flip in (0x01, 0x21, 0x80):
+                wrong = bytearray(data)
+                wrong[entries + 16 * entry + byte] ^= flip
+                file.write_bytes(wrong)
+                assert texts(tmp_path / 'bag') == everything, (entry, byte, flip)
+    # An offset that names a message a second time, and the place of something else.
+    for value in (0, int.from_bytes(data[entries + 24:entries + 32], 'little')):
         wrong = bytearray(data)
-        wrong[place] ^= 0x21
+        wrong[entries + 8:entries + 16] = value.to_bytes(8, 'little')
         file.write_bytes(wrong)
-        assert texts(tmp_path / 'bag') == everything
+        assert texts(tmp_path / 'bag') == everything, value
+
+
+def test_result_is_read_back(tmp_path, small_log, monkeypatch):
+    """A copy that holds less than was written to it is not called recovered."""
+    bag = write_log(small_log, tmp_path / 'bag')
+    write = BagWriter.write
+
+    def forgetful(self, topic, data, log_time_ns, publish_time_ns, sequence):
+        if sequence != 3:
+            write(self, topic, data, log_time_ns, publish_time_ns, sequence)
+
+    monkeypatch.setattr(BagWriter, 'write', forgetful)
+    with pytest.raises(StepdiagError, match='do not use this bag'):
+        recover(bag)
 
 
 def test_nothing_to_recover(tmp_path):

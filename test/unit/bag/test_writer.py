@@ -58,6 +58,14 @@ def test_round_trip_of_uneven_times(tmp_path, small_log, changed, differs):
     assert [d for d in differs(log, back) if d != 'displacement.block'] == []
 
 
+@pytest.mark.parametrize('rate', [3000.0, 7.0, 44_100.0, 1e6 / 3])
+def test_round_trip_of_rates_that_are_no_whole_nanoseconds(tmp_path, changed, differs, rate):
+    """The times are rounded, and still one period describes a block: it is not cut."""
+    times = 1_790_000_000_000_000_000 + np.rint(np.arange(50) * 1e9 / rate).astype(np.int64)
+    log = changed('displacement', time_ns=times, block=np.zeros(50, np.intp), setup=np.zeros(50, np.intp))
+    assert differs(log, read_log(write_log(log, tmp_path / 'bag'))) == []
+
+
 def test_round_trip_of_several_beams(tmp_path, small_log, changed, differs):
     d = small_log.displacement
     values = np.hstack([d.values, d.values + 1.0, d.values + 2.0])
