@@ -178,17 +178,25 @@ class Operator:
                                     f'{value!r}: {result.reason}')
 
     def new_log(self, bag: str = '', steps: int = 0) -> None:
-        """Begin a new bag, and have the solver begin anew with it.
+        """Begin a new bag, and have those who keep a log of their own begin anew with it.
 
         ``steps``: of each axis along a diagonal, if not those of the cell description.
         """
         self.bring('step_sequencer', UNCONFIGURED)
-        for node in ('recorder', 'evaluation_solver'):
+        listeners = ['recorder', 'evaluation_solver']
+        if self._is_there('gap_monitor'):
+            listeners.append('gap_monitor')
+        for node in listeners:
             self.bring(node, INACTIVE)
         self.set_parameters('recorder', {'bag': bag})
         self.set_parameters('step_sequencer', {'steps': steps})
-        for node in ('recorder', 'evaluation_solver', 'step_sequencer'):
+        for node in (*listeners, 'step_sequencer'):
             self.bring(node, ACTIVE)
+
+    def _is_there(self, node: str) -> bool:
+        """Whether an optional node of the machine runs."""
+        return any(name == node and space == self.namespace
+                   for name, space in self.node.get_node_names_and_namespaces())
 
     # -- calibration -------------------------------------------------------------
 

@@ -163,3 +163,24 @@ def test_a_second_goal_at_the_same_time_is_rejected(cell, live):
     outcome = operator.calibrate(dwell_s=1.0, setups=['ppp'], feedback=knock)
     assert outcome.succeeded
     assert isinstance(refused[0], StepdiagError) and 'rejects the goal' in str(refused[0])
+
+
+def test_the_gap_monitor_publishes_its_report_when_all_is_measured(cell, live, eventually):
+    from rclpy.qos import DurabilityPolicy, QoSProfile
+    from stepdiag_msgs.msg import GapReport, GeometricErrors
+
+    operator, heard = cell.operator, {}
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    for kind, topic in ((GapReport, 'gap_report'), (GeometricErrors, 'geometric_errors')):
+        operator.node.create_subscription(kind, topic, lambda m, t=topic: heard.__setitem__(t, m), latched)
+    operator.bring('gap_monitor', 'inactive')
+    operator.bring('gap_monitor', 'active')
+    operator.new_log(str(cell.runtime.parent / 'diagnosed'))
+    heard.clear()
+    assert operator.calibrate().succeeded
+    eventually(lambda: len(heard) == 2, 120)
+    report = json.loads(heard['gap_report'].json)
+    assert heard['gap_report'].verdict == report['verdict']
+    errors = heard['geometric_errors']
+    assert json.loads(errors.json)['dof'] == errors.dof > 0
+    assert errors.squareness[0] == json.loads(errors.json)['errors']['EC0Y']['value']

@@ -7,7 +7,7 @@ from rcl_interfaces.srv import DescribeParameters, ListParameters
 
 from stepdiag_ros.errors import StepdiagError
 
-NODES = ('recorder', 'evaluation_solver', 'interferometer_driver', 'psd_driver', 'step_sequencer')
+NODES = ('recorder', 'evaluation_solver', 'gap_monitor', 'interferometer_driver', 'psd_driver', 'step_sequencer')
 
 
 def call(cell, kind, name, request):

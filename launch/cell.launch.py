@@ -1,0 +1,32 @@
+"""Launch the nodes of one machine where ROS 2 is installed.
+
+  ros2 launch stepdiag_ros cell.launch.py params:=/path/parameters.yaml namespace:=demo
+
+`params` is a ROS parameter file; `stepdiag up CELL.yaml --runtime DIR` writes one as
+DIR/parameters.yaml, which can be edited for real instruments.  Every node configures and
+activates itself (parameter `autostart`) and tries again once a second until its instrument
+answers.  A node that dies is started again.  Watching over a virtual cell as well is what
+`ros2 run stepdiag_ros bringup CELL.yaml` does.
+"""
+
+from launch import LaunchDescription
+from launch.actions import DeclareLaunchArgument
+from launch.substitutions import LaunchConfiguration
+from launch_ros.actions import Node
+
+NODES = ('recorder', 'evaluation_solver', 'gap_monitor', 'interferometer_driver', 'psd_driver',
+         'step_sequencer')
+
+
+def generate_launch_description() -> LaunchDescription:
+    arguments = [
+        DeclareLaunchArgument('params', description='ROS parameter file of the machine'),
+        DeclareLaunchArgument('namespace', default_value='cell1', description="the machine's namespace"),
+    ]
+    nodes = [
+        Node(package='stepdiag_ros', executable=name, namespace=LaunchConfiguration('namespace'),
+             parameters=[LaunchConfiguration('params'), {'autostart': True}],
+             respawn=True, respawn_delay=1.0, output='screen')
+        for name in NODES
+    ]
+    return LaunchDescription(arguments + nodes)

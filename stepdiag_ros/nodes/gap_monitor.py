@@ -1,0 +1,167 @@
+"""The gap monitor's node: does the rigid-body model explain what is being measured?
+
+After each traverse it fits what has been measured so far.  When the residuals leave the
+noise floor, which the log itself gives, it warns on ``/diagnostics`` and says where.  When
+a calibration has ended, or on the service ``diagnose``, it runs the whole diagnosis and
+publishes ``gap_report``.
+"""
+
+import json
+import math
+import sys
+import threading
+import time
+from dataclasses import dataclass, replace
+
+import numpy as np
+from std_msgs.msg import Header
+from std_srvs.srv import Trigger
+from stepdiag_msgs.msg import GapReport
+
+from stepdiag_ros.effects import all_effects
+from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.estimate import Solution, evaluate
+from stepdiag_ros.gap.diagnose import Diagnosis, diagnose
+from stepdiag_ros.nodes.base import ERROR, OK, WARN, Health, overridable, reliable, run_node
+from stepdiag_ros.nodes.listener import ListenerNode
+from stepdiag_ros.nodes.stamps import stamp_of
+
+TOPIC = 'gap_report'
+#: With fewer degrees of freedom a fit says nothing about its residuals.
+LEAST_DOF = 20
+#: The watching takes at most this share of a processor.
+SHARE = 0.25
+
+
+@dataclass(frozen=True)
+class Leaving:
+    """How far the residuals are above the noise floor: reduced chi2, its excess in sigmas, the worst setup."""
+
+    reduced_chi2: float
+    dof: int
+    sigmas: float
+    worst_setup: str
+
+
+def leaving(solution: Solution) -> Leaving | None:
+    """Compare a fit's residuals with what the noise allows; ``None`` where the fit cannot say."""
+    if solution.dof is None or solution.dof < LEAST_DOF or solution.reduced_chi2 is None:
+        return None
+    sigmas = (solution.reduced_chi2 - 1.0) / math.sqrt(2.0 / solution.dof)
+    residuals, worst = solution.residuals, ''
+    if residuals is not None:
+        def size(name: str) -> float:
+            return float(np.nanmean(residuals.displacement_m[residuals.setup == name] ** 2))
+        measured = [name for name in dict.fromkeys(residuals.setup)
+                    if np.isfinite(residuals.displacement_m[residuals.setup == name]).any()]
+        worst = max(measured, key=size, default='')
+    return Leaving(float(solution.reduced_chi2), int(solution.dof), sigmas, str(worst))
+
+
+class GapMonitor(ListenerNode):
+    """Watches the residuals, and diagnoses when all is measured."""
+
+    def __init__(self):
+        super().__init__('gap_monitor')
+        self.number('alarm', 5.0, 'excess of the reduced chi2 over 1 that is worth a warning, in its own '
+                    'standard deviations', 1.0, 100.0, '1')
+        self.number('period', 5.0, 'between two looks at the residuals', 0.5, 3600.0, 's')
+        self.text('diagnose_when_done', True, 'diagnose by itself when a calibration has succeeded')
+        self.text('effects', [''], "files with effects of one's own")
+        self._publisher = self.create_lifecycle_publisher(
+            GapReport, TOPIC, reliable(1, latched=True), qos_overriding_options=overridable())
+        self.create_service(Trigger, 'diagnose', self._on_diagnose)
+        self._working = threading.Lock()
+        self._stop = threading.Event()
+        self._watcher: threading.Thread | None = None
+        self._leaving: Leaving | None = None
+        self._verdict = ''
+        self._fault_of_work = ''
+
+    def configure(self) -> None:
+        self._effects = [kind() for kind in
+                         all_effects([path for path in self.value('effects') if path]).values()]
+
+    def activate(self) -> None:
+        super().activate()
+        self._leaving, self._verdict, self._fault_of_work = None, '', ''
+        self._stop.clear()
+        self._watcher = threading.Thread(target=self._watch, name='watch', daemon=True)
+        self._watcher.start()
+
+    def deactivate(self) -> None:
+        self._stop.set()
+        if self._watcher is not None:
+            self._watcher.join()
+            self._watcher = None
+        super().deactivate()
+
+    def _watch(self) -> None:
+        """Look at the residuals whenever there is something new, sparingly."""
+        seen, wait_s = 0, 1.0
+        while not self._stop.wait(wait_s):
+            wait_s = self.value('period')
+            heard = self.steps_heard()
+            if heard == seen:
+                continue
+            seen, began = heard, time.process_time()
+            with self._working:
+                try:
+                    self._leaving = leaving(evaluate(self.log_so_far()))
+                except StepdiagError:
+                    continue   # not enough has been measured yet
+            wait_s = max(wait_s, (time.process_time() - began) / SHARE)
+
+    def calibration_done(self) -> None:
+        if self.value('diagnose_when_done'):
+            self._diagnose()
+
+    def _on_diagnose(self, _request, response: Trigger.Response) -> Trigger.Response:
+        response.success, response.message = self._diagnose()
+        return response
+
+    def _diagnose(self) -> tuple[bool, str]:
+        """Diagnose and publish; (success, gap.json or what is wrong)."""
+        if self.state != 'active':
+            return False, f'{self.get_name()} is not active'
+        with self._working:
+            try:
+                diagnosis = diagnose(self.whole_log(), self._effects)
+            except StepdiagError as error:
+                self._fault_of_work = str(error)
+                self.get_logger().error(str(error))
+                return False, str(error)
+            report = report_message(diagnosis, time.time_ns())
+            self._publisher.publish(report)
+            self._fault_of_work, self._verdict = '', diagnosis.verdict
+            return True, report.json
+
+    def health(self) -> Health:
+        hearing = self.health_of_listening()
+        state = self._leaving
+        values = {**hearing.values, 'verdict': self._verdict or 'none yet'}
+        if state is not None:
+            values |= {'reduced_chi2': state.reduced_chi2, 'dof': state.dof,
+                       'excess_sigmas': state.sigmas, 'worst_setup': state.worst_setup}
+        if hearing.level != OK or self.state != 'active':
+            return replace(hearing, values=values)
+        if self._fault_of_work:
+            return Health(ERROR, self._fault_of_work, values)
+        if state is not None and state.sigmas > self.value('alarm'):
+            return Health(WARN, f'residuals leave the noise floor: reduced chi2 {state.reduced_chi2:.2f}, '
+                                f'most in setup {state.worst_setup}', values)
+        return Health(OK, 'residuals within the noise' if state is not None else 'watching', values)
+
+
+def report_message(diagnosis: Diagnosis, time_ns: int) -> GapReport:
+    """A diagnosis as a message."""
+    return GapReport(header=Header(stamp=stamp_of(time_ns)), verdict=diagnosis.verdict,
+                     json=json.dumps(diagnosis.to_json_dict()))
+
+
+def main() -> int:
+    return run_node(GapMonitor)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

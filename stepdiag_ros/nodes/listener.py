@@ -1,0 +1,97 @@
+"""A node that keeps the log of its machine while it is being made.
+
+The solver and the gap monitor hear the same messages as the recorder, keep them in a
+:class:`LogAssembler`, and learn from the action's status when a calibration has ended.
+Activating begins a new log.
+"""
+
+import threading
+import time
+
+from action_msgs.msg import GoalStatus, GoalStatusArray
+
+from stepdiag_ros.bag.schemas import DESCRIPTION, STEP, TOPICS
+from stepdiag_ros.model.log import CalibrationLog
+from stepdiag_ros.nodes.assembler import LogAssembler
+from stepdiag_ros.nodes.base import OK, WARN, Health, StepdiagNode, reliable
+from stepdiag_ros.nodes.ears import Ears, Heard
+from stepdiag_ros.nodes.step_sequencer import ACTION
+
+#: Longest wait for samples that are still on their way.
+SETTLE_S = 3.0
+
+
+class ListenerNode(StepdiagNode):
+    """Keeps the log; ``calibration_done`` is called in a thread of its own."""
+
+    def __init__(self, name: str):
+        super().__init__(name)
+        self.create_subscription(GoalStatusArray, f'{ACTION}/_action/status', self._on_status,
+                                 reliable(10, latched=True))
+        self._keeping = threading.Lock()
+        self._assembler = LogAssembler(self.get_namespace())
+        self._ears: Ears | None = None
+        self._running: set[bytes] = set()
+
+    def calibration_done(self) -> None:
+        """A calibration has succeeded while this node was active."""
+
+    def activate(self) -> None:
+        self._assembler = LogAssembler(self.get_namespace())
+        self._running.clear()
+        self._ears = Ears(self, TOPICS, self._keep, latched=(DESCRIPTION,))
+
+    def deactivate(self) -> None:
+        if self._ears is not None:
+            self._ears.close()
+
+    def cleanup(self) -> None:
+        self.deactivate()
+        self._ears = None
+
+    def _keep(self, heard: Heard) -> None:
+        with self._keeping:
+            self._assembler.add(heard.topic, heard.cdr, heard.sequence)
+
+    def _on_status(self, array: GoalStatusArray) -> None:
+        for status in array.status_list:
+            goal = bytes(status.goal_info.goal_id.uuid)
+            if status.status in (GoalStatus.STATUS_ACCEPTED, GoalStatus.STATUS_EXECUTING):
+                self._running.add(goal)
+            elif goal in self._running and status.status != GoalStatus.STATUS_CANCELING:
+                self._running.discard(goal)
+                if status.status == GoalStatus.STATUS_SUCCEEDED and self.state == 'active':
+                    threading.Thread(target=self.calibration_done, name='done', daemon=True).start()
+
+    def steps_heard(self) -> int:
+        """Step events kept so far."""
+        return self._assembler.count(STEP)
+
+    def log_so_far(self) -> CalibrationLog:
+        """The log as it is; :class:`StepdiagError` if there is none yet."""
+        with self._keeping:
+            kept = self._assembler.copy()
+        return kept.build()
+
+    def whole_log(self) -> CalibrationLog:
+        """The log, once the samples of the last dwell have arrived too."""
+        end = time.monotonic() + SETTLE_S
+        while True:
+            log = self.log_so_far()
+            last = log.steps.time_ns[-1]
+            behind = [s for s in (log.displacement, log.spot) if len(s) and s.time_ns[-1] < last]
+            if not behind or time.monotonic() > end:
+                return log
+            time.sleep(0.05)
+
+    def health_of_listening(self) -> Health:
+        """How the hearing is."""
+        if self._ears is None or self.state != 'active':
+            return Health(OK, self.state)
+        lost = sum(self._ears.lost.values())
+        values = {'messages': len(self._assembler), 'lost': lost, 'steps': self.steps_heard()}
+        if self._ears.failure is not None:
+            return Health(WARN, f'hears no more: {self._ears.failure}', values)
+        if lost:
+            return Health(WARN, f'{lost} messages were lost', values)
+        return Health(OK, 'listening', values)
