@@ -13,6 +13,7 @@ import json
 
 from stepdiag_ros.bag.reader import read_log
 from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.estimate.gauge import STRAIGHTNESS
 from stepdiag_ros.estimate.methods import METHODS, run_method
 from stepdiag_ros.estimate.solution import Solution
 from stepdiag_ros.model.machine import CURVES, SQUARENESS
@@ -65,21 +66,30 @@ def text(bag: str, solution: Solution) -> str:
             source=solution.noise['source'], p=1e6 * solution.noise['position_repeatability_m'],
             a=1e6 * solution.noise['angle_repeatability_rad']))
     lines += ['', f'{"error":6} {"least":>9} {"greatest":>9} {"U (k=2)":>9}']
+    blind = {entry.names[0] for entry in solution.unidentifiable if len(entry.names) == 1}
+    unseen = [name for name in CURVES + SQUARENESS
+              if name in blind or name not in STRAIGHTNESS and f'{name} slope' in blind]
     for name in CURVES:
-        if solution.has(name):
+        if solution.has(name) and name not in unseen:
             _, value, sigma = solution.curve(name)
             unit = 'µm' if name[1] in 'XYZ' else 'µrad'
             lines.append(f'{name:6} {1e6 * value.min():9.3f} {1e6 * value.max():9.3f} '
                          f'{2e6 * sigma.max():9.3f} {unit}')
     for name in SQUARENESS:
-        if solution.has(name):
+        if solution.has(name) and name not in unseen:
             value, sigma = solution.squareness(name)
             lines.append(f'{name:6} {1e6 * value:9.3f} {"":9} {2e6 * sigma:9.3f} µrad')
     if solution.gauge:
         lines += ['', f'Counted as: {solution.gauge}.']
-    if solution.unidentifiable:
+    if unseen:
+        lines += ['', f'No reading of this log depends on {", ".join(unseen)}.']
+    reasons: dict[str, list[str]] = {}
+    for entry in solution.unidentifiable:
+        if entry.names[0].removesuffix(' slope') not in unseen:
+            reasons.setdefault(entry.why, []).append(' with '.join(entry.names))
+    if reasons:
         lines += ['', 'Not to be told from this log:']
-        lines += [f'  {" with ".join(entry.names)}: {entry.why}' for entry in solution.unidentifiable]
+        lines += [f'  {"; ".join(names)}: {why}' for why, names in reasons.items()]
     lines += [f'warning: {warning}' for warning in solution.warnings]
     if solution.method == 'enhanced' and (solution.reduced_chi2 or 0.0) > FAR_FROM_MODEL:
         lines.append(f'The rigid-body model does not describe this log: stepdiag gap {bag} says why.')

@@ -186,6 +186,8 @@ class Effect:
     """By what it shows in a log."""
     neighbours: str = ''
     """What looks alike, and what tells them apart."""
+    needs_dwells: bool = False
+    """Whether only what happens inside the dwells tells it from its neighbours: without samples, no claim."""
     repeatable: bool = False
     """Whether it may act more than once in a log, each time in a form of its own."""
 

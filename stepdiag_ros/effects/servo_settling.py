@@ -19,6 +19,7 @@ MIXED = (1, 5, 9)
 
 class ServoSettling(Effect):
     name = 'servo_settling'
+    needs_dwells = True
     title = 'An axis still creeps towards its position when the measurement at a stop begins.'
     parameters = (Parameter('amp', 'm', 0.0, 2e-5, meaning='lag when the dwell begins'),
                   Parameter('tau', 's', 0.03, 1.0, meaning='time constant'))

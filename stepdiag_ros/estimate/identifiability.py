@@ -92,8 +92,11 @@ def _echelon(directions: np.ndarray) -> np.ndarray:
 def _why(members: tuple[str, ...]) -> str:
     kinds = {member.split()[-2] if ' laser ' in member or ' mirror ' in member else 'error'
              for member in members}
+    if all(member.startswith('lin_') for member in members):
+        return ('a beam that is not along its axis lengthens the readings to second order only (cosine '
+                'error); its width is part of the uncertainty of the positioning errors')
     if kinds == {'laser'} or kinds == {'laser', 'mirror'}:
-        return ('turning these together changes the readings to second order only; '
+        return ('turning these together with the machine changes the readings to second order only; '
                 'the reported errors do not depend on the choice')
     if len(members) == 1:
         return 'the readings depend on it too little to narrow it down'

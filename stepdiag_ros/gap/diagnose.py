@@ -15,9 +15,11 @@ from stepdiag_ros.effects.base import Effect, Form
 from stepdiag_ros.estimate.noise import estimate_noise
 from stepdiag_ros.estimate.enhanced import readings_of
 from stepdiag_ros.gap.closing import Closing, closing
-from stepdiag_ros.gap.inside import Timing, Vibration, timing, vibration
+from stepdiag_ros.gap.evidence import SIZES
+from stepdiag_ros.gap.inside import Timing, Vibration, steps, timing, vibration
 from stepdiag_ros.estimate.solution import Solution
 from stepdiag_ros.gap.joint import Joint, fit_jointly, freed_solution, unexplained
+from stepdiag_ros.gap.next_measurement import advise
 from stepdiag_ros.gap.observe import Observation, observe
 from stepdiag_ros.gap.search import Candidate, EffectSet, Screen, probabilities, search
 from stepdiag_ros.gap.thresholds import (
@@ -133,12 +135,16 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
     for member in best.members:
         if member.effect == UNKNOWN:
             leftover = screen.candidates[member.candidate].form.label
-    verdict = _verdict(found, leftover, joint, observation)
+    leftover = leftover or _coarse(joint)
+    verdict = _verdict(found, leftover)
+    groups = _confused(sets, best)
+    forms = {m.effect: screen.candidates[m.candidate].form for s in sets for m in s.members}
     return Diagnosis(log, verdict, how_far, shares(joint, observation, found), tuple(found),
                      {**names, 'nothing': nothing},
                      tuple((s.names, w) for s, w in zip(sets, weights, strict=True))[:20],
-                     _confused(sets, best), observation, joint, clocks, shaking, leftover,
-                     log.warnings + observation.table.warnings, sets, screen)
+                     groups, observation, joint, clocks, shaking, leftover,
+                     log.warnings + observation.table.warnings, sets, screen,
+                     advise(joint, groups, effects, forms, bool(leftover)))
 
 
 def _noise(observation: Observation):
@@ -174,6 +180,8 @@ def _screen(joint: Joint, effects: Mapping[str, Effect]) -> Screen:
     view = joint.observation.view
     candidates = []
     for effect in effects.values():
+        if effect.needs_dwells and not joint.parity.dof[1]:
+            continue
         candidates += [Candidate(effect.name, '', form) for form in effect.appearance(view)]
     candidates += [Candidate(a.effect.name, '', a.form) for a in joint.active if a.form.tuned_from]
     for family, forms in unknown_families(view).items():
@@ -236,6 +244,24 @@ def _shifted(samples: Samples, shift_ns: int) -> Samples:
     return replace(samples, time_ns=samples.time_ns - shift_ns)
 
 
+def _coarse(joint: Joint) -> str:
+    """Readings that move in steps so large that they matter against the noise of a stop; in words."""
+    log, table, space = joint.observation.log, joint.observation.table, joint.parity
+    beams = joint.fit.model.beams
+    widths = np.concatenate([steps(log.displacement, table, table.displacement_rows),
+                             steps(log.spot, table, table.spot_rows)])
+    variance = np.full(joint.fit.residual.size, np.nan)
+    for white in space._white:
+        variance[white.rows] = np.sum(white.factor**2, axis=1)
+    variance = np.nanmedian(variance.reshape(joint.fit.residual.shape), axis=0)
+    for k, width in enumerate(widths):
+        share = width**2 / 12.0 / variance[k] if width else 0.0
+        if len(table) / 4.0 * share**2 > ALARM:
+            channel = 'displacement' if k < beams else ('spot_x', 'spot_y')[k - beams]
+            return f'{channel}: readings move in steps of {width * 1e6:.3g} µm'
+    return ''
+
+
 # ---- what is said ---------------------------------------------------------------------------------
 
 def _found(name: str, effect: Effect, probability: float, joint: Joint) -> Found:
@@ -248,8 +274,11 @@ def _found(name: str, effect: Effect, probability: float, joint: Joint) -> Found
     for rank, k in enumerate(order):
         active, suffix = mine[k], '' if rank == 0 else f' ({rank + 1})'
         sigma = np.sqrt(np.diag(active.covariance))
-        for n, value, s in zip(active.form.names, active.coefficients, sigma, strict=True):
-            parameters[n + suffix], spread[n + suffix] = float(value), float(s)
+        # A coefficient as wide as it was before the log is not of this log: an axis that never moved.
+        widest = 0.99 * SIZES[-1] * active.form.scale
+        for n, value, s, wide in zip(active.form.names, active.coefficients, sigma, widest, strict=True):
+            if s < wide:
+                parameters[n + suffix], spread[n + suffix] = float(value), float(s)
         parameters |= {k + suffix: float(v) for k, v in active.form.shape.items()}
     rest = unexplained(joint.parity, joint.active)
     without, left = float(np.sum((rest + sum(parts)) ** 2)), float(np.sum(rest**2))
@@ -271,7 +300,7 @@ def _shaking(effects: Mapping[str, Effect], seen: Vibration) -> Found:
                  effect.remedy)
 
 
-def _verdict(found: list[Found], leftover: str, joint: Joint, observation: Observation) -> str:
+def _verdict(found: list[Found], leftover: str) -> str:
     if not found and not leftover:
         return 'no_gap'
     if not found:

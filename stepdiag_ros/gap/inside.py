@@ -117,6 +117,9 @@ def timing(samples: Samples, table: StopTable, columns: np.ndarray) -> Timing | 
         if level is None or goal is None or goal[0] == level[0]:
             continue
         progress = (samples.values[lo:hi, k] - level[0]) / (goal[0] - level[0])
+        moving = progress[(progress > 0.05) & (progress < 0.95)]
+        if len(np.unique(moving)) < max(3, 0.8 * len(moving)):
+            continue  # a reading that moves in steps tells no time
         noise = max(level[1], goal[1]) / abs(goal[0] - level[0])
         if noise > 0.01:
             continue
@@ -141,6 +144,33 @@ def timing(samples: Samples, table: StopTable, columns: np.ndarray) -> Timing | 
     spread = float(np.median(np.abs(offsets - middle))) / 0.6745
     return Timing(middle, max(1.2533 * spread / np.sqrt(moves), 1e-5), before / moves,
                   after / moves, moves, float(np.median(periods)))
+
+
+def steps(samples: Samples, table: StopTable, rows: np.ndarray) -> np.ndarray:
+    """Step [m] in which each column of a sensor's readings moves (k,); 0 where its noise hides any.
+
+    A reading moves in steps where most neighbours in a dwell are equal to the last bit and the others
+    differ by whole multiples of the least difference.
+    """
+    columns = samples.values.shape[1]
+    result = np.zeros(columns)
+    for k in range(columns):
+        differences = [np.diff(samples.values[lo:hi, k]) for lo, hi in rows if hi - lo > 2]
+        if not differences:
+            continue
+        flat = np.abs(np.concatenate(differences))
+        flat = flat[np.isfinite(flat)]
+        levels = np.concatenate([samples.values[lo:lo + 1, k] for lo, hi in rows if hi > lo])
+        apart = np.diff(np.unique(levels))
+        if not len(flat) or np.mean(flat == 0.0) < 0.5 or not len(apart):
+            continue
+        apart = apart[apart > 1e-12]
+        if len(apart):
+            least = float(apart.min())
+            ratio = apart / least
+            if np.mean(np.abs(ratio - np.rint(ratio)) < 0.05) > 0.8:
+                result[k] = least
+    return result
 
 
 def _rest(samples: Samples, table: StopTable, i: int, k: int) -> tuple[float, float] | None:

@@ -18,7 +18,8 @@ def unknown_families(view: StopView) -> dict[str, list[Form]]:
     """All nameless patterns of a log by family; families count alike, however many they are."""
     return {'places': list(_static(view)), 'times': list(_in_time(view)),
             'jumps': list(_jumps(view)), 'mirror': list(_mirror_jumps(view)),
-            'dwells': list(_inside(view))}
+            'dwells': list(_inside(view)), 'lengths': list(_lengths(view)),
+            'channels': list(_between_channels(view))}
 
 
 def _channels(view: StopView) -> list[tuple[str, slice, float]]:
@@ -132,6 +133,49 @@ def _mirror_jumps(view: StopView) -> Iterator[Form]:
             columns = derivative * after[None, :, None]
             yield Form(f'{label}: jump at {where}', columns,
                        tuple(str(k) for k in range(len(columns))), np.full(len(columns), scale))
+
+
+def _lengths(view: StopView) -> Iterator[Form]:
+    """The unit of length changes: at once from one stop on, or for one stretch of the log."""
+    b = view.beams
+    ordered = np.argsort(view.time, kind='stable')
+    for place in range(1, len(ordered)):
+        i, before = ordered[place], ordered[place - 1]
+        if view.run[i] == view.run[before] and place % 4:
+            continue
+        columns = view.zeros(1)
+        columns[0, :, :b] = np.where((view.time >= view.time[i])[:, None], view.distance, 0.0)
+        yield Form(f'length: another unit from {view.run_ids[view.run[i]]} stop {view.index[i]} on',
+                   columns, ('0',), np.full(1, 1e-6))
+    runs = np.unique(view.run)
+    columns = view.zeros(len(runs))
+    for k, run in enumerate(runs):
+        columns[k, :, :b] = np.where((view.run == run)[:, None], view.distance, 0.0)
+    yield Form('length: another unit in each run', columns, tuple(str(r) for r in runs),
+               np.full(len(runs), 3e-7))
+
+
+def _between_channels(view: StopView) -> Iterator[Form]:
+    """One channel shows in another: spot in displacement, distance in spot, linear or squared."""
+    b, spot = view.beams, view.model[:, view.beams:]
+    centred = spot - spot.mean(axis=0)
+    size = max(float(np.abs(centred).max()), 1e-9)
+    x, y = (centred / size).T
+    far = view.distance[:, 0] - view.distance[:, 0].mean()
+    far = far / max(float(np.abs(far).max()), 1e-9)
+    rate = np.where(view.axis < 3, 1.0, 0.0)
+    sources = {'spot': np.stack([x, y]), 'spot, squared': np.stack([x, y, x * x, x * y, y * y]),
+               'distance, squared': np.stack([far**2]), 'distance, cubed': np.stack([far**2, far**3]),
+               'axis that moved': np.stack([rate * (view.axis == a) for a in range(3)])}
+    for name, columns, scale in _channels(view):
+        for source, patterns in sources.items():
+            yield _form(view, f'{name}: follows {source}', patterns, columns, scale)
+    for source, patterns in sources.items():
+        if not source.startswith('spot'):
+            full = view.zeros(2 * len(patterns))
+            full[:len(patterns), :, b] = full[len(patterns):, :, b + 1] = patterns
+            yield Form(f'spot: follows {source}', full, tuple(str(i) for i in range(len(full))),
+                       np.full(len(full), 3e-6))
 
 
 def _inside(view: StopView) -> Iterator[Form]:
