@@ -35,14 +35,15 @@ digits (the size of the misalignments).
 
 Assumes: rigid body; stiff setups; the PSD's zero at zero angle (layout b).  Cannot see: a
 PSD zero that is off, which looks like a tilt falling with 1/L; in layout a the laser's
-angle (give it, or bear λ²/2 of scale); the laser's angle in a linear setup; slopes of the
+angle to first order (give it, bear λ²/2 of scale, or let it be found from what is left of the
+redundant equations, an effect of 10 nm: quiet readings only); the laser's angle in a linear setup; slopes of the
 positioning errors without linear setups.
 
 Source: Dahlem, Emonts, Sanders, Schmitt 2018, chapter 3.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -63,6 +64,9 @@ from stepdiag_ros.estimate.stepwise import (
 from stepdiag_ros.model.machine import CURVES, Curve, GeometricErrors
 from stepdiag_ros.model.sensor import Misalignment
 
+LASER_STEPS = 12
+LASER_PROBE = 1e-4
+"""[rad] half the step by which the lasers are turned to see what that does."""
 MAX_PASSES = 15
 SETTLED = 5e-13
 """A pass that changes no curve by more [m, rad] is the last; rounding alone makes some 1e-13."""
@@ -89,31 +93,28 @@ class _State:
 
 
 def evaluate(cell: CellReadings, layout: str | None = None,
-             laser: Mapping[str, tuple[float, float]] | None = None) -> Solution:
+             laser: Mapping[str, tuple[float, float]] | str | None = None) -> Solution:
     """All 18 curves and three squareness errors.
 
     ``layout``: ``'a'`` (three beams) or ``'b'`` (PSD); by default b where every diagonal has spots.
-    ``laser``: the lasers' misalignments (u, v) [rad], used by layout a only, zero where not named.
+    ``laser``: for layout a only, the lasers' misalignments (u, v) [rad], zero where not named, or
+    ``'find'`` to look for those of the diagonals (their uncertainty is not propagated).
     """
     names = cell.diagonals('enhanced_dahlem', 3)
     if layout is None:
         layout = 'b' if all(cell.setups[n].spot_m is not None for n in names) else 'a'
+    if isinstance(laser, str) and laser != 'find':
+        raise StepdiagError(f"enhanced_dahlem: laser={laser!r}; give angles by setup, or 'find'")
     form = _ClosedForm(cell, names, layout)
     places = knots(cell.machine, cell.steps)
     n = cell.steps + 1
     zero = {name: np.zeros(2) for name in cell.setups}
-    given = {name: np.array((laser or {}).get(name, (0.0, 0.0)), float) for name in cell.setups}
-    state = _State(np.zeros((3, 3, n)), np.zeros((3, 3, n)), zero,
-                   given if layout == 'a' else dict(zero))
-    status, passes = 'not settled', 0
-    while passes < MAX_PASSES:
-        passes += 1
-        left, tilt = form.residuals(state, places)
-        change = form.solve(left[..., None], tilt[..., None])
-        state = form.advance(state, change)
-        if max(np.abs(change.shift).max(), np.abs(change.turn).max()) < SETTLED:
-            status = 'ok'
-            break
+    start = _State(np.zeros((3, 3, n)), np.zeros((3, 3, n)), zero, dict(zero))
+    if layout == 'a' and laser == 'find':
+        start = _find_lasers(form, start, places)
+    elif layout == 'a':
+        start = replace(start, laser=zero | {k: np.array(v, float) for k, v in (laser or {}).items()})
+    state, passes, settled = _settle(form, start, places)
     unit = form.sensitivity()
     positions, curves, sensitivity = {}, {}, {}
     for axis in range(3):
@@ -123,9 +124,50 @@ def evaluate(cell: CellReadings, layout: str | None = None,
                 positions[name], curves[name] = places[axis], values[axis, component]
                 sensitivity[name] = by[axis, component]
     return solution('enhanced_dahlem', positions, curves, sensitivity, form.variance(),
-                    unidentifiable=form.blind(), status=status,
+                    unidentifiable=form.blind(), status='ok' if settled else 'not settled',
                     misalignments={n: state.misalignment(n) for n in cell.setups},
                     extra={'layout': layout, 'passes': passes})
+
+
+def _settle(form: '_ClosedForm', state: _State, places: np.ndarray,
+            most: int = MAX_PASSES) -> tuple[_State, int, bool]:
+    """Pass what is left through the closed form until nothing changes."""
+    for passes in range(1, most + 1):
+        left, tilt = form.residuals(state, places)
+        change = form.solve(left[..., None], tilt[..., None])
+        state = form.advance(state, change)
+        if max(np.abs(change.shift).max(), np.abs(change.turn).max()) < SETTLED:
+            return state, passes, True
+    return state, most, False
+
+
+def _find_lasers(form: '_ClosedForm', state: _State, places: np.ndarray) -> _State:
+    """Layout a: the diagonals' lasers with which the redundant equations agree best.
+
+    Four diagonals give twelve distances and eight tilts for six unknowns a step.  What they leave
+    depends on the lasers through ``L λ·θ`` and the scale ``λ²/2 − λμ``.  Gauss–Newton; the derivatives
+    by turning one laser at a time and settling again.
+    """
+    def turned(base: _State, column: int, angle: float) -> _State:
+        name, part = form.names[column // 2], column % 2
+        return replace(base, laser=base.laser | {name: base.laser[name] + angle * np.eye(2)[part]})
+
+    def left_by(base: _State) -> np.ndarray:
+        left, tilt = form.residuals(_settle(form, base, places, 3)[0], places)
+        # A tilt counts by what it does over a beam's offset.
+        return np.concatenate([left, np.ravel(tilt) * form.offset])
+
+    for _ in range(LASER_STEPS):
+        state = _settle(form, state, places)[0]
+        left, tilt = form.residuals(state, places)
+        by = np.stack([(left_by(turned(state, k, LASER_PROBE)) - left_by(turned(state, k, -LASER_PROBE)))
+                       / (2.0 * LASER_PROBE) for k in range(2 * len(form.names))], axis=1)
+        step = -np.linalg.lstsq(by, np.concatenate([left, np.ravel(tilt) * form.offset]), rcond=None)[0]
+        for k, angle in enumerate(step):
+            state = turned(state, k, angle)
+        if np.abs(step).max() < 1e-9:
+            break
+    return state
 
 
 @dataclass(frozen=True)
@@ -177,6 +219,7 @@ class _ClosedForm:
             @ setup.sight.direction
 
     def _check_beams(self) -> None:
+        self.offset = float(np.ptp([b for s in self.setups.values() for b in s.sight.beams]))
         for name in self.all:
             offsets = np.array(self.setups[name].sight.beams)
             offsets = offsets[1:] - offsets[0]
@@ -320,7 +363,8 @@ class _ClosedForm:
         if self.layout == 'a':
             found.append(Unidentifiable(
                 tuple(f'{n} laser' for n in self.names),
-                'three beams show changes of the tilt only; the laser\'s angle is as given'))
+                'three beams show changes of the tilt only; the laser\'s angle is as given, or '
+                'found from its second-order effect'))
         elif self.linear:
             found.append(Unidentifiable(
                 tuple(f'{n} laser' for n in self.linear),

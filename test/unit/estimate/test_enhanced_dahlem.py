@@ -56,6 +56,24 @@ def test_layout_a_bears_the_laser_in_second_order(machine, draw_errors, cell_sig
     assert 1e-9 < max(deviation(found, errors), square_deviation(found, errors)) < 3e-6
 
 
+def test_layout_a_finds_the_lasers_in_quiet_readings(machine, draw_errors, cell_sights, deviation,
+                                                     square_deviation):
+    """Nothing given but distances: four lasers apart, found from an effect of ten nanometres."""
+    errors = draw_errors(machine, 12)
+    off = {n: Misalignment((7e-4 * (1 - 0.3 * i), 1e-3 * (-1) ** i), (1e-4, 3e-4))
+           for i, n in enumerate(DIAGONALS)}
+    cell = simulate(machine, 12, cell_sights(machine, 12), errors, off)
+    blind = {n: replace(s, spot_m=None) for n, s in cell.setups.items()}
+    found = evaluate(replace(cell, setups=blind), laser='find')
+    assert found.extra['layout'] == 'a'
+    for name in DIAGONALS:
+        np.testing.assert_allclose(found.misalignments[name].laser, off[name].laser, atol=1e-8)
+    assert deviation(found, errors) < 1e-12
+    assert square_deviation(found, errors) < 1e-11
+    with pytest.raises(StepdiagError, match="give angles by setup, or 'find'"):
+        evaluate(cell, 'a', 'guess')
+
+
 def test_zero_of_the_psd(machine, draw_errors, cell_sights, deviation):
     """Fig. 5, 3a and 3b: a zero off by 1.5/2 mm is a tilt that falls with 1/L; it ruins the angles."""
     errors = draw_errors(machine, 50)
