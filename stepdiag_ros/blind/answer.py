@@ -32,10 +32,9 @@ def answer_log(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     begin = time.process_time()
     diagnosis = diagnose(log, [kind() for kind in all_effects().values()])
     seconds = time.process_time() - begin
-    table = diagnosis.joint.observation.table
-    errors = {}
-    for when, fit in (('before', diagnosis.nominal.fit), ('after', diagnosis.joint.fit)):
-        errors[when] = solution_of(fit, table).to_json_dict()['errors']
+    before = solution_of(diagnosis.nominal.fit, diagnosis.nominal.table)
+    errors = {'before': before.to_json_dict()['errors'],
+              'after': diagnosis.solution.to_json_dict()['errors']}
     closing = diagnosis.closing
     extra = {'seconds': seconds, 'ranking': dict(diagnosis.ranking),
              'sets': [[list(names), p] for names, p in diagnosis.sets], 'errors': errors,

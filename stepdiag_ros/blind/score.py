@@ -86,25 +86,25 @@ def score(cases: Sequence[Case]) -> dict[str, Any]:
     outside = [c for c in cases if c.category == 'outside' and c.weakest >= COUNTS_FROM]
     separable = [c for c in single if c.separable]
     figures: dict[str, Any] = {
-        'false_alarms': _share(null, lambda c: c.alarmed),
-        'detection': _share(known + outside, lambda c: c.alarmed),
-        'first_right': _share(separable, first_right),
-        'first_right_all': _share(single, first_right),
-        'mean_probability': _mean(truth_probability(c) for c in single),
-        'set_coverage': _share(single, lambda c: c.true_names[0] in credible_set(c)),
-        'set_size': _mean(len(credible_set(c)) for c in single),
-        'outside_unknown': _share(outside, lambda c: c.unknown and not c.named),
-        'outside_misnamed': _share(outside, lambda c: bool(c.named)),
-        'pair_exact': _share(pair, lambda c: set(c.named) == set(c.true_names)),
-        'where_f1': _mean(where_f1(c) for c in known if c.alarmed),
-        'gap_closed': _mean(closed(c) for c in known if c.alarmed and np.isfinite(closed(c))),
-        'held_out_chi2': _median(c.extra['closing']['after'] for c in known if c.alarmed),
-        'held_out_chi2_at_most_1.05': _share([c for c in known if c.alarmed],
+        'false_alarms': share(null, lambda c: c.alarmed),
+        'detection': share(known + outside, lambda c: c.alarmed),
+        'first_right': share(separable, first_right),
+        'first_right_all': share(single, first_right),
+        'mean_probability': mean(truth_probability(c) for c in single),
+        'set_coverage': share(single, lambda c: c.true_names[0] in credible_set(c)),
+        'set_size': mean(len(credible_set(c)) for c in single),
+        'outside_unknown': share(outside, lambda c: c.unknown and not c.named),
+        'outside_misnamed': share(outside, lambda c: bool(c.named)),
+        'pair_exact': share(pair, lambda c: set(c.named) == set(c.true_names)),
+        'where_f1': mean(where_f1(c) for c in known if c.alarmed),
+        'gap_closed': mean(closed(c) for c in known if c.alarmed and np.isfinite(closed(c))),
+        'held_out_chi2': median(c.extra['closing']['after'] for c in known if c.alarmed),
+        'held_out_chi2_at_most_1.05': share([c for c in known if c.alarmed],
                                              lambda c: c.extra['closing']['after'] <= 1.05),
         'bias_removed': bias_removed(known),
-        'en_at_most_1': en_share(known),
+        'en_at_most_1': en_within(known),
         'calibration_error': calibration(cases)['error'],
-        'seconds': _median(c.extra['seconds'] for c in cases)}
+        'seconds': median(c.extra['seconds'] for c in cases)}
     return {'figures': figures, 'curve': curve(cases), 'calibration': calibration(cases),
             'by_effect': by_effect(cases), 'seconds_at_most': float(
                 max((c.extra['seconds'] for c in cases), default=0.0))}
@@ -124,17 +124,22 @@ def truth_probability(case: Case) -> float:
 
 
 def credible_set(case: Case) -> set[str]:
-    """Leading causes that together hold 95 %: the first effect's rivals in the sets thought of.
+    """Causes of which one leads, with 95 %: the answer's first effect and those that may stand for it.
 
-    A set of several effects speaks for each of its members that the best set does not hold.
+    The sets of effects thought of are gone through by probability.  One that holds the first effect
+    speaks for it, whatever else it holds; any other speaks for its own members, or for nothing.
     """
-    total, leaders = 0.0, set()
+    leader = case.gap['effects'][0]['name'] if case.gap['effects'] else None
+    if leader is not None and not any(leader in names for names, _ in case.extra['sets']):
+        # Found outside the sets, in the dwells' spectra or the stamps: there are no rivals.
+        return {leader}
+    total, causes = 0.0, set()
     for names, probability in case.extra['sets']:
-        leaders |= set(names) if names else {NOTHING}
+        causes |= {leader} if leader in names else set(names) or {NOTHING}
         total += probability
         if total >= 0.95:
             break
-    return leaders
+    return causes
 
 
 def cells(shares: Iterable[Mapping[str, Any]], setups: Sequence[str]) -> dict[tuple[str, str], float]:
@@ -210,11 +215,11 @@ def bias_removed(cases: Sequence[Case]) -> dict[str, Any]:
     return {'value': float(1.0 - max(excess['after'], 0.0) / excess['before']), 'count': len(cases)}
 
 
-def en_share(cases: Sequence[Case]) -> dict[str, Any]:
+def en_within(cases: Sequence[Case]) -> dict[str, Any]:
     """Share of the 21 errors' values with |En| ≤ 1 (k = 2) after the effects were added."""
     numbers = [normalised_errors(c, 'after') for c in cases]
     all_of = np.concatenate(numbers) if numbers else np.zeros(0)
-    return _proportion(int(np.sum(np.abs(all_of) <= 2.0)), len(all_of))
+    return proportion(int(np.sum(np.abs(all_of) <= 2.0)), len(all_of))
 
 
 def calibration(cases: Sequence[Case], bins: int = 10) -> dict[str, Any]:
@@ -251,9 +256,9 @@ def curve(cases: Sequence[Case]) -> list[dict[str, Any]]:
         inside = [c for c in cases if c.category != 'null' and low <= c.weakest < high]
         single = [c for c in inside if c.category == 'single']
         outside = [c for c in inside if c.category == 'outside']
-        rows.append({'from': low, 'to': high, 'detection': _share(inside, lambda c: c.alarmed),
-                     'first_right': _share(single, first_right),
-                     'outside_unknown': _share(outside, lambda c: c.unknown and not c.named)})
+        rows.append({'from': low, 'to': high, 'detection': share(inside, lambda c: c.alarmed),
+                     'first_right': share(single, first_right),
+                     'outside_unknown': share(outside, lambda c: c.unknown and not c.named)})
     return rows
 
 
@@ -277,20 +282,20 @@ def by_effect(cases: Sequence[Case]) -> dict[str, dict[str, Any]]:
 
 # ---- helpers --------------------------------------------------------------------------------------
 
-def _proportion(hits: int, count: int) -> dict[str, Any]:
+def proportion(hits: int, count: int) -> dict[str, Any]:
     return {'value': hits / count if count else None, 'hits': hits, 'count': count,
             'interval': list(wilson(hits, count))}
 
 
-def _share(cases: Sequence[Case], test: Callable[[Case], bool]) -> dict[str, Any]:
-    return _proportion(sum(bool(test(c)) for c in cases), len(cases))
+def share(cases: Sequence[Case], test: Callable[[Case], bool]) -> dict[str, Any]:
+    return proportion(sum(bool(test(c)) for c in cases), len(cases))
 
 
-def _mean(values: Iterable[float]) -> dict[str, Any]:
+def mean(values: Iterable[float]) -> dict[str, Any]:
     numbers = np.array(list(values), float)
     return {'value': float(numbers.mean()) if len(numbers) else None, 'count': len(numbers)}
 
 
-def _median(values: Iterable[float]) -> dict[str, Any]:
+def median(values: Iterable[float]) -> dict[str, Any]:
     numbers = np.array(list(values), float)
     return {'value': float(np.median(numbers)) if len(numbers) else None, 'count': len(numbers)}
