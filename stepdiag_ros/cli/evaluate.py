@@ -50,7 +50,7 @@ def run(args: argparse.Namespace) -> int:
     else:
         for bag, result in answers.items():
             print(text(bag, result) if isinstance(result, Solution)
-                  else f'{bag}\n{json.dumps(result.to_json_dict(), indent=1)}')
+                  else f'{bag}: {result.text()}')
     if failed:
         raise StepdiagError('; '.join(failed))
     return 0

@@ -80,6 +80,14 @@ class DiagonalTest:
         known = [r.B for r in self.diagonals.values() if r.B is not None]
         return max(known) if known else None
 
+    def text(self) -> str:
+        """For people, µm."""
+        lines = [f'{self.method}: ISO 230-6 / ASME B5.54', '', f'{"":6} {"E [µm]":>9} {"B [µm]":>9}']
+        for name, r in (*self.diagonals.items(), ('worst', self)):
+            e, b = (r.Ed, r.Bd) if r is self else (r.E, r.B)
+            lines.append(f'{name:6} {1e6 * e:9.3f} {"–" if b is None else f"{1e6 * b:.3f}":>9}')
+        return '\n'.join(lines)
+
     def to_json_dict(self) -> dict[str, Any]:
         return {'method': self.method, 'status': 'ok', 'Ed_m': self.Ed, 'Bd_m': self.Bd,
                 'diagonals': {n: r.to_json_dict() for n, r in self.diagonals.items()}}

@@ -121,6 +121,17 @@ class LinearTest:
     axes: dict[str, AxisResult]
     method: str = 'iso230_2'
 
+    def text(self) -> str:
+        """For people, µm; R and A need two cycles."""
+        figures = ('A', 'E', 'R', 'B', 'M')
+        lines = [f'{self.method}: ISO 230-2 [µm]', '',
+                 f'{"":6} ' + ' '.join(f'{f:>9}' for f in figures) + '   cycles']
+        for name, axis in self.axes.items():
+            values = [getattr(axis, f) for f in figures]
+            lines.append(f'{name:6} ' + ' '.join(f'{"–" if v is None else f"{1e6 * v:.3f}":>9}' for v in values)
+                         + f'   {axis.runs}')
+        return '\n'.join(lines)
+
     def to_json_dict(self) -> dict[str, Any]:
         return {'method': self.method, 'status': 'ok',
                 'axes': {name: result.to_json_dict() for name, result in self.axes.items()}}

@@ -97,6 +97,15 @@ def test_evaluate_by_name(field_log):
         run_method('multilateration', log)
 
 
+def test_figures_of_merit_read_well(field_log):
+    log, _ = field_log
+    text = run_method('body_diagonal', log).text()
+    assert all(name in text for name in (*DIAGONALS, 'worst', 'E [µm]'))
+    text = run_method('iso230_2', log).text()
+    assert 'lin_z' in text
+    assert len({len(line) for line in text.splitlines()[3:]}) == 1
+
+
 def test_results_are_json(field_log):
     log, _ = field_log
     for name, result in run_all(log)[0].items():
