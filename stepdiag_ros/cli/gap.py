@@ -1,0 +1,179 @@
+"""Where a log and its simulator disagree, which cause explains it, and how far the gap closes.
+
+Diagnoses each bag and writes DIR/<bag name>/gap.json and index.html, a page that says what is
+wrong with the machine.  Several bags are done one after the other, or --jobs at a time; one that
+cannot be read costs one line and status 2, the others are still done.
+
+  stepdiag gap bags/demo
+  stepdiag gap logs/* --out diagnoses --jobs 2
+  stepdiag gap bags/demo --cell cells/demo.yaml --adopt cells/demo_with_backlash.yaml
+  stepdiag gap bags/demo --effect my_effect.py --json
+"""
+
+import argparse
+import json
+import sys
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+
+from stepdiag_ros.cli.progress import Bar
+from stepdiag_ros.errors import StepdiagError
+
+NAME = 'gap'
+HELP = 'where log and simulator disagree, why, and how far it closes'
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument('bags', metavar='BAG', nargs='+', help='rosbag2 folder or .mcap file')
+    parser.add_argument('--cell', metavar='CELL.yaml', type=Path,
+                        help='the simulator that the logs are held against: its effects count as known, '
+                             'and --adopt starts from it')
+    parser.add_argument('--out', metavar='DIR', type=Path, default=Path('gap'),
+                        help='folder for the answers and pages (default: ./gap)')
+    parser.add_argument('--effect', metavar='FILE.py', action='append', default=[],
+                        help='file with an effect of your own; may be given several times')
+    parser.add_argument('--json', action='store_true',
+                        help='print gap.json (of several bags: an object by name)')
+    parser.add_argument('--adopt', metavar='NEW_CELL.yaml', type=Path,
+                        help='write a cell file with the errors and effects found (one bag only)')
+    parser.add_argument('--jobs', metavar='N', type=int, default=1, help='bags at a time (default: 1)')
+    parser.add_argument('--namespace', help="the machine's namespace where a log holds several")
+
+
+@dataclass(frozen=True)
+class Job:
+    """One bag to diagnose, in a form that goes to another process."""
+
+    bag: str
+    name: str
+    out: Path
+    cell: Path | None
+    effects: tuple[str, ...]
+    adopt: Path | None
+    namespace: str | None
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of a bag: ``document`` (gap.json) and ``text``, or the ``error`` in one line."""
+
+    name: str
+    document: dict | None = None
+    text: str = ''
+    error: str = ''
+
+
+def run(args: argparse.Namespace) -> int:
+    from stepdiag_ros.effects import all_effects
+
+    if args.jobs < 1:
+        raise StepdiagError(f'--jobs is {args.jobs}; give 1 or more')
+    if args.adopt is not None and len(args.bags) > 1:
+        raise StepdiagError('--adopt writes the cell of one log; give one bag')
+    all_effects(args.effect)    # a file that cannot be used is told before the work begins
+    if args.cell is not None:
+        from stepdiag_ros.virtual.cell import load_cell
+        load_cell(args.cell)
+    jobs = [Job(bag, name, args.out / name, args.cell, tuple(args.effect), args.adopt, args.namespace)
+            for bag, name in zip(args.bags, _names(args.bags), strict=True)]
+    bar = Bar('gap', quiet=not sys.stderr.isatty())
+    outcomes: dict[str, Outcome] = {}
+    for outcome in _work(jobs, args.jobs, bar):
+        outcomes[outcome.name] = outcome
+        if outcome.error:
+            bar.say(f'stepdiag: {outcome.error}') if sys.stderr.isatty() else \
+                print(f'stepdiag: {outcome.error}', file=sys.stderr)
+        elif not args.json:
+            bar.close()
+            print(outcome.text + '\n', flush=True)
+        bar.show(len(outcomes), len(jobs), outcome.name)
+    bar.close()
+    if args.json:
+        documents = {job.name: outcomes[job.name].document for job in jobs
+                     if outcomes[job.name].document is not None}
+        if len(jobs) > 1 or documents:
+            shown = documents if len(jobs) > 1 else next(iter(documents.values()))
+            print(json.dumps(shown, indent=1))
+    return 2 if any(o.error for o in outcomes.values()) else 0
+
+
+def _names(bags: list[str]) -> list[str]:
+    """A name for each bag, as the folder of its answer; of equal ones the later get a number."""
+    names: list[str] = []
+    for bag in bags:
+        path = Path(bag).resolve()
+        base = path.stem if path.suffix == '.mcap' else path.name
+        name, number = base, 2
+        while name in names:
+            name, number = f'{base}_{number}', number + 1
+        names.append(name)
+    return names
+
+
+def _work(jobs: list[Job], at_a_time: int, bar: Bar):
+    """Outcomes as they come."""
+    if at_a_time == 1 or len(jobs) == 1:
+        for number, job in enumerate(jobs):
+            bar.show(number, len(jobs), job.name)
+            yield diagnose_bag(job)
+        return
+    # Fresh processes: numerical libraries with threads do not survive a fork.
+    with ProcessPoolExecutor(min(at_a_time, len(jobs)), get_context('spawn')) as pool:
+        bar.show(0, len(jobs))
+        for future in as_completed([pool.submit(diagnose_bag, job) for job in jobs]):
+            yield future.result()
+
+
+def diagnose_bag(job: Job) -> Outcome:
+    """Read, diagnose, write; bad input becomes a line."""
+    try:
+        return _diagnose_bag(job)
+    except StepdiagError as error:
+        return Outcome(job.name, error=str(error))
+
+
+def _diagnose_bag(job: Job) -> Outcome:
+    from stepdiag_ros.bag.reader import read_log
+    from stepdiag_ros.effects import all_effects
+    from stepdiag_ros.gap.diagnose import diagnose
+    from stepdiag_ros.report.gap_page import gap_page
+    from stepdiag_ros.report.gap_words import summary
+
+    log = read_log(job.bag, job.namespace)
+    known: tuple[str, ...] = ()
+    if job.cell is not None:
+        from stepdiag_ros.cli.against import without_known
+        log, known = without_known(log, job.cell)
+    diagnosis = diagnose(log, [kind() for kind in all_effects(job.effects).values()])
+    notes: tuple[str, ...] = known
+    if job.adopt is not None:
+        notes += _adopt(job, diagnosis)
+    document = diagnosis.to_json_dict()
+    try:
+        job.out.mkdir(parents=True, exist_ok=True)
+        (job.out / 'gap.json').write_text(json.dumps(document, indent=1), encoding='utf-8')
+        (job.out / 'index.html').write_text(gap_page(diagnosis, job.name, notes), encoding='utf-8')
+    except OSError as error:
+        raise StepdiagError(f'{job.out}: cannot be written: {error.strerror or error}; '
+                            'name another folder with --out') from None
+    text = summary(diagnosis, job.name, notes) + f'\n  page: {job.out / "index.html"}'
+    return Outcome(job.name, document, text)
+
+
+def _adopt(job: Job, diagnosis) -> tuple[str, ...]:
+    import yaml
+
+    from stepdiag_ros.report.adopt import adopted_cell
+
+    base = None if job.cell is None else yaml.safe_load(job.cell.read_text(encoding='utf-8'))
+    cell, notes = adopted_cell(diagnosis, base)
+    head = f'# Cell as found in {job.name} by `stepdiag gap --adopt`.\n'
+    head += ''.join(f'# {note}\n' for note in notes)
+    try:
+        job.adopt.write_text(head + yaml.safe_dump(cell, sort_keys=False, default_flow_style=None,
+                                                   width=110), encoding='utf-8')
+    except OSError as error:
+        raise StepdiagError(f'{job.adopt}: cannot be written: {error.strerror or error}') from None
+    return (f'cell written to {job.adopt}', *notes)

@@ -1,0 +1,214 @@
+"""The pictures of a diagnosis, as SVG text that needs nothing from outside."""
+
+import io
+import re
+
+import matplotlib
+import numpy as np
+from matplotlib.figure import Figure
+
+from stepdiag_ros.estimate.reduce import StopTable
+from stepdiag_ros.estimate.solution import Solution
+from stepdiag_ros.model.machine import CURVES, SQUARENESS
+from stepdiag_ros.report.series import Series
+from stepdiag_ros.report.words import setup_words
+
+INK, SOFT, GRID = '#22282e', '#6b747c', '#e4e7ea'
+BEFORE, AFTER, NOISE, REAL = '#c2572f', '#17688a', '#dfe5e9', '#22282e'
+STYLE = {'font.family': 'sans-serif', 'font.size': 8.5, 'text.color': INK, 'axes.edgecolor': '#aab2b8',
+         'axes.labelcolor': SOFT, 'xtick.color': SOFT, 'ytick.color': SOFT, 'axes.linewidth': 0.7,
+         'axes.spines.top': False, 'axes.spines.right': False, 'axes.grid': True, 'grid.color': GRID,
+         'grid.linewidth': 0.6, 'axes.axisbelow': True, 'svg.hashsalt': 'stepdiag', 'svg.fonttype': 'path',
+         'axes.titlesize': 9, 'axes.titleweight': 'bold', 'axes.titlelocation': 'left',
+         'xtick.major.size': 2.5, 'ytick.major.size': 2.5, 'legend.frameon': False}
+CHANNEL_NAMES = ('length', 'spot x', 'spot y')
+K = 2.0
+ASTRAY = 6.0
+"""A curve this much wider than the right one is let out of its panel."""
+
+
+def svg(figure: Figure) -> str:
+    """A figure as an ``<svg>`` element."""
+    buffer = io.StringIO()
+    figure.savefig(buffer, format='svg', metadata={'Date': None, 'Creator': None}, transparent=True)
+    text = buffer.getvalue()
+    return re.sub(r' (width|height)="[\d.]+pt"', '', text[text.index('<svg'):], count=2)
+
+
+def styled(draw):
+    """A drawing function under the pages' style, back as SVG text."""
+    def drawn(*args, **kwargs) -> str:
+        with matplotlib.rc_context(STYLE):
+            return svg(draw(*args, **kwargs))
+    drawn.__doc__ = draw.__doc__
+    return drawn
+
+
+def _scale(values: np.ndarray) -> tuple[float, str]:
+    size = np.nanmax(np.abs(values)) if np.isfinite(values).any() else 0.0
+    return (1e3, 'mm') if size > 2e-3 else (1e6, 'µm') if size > 2e-7 else (1e9, 'nm')
+
+
+@styled
+def along_stops(parts: Series, table: StopTable, overlay: bool) -> Figure:
+    """Panels channel × setup over the stop's number, forward ▸ and backward ◂.
+
+    ``overlay``: log and simulator over each other, causes left in; else the residuals before and after.
+    """
+    names = table.setup_names
+    counts = [int(table.index[table.setup == s].max()) + 1 for s in range(len(names))]
+    figure = Figure(figsize=(11.5, 5.6), layout='constrained')
+    axes = figure.subplots(3, len(names), sharey='row', squeeze=False,
+                           gridspec_kw={'width_ratios': [max(c, 9) for c in counts]})
+    for row, channel in enumerate(CHANNEL_NAMES):
+        shown = (parts.real, parts.simulated) if overlay else (parts.before, parts.after)
+        factor, unit = _scale(np.stack(shown)[:, :, row])
+        for s in range(len(names)):
+            ax = axes[row, s]
+            mine = table.setup == s
+            if not overlay:
+                noise = K * np.nanmean(parts.sigma[mine, row]) * factor
+                if np.isfinite(noise):
+                    ax.axhspan(-noise, noise, color=NOISE, linewidth=0, zorder=0.5)
+            for run in np.unique(table.run[mine]):
+                for repeat, way in sorted({(int(r), int(d)) for r, d in zip(
+                        table.repeat[table.run == run], table.direction[table.run == run], strict=True)}):
+                    rows = np.flatnonzero((table.run == run) & (table.repeat == repeat)
+                                          & (table.direction == way))
+                    _panel_lines(ax, table.index[rows], [part[rows, row] * factor for part in shown],
+                                 way, overlay)
+            ax.tick_params(labelsize=7)
+            if counts[s] < 9:
+                ax.set_xticks(range(0, counts[s], max(1, counts[s] - 1)))
+                ax.set_xlim(-0.4 - (9 - counts[s]) / 8, counts[s] - 0.6 + (9 - counts[s]) / 8)
+            if row == 0:
+                ax.set_title(names[s], fontsize=8.5)
+            if row == 2:
+                ax.set_xlabel('stop' if counts[s] >= 9 else '', fontsize=7.5)
+        axes[row, 0].set_ylabel(f'{channel}  [{unit}]')
+    if overlay:
+        handles = [_mark(REAL, 'o'), _line(AFTER)]
+        labels = ['machine (log, rigid-body machine taken off)', 'simulator with what was found']
+    else:
+        handles = [_mark(BEFORE, '>'), _mark(BEFORE, '<'), _mark(AFTER, 'o'),
+                   matplotlib.patches.Patch(color=NOISE)]
+        labels = ['before, forward', 'before, backward', 'after (what was found is in the simulator)',
+                  'noise, ± 2σ']
+    figure.legend(handles, labels, loc='outside upper left', ncols=4, fontsize=8.5)
+    return figure
+
+
+def _mark(colour: str, shape: str):
+    return matplotlib.lines.Line2D([], [], color=colour, marker=shape, linestyle='', markersize=4)
+
+
+def _line(colour: str):
+    return matplotlib.lines.Line2D([], [], color=colour, linewidth=1.6)
+
+
+def _panel_lines(ax, stop: np.ndarray, values: list[np.ndarray], way: int, overlay: bool) -> None:
+    order = np.argsort(stop)
+    stop, (first, second) = stop[order], [v[order] for v in values]
+    if overlay:
+        ax.plot(stop, first, 'o', color=REAL, markersize=1.7, alpha=0.75, markeredgewidth=0)
+        ax.plot(stop, second, '-', color=AFTER, linewidth=1.0, alpha=0.9)
+    else:
+        ax.plot(stop, first, '-', color=BEFORE, linewidth=0.5, alpha=0.45)
+        ax.plot(stop, first, '>' if way > 0 else '<', color=BEFORE, markersize=2.2, alpha=0.85,
+                markeredgewidth=0)
+        ax.plot(stop, second, 'o', color=AFTER, markersize=1.6, alpha=0.85, markeredgewidth=0)
+
+
+@styled
+def over_time(parts: Series, table: StopTable) -> Figure:
+    """Residuals before and after over the log's time; setups marked."""
+    figure = Figure(figsize=(11.5, 4.2), layout='constrained')
+    axes = figure.subplots(3, 1, sharex=True)
+    minutes = _pauses_cut(table.time_s) / 60.0
+    for row, (ax, channel) in enumerate(zip(axes, CHANNEL_NAMES, strict=True)):
+        factor, unit = _scale(np.stack([parts.before[:, row], parts.after[:, row]]))
+        noise = K * np.nanmean(parts.sigma[:, row]) * factor
+        if np.isfinite(noise):
+            ax.axhspan(-noise, noise, color=NOISE, linewidth=0, zorder=0.5)
+        ax.plot(minutes, parts.before[:, row] * factor, '.', color=BEFORE, markersize=3.2, markeredgewidth=0,
+                label='before')
+        ax.plot(minutes, parts.after[:, row] * factor, '.', color=AFTER, markersize=3.2, markeredgewidth=0,
+                label='after')
+        ax.set_ylabel(f'{channel}  [{unit}]')
+        ax.grid(axis='x', visible=False)
+        for s in np.unique(table.setup):
+            first = int(np.flatnonzero(table.setup == s)[0])
+            begin = minutes[first]
+            ax.axvline(begin, color='#c4cbd0', linewidth=0.7)
+            if row == 0:
+                ax.annotate(f' {table.setup_names[s]}, {table.time_s[first] / 60:.0f} min', (begin, 1.0), xycoords=('data', 'axes fraction'),
+                            fontsize=7.5, color=SOFT, va='bottom')
+    axes[-1].set_xlabel('time of measuring  [min]; pauses are cut short, above: when each setup began')
+    return figure
+
+
+def _pauses_cut(time_s: np.ndarray) -> np.ndarray:
+    """Times with the long pauses between stops cut down, so that the runs stay wide enough to look at."""
+    order = np.argsort(time_s, kind='stable')
+    step = np.diff(time_s[order], prepend=time_s[order[0]])
+    limit = max(20.0 * float(np.median(step)), 1e-9)
+    cut = np.empty_like(time_s)
+    cut[order] = np.cumsum(np.minimum(step, limit))
+    return cut
+
+
+@styled
+def errors_before_after(before: Solution, after: Solution | None) -> Figure:
+    """The 21 errors with k = 2 bands: without (``before``) and with the causes taken out (``after``)."""
+    figure = Figure(figsize=(11.5, 7.6), layout='constrained')
+    upper, lower = figure.subfigures(2, 1, height_ratios=(4.3, 1.0))
+    axes, square = upper.subplots(3, 6), lower.subplots(1, 3)
+    both = [(before, BEFORE, 'without'), (after, AFTER, 'with')] if after is not None else \
+        [(before, AFTER, 'with')]
+    for place, name in enumerate(CURVES):
+        ax = axes[place // 6, place % 6]
+        for solution, colour, _ in both:
+            if solution.has(name):
+                position, value, sigma = solution.curve(name)
+                ax.fill_between(position * 1e3, (value - K * sigma) * 1e6, (value + K * sigma) * 1e6,
+                                color=colour, alpha=0.18, linewidth=0)
+                ax.plot(position * 1e3, value * 1e6, '-', color=colour, linewidth=1.3)
+        ax.set_title(f'{name}  [{"µm" if name[1] in "XYZ" else "µrad"}]', fontsize=8.5)
+        ax.tick_params(labelsize=7)
+        if after is not None:
+            _keep_legible(ax, after, before, name)
+        if place // 6 == 2:
+            ax.set_xlabel('position [mm]', fontsize=7.5)
+    for ax, name in zip(square, SQUARENESS, strict=True):
+        rows = [b for b in both if b[0].has(name)]
+        for row, (solution, colour, _) in enumerate(rows):
+            value, sigma = solution.squareness(name)
+            ax.errorbar([value * 1e6], [row], xerr=[K * sigma * 1e6], fmt='o', color=colour, capsize=3)
+        ax.set_yticks(range(len(rows)), [b[2] for b in rows] if len(rows) > 1 else [''])
+        ax.set_ylim(len(rows) - 0.4, -0.6)
+        ax.set_title(f'{name}  squareness [µrad]', fontsize=8.5)
+        ax.tick_params(labelsize=7)
+    if after is not None:
+        figure.legend([_line(BEFORE), _line(AFTER)],
+                      ['as a plain evaluation gives them', 'with the causes taken out'],
+                      loc='outside upper left', ncols=2)
+    return figure
+
+
+def _keep_legible(ax, after: Solution, before: Solution, name: str) -> None:
+    """A curve gone astray must not flatten the one that is right: it may leave the panel."""
+    if not (after.has(name) and before.has(name)):
+        return
+    _, value, sigma = after.curve(name)
+    low, high = np.min(value - K * sigma) * 1e6, np.max(value + K * sigma) * 1e6
+    wide = max(high - low, 1e-3)
+    astray = before.curve(name)[1] * 1e6
+    if astray.max() - astray.min() > ASTRAY * wide:
+        ax.set_ylim(low - 0.6 * wide, high + 0.6 * wide)
+        ax.annotate('without: off scale', (0.97, 0.04), xycoords='axes fraction', ha='right', fontsize=6.5,
+                    color=BEFORE)
+
+
+def legend_of_setups(names: tuple[str, ...]) -> str:
+    """``ppp: diagonal …`` for the small print."""
+    return '; '.join(f'{name}: {setup_words(name)}' for name in names)

@@ -1,0 +1,260 @@
+"""The page of a diagnosis: what is wrong with the machine, for someone who knows machines."""
+
+from datetime import UTC, datetime
+from html import escape
+
+import numpy as np
+
+from stepdiag_ros.estimate.evaluate import solution_of
+from stepdiag_ros.gap.diagnose import Diagnosis, Found
+from stepdiag_ros.report import gap_figures, gap_words
+from stepdiag_ros.report.page import bars, figure, page, table
+from stepdiag_ros.report.series import Shares, named_cells, series, share_map
+from stepdiag_ros.report.words import (
+    CHANNELS,
+    certainty,
+    closed_percent,
+    leftover_words,
+    micrometres,
+    percent,
+    plain,
+    quantity,
+    title,
+)
+
+BADGES = {'no_gap': ('good', 'nothing wrong'), 'explained': ('warn', 'cause found'),
+          'partly_explained': ('bad', 'partly explained'), 'unexplained': ('bad', 'cause not known')}
+SHOWN_PROBABILITY = 0.01
+
+
+def gap_page(diagnosis: Diagnosis, name: str, notes: tuple[str, ...] = ()) -> str:
+    """The HTML of one diagnosis; ``notes`` are told among the warnings."""
+    sections = [_head(diagnosis, name), _budget(diagnosis), _causes(diagnosis), _where(diagnosis),
+                _pictures(diagnosis), _errors(diagnosis), _warnings(diagnosis, notes),
+                _small_print(diagnosis)]
+    return page(f'{name}: {gap_words.headline(diagnosis)}', '\n'.join(s for s in sections if s))
+
+
+def _head(diagnosis: Diagnosis, name: str) -> str:
+    log, table_ = diagnosis.log, diagnosis.nominal.table
+    kind, word = BADGES.get(diagnosis.verdict, ('warn', diagnosis.verdict))
+    when = datetime.fromtimestamp(log.steps.time_ns[0] * 1e-9, UTC)
+    minutes = (log.steps.time_ns[-1] - log.steps.time_ns[0]) / 60e9
+    kicker = (f'Machine {log.description.machine.name} · log {name} · {when:%Y-%m-%d %H:%M} UTC · '
+              f'{len(table_)} stops in {len(table_.run_ids)} runs, {plain(minutes)} min')
+    return (f'<header><div class="kicker">{escape(kicker)}</div>'
+            f'<h1>{escape(gap_words.headline(diagnosis))}</h1>'
+            f'<p><span class="badge {kind}">{word}</span></p>'
+            f'<p class="lead">{escape(gap_words.how_far(diagnosis))}</p></header>')
+
+
+# ---- the budget -----------------------------------------------------------------------------------
+
+def _budget(diagnosis: Diagnosis) -> str:
+    rows = gap_words.steps(diagnosis)
+    floor = diagnosis.closing.floor_m
+    labels = []
+    for i, (name, value) in enumerate(rows):
+        said = 'machine against simulator, as it is' if i == 0 else f'+ {title(name)}'
+        labels.append((said, value))
+    text = ('<h2>How big is the gap?</h2><p>How far a stop lies from where the simulator foretells it, '
+            f'on {escape(diagnosis.closing.held_out)}'
+            + (' — a part of the log that took no part in the fit.' if 'none' not in
+               diagnosis.closing.held_out else '.') + '</p>')
+    return text + budget_svg(labels, floor)
+
+
+def budget_svg(rows: list[tuple[str, float]], floor: float) -> str:
+    """Bars of the gap, one a row, in µm, with a line at the noise floor; far larger ones are cut open."""
+    values = [value for _, value in rows]
+    widest = max([*values, floor])
+    # Where the gap was gross the noise floor would vanish: the axis then is logarithmic.
+    wide = widest > 12.0 * floor
+    low = floor / 4.0
+
+    def place(value: float) -> float:
+        if wide:
+            return 620.0 * max(0.0, np.log(value / low)) / np.log(1.08 * widest / low)
+        return 620.0 * value / (1.08 * widest)
+
+    height, out = 34 * len(rows) + 40, []
+    for i, (label, value) in enumerate(rows):
+        y = 8 + 34 * i
+        colour = '#c2572f' if i == 0 and len(rows) > 1 else '#17688a' if i == len(rows) - 1 else '#8a9aa5'
+        out.append(f'<text x="330" y="{y + 16}" text-anchor="end" font-size="13.5">{escape(label)}</text>'
+                   f'<rect x="340" y="{y}" width="{place(value):.1f}" height="23" rx="2" fill="{colour}"/>'
+                   f'<text x="{348 + place(value):.1f}" y="{y + 16}" font-size="13.5" font-weight="600">'
+                   f'{micrometres(value)}</text>')
+    x, bottom = 340 + place(floor), 34 * len(rows) + 6
+    out.append(f'<line x1="{x:.1f}" x2="{x:.1f}" y1="2" y2="{bottom}" stroke="#22282e" stroke-width="1.4" '
+               f'stroke-dasharray="4 3"/><text x="{x:.1f}" y="{bottom + 16}" font-size="12.5" fill="#6b747c" '
+               f'text-anchor="middle">noise floor {micrometres(floor)}'
+               f'{" (bars on a logarithmic scale)" if wide else ""}</text>')
+    return (f'<figure><svg viewBox="0 0 1090 {height}" role="img" aria-label="gap budget" '
+            f'font-family="system-ui,Helvetica,Arial,sans-serif" fill="#22282e">{"".join(out)}</svg></figure>')
+
+
+# ---- causes ---------------------------------------------------------------------------------------
+
+def _causes(diagnosis: Diagnosis) -> str:
+    if not diagnosis.effects and not diagnosis.leftover:
+        text = ('<h2>What causes it?</h2><p>Nothing needs a cause. Every known one was tried, and none '
+                'foretells the log better than noise does.</p>')
+    else:
+        text = '<h2>What causes it?</h2>'
+        if diagnosis.effects:
+            text += table(['what it is', 'how sure', 'size', 'what to do'],
+                          [_cause_row(diagnosis, f) for f in diagnosis.effects])
+        if diagnosis.leftover:
+            text += ('<div class="todo warn2"><b>Something is there that is none of the known causes.</b> '
+                     f'What it looks like: {escape(leftover_words(diagnosis.leftover))}. No name was put on '
+                     'it, because none foretells it better than a shapeless pattern does.</div>')
+    text += _apart(diagnosis)
+    text += '<div class="cols"><div><h3>Probability of each cause</h3>' + _ranking(diagnosis) + '</div><div>'
+    return text + '<h3>Probability of each combination</h3>' + _sets(diagnosis) + '</div></div>'
+
+
+def _cause_row(diagnosis: Diagnosis, found: Found) -> list[str]:
+    rows = gap_words.sizes(found)
+    shown = ''.join(f'<tr><td>{escape(n)}</td><td>{escape(v)}</td></tr>' for n, v in rows[:6])
+    numbers = f'<table class="nums">{shown}</table>'
+    if len(rows) > 6:
+        numbers += f'<small>and {len(rows) - 6} more in gap.json</small>'
+    moved = gap_words.reach_words(diagnosis, found.name)
+    if moved:
+        numbers += f'<small>moves {escape(moved)}</small>'
+    what = (f'<b>{escape(title(found.name))}</b><br>{escape(found.title)}<br>'
+            f'<small>{escape(found.name)}; form: {escape(found.form)}</small>')
+    sure = (f'<b>{certainty(found.probability)}</b><br>{percent(found.probability)}<br>'
+            f'<small>closes {closed_percent(found.closes)} of the gap</small>')
+    return [what, sure, numbers, escape(found.remedy) or '–']
+
+
+def _apart(diagnosis: Diagnosis) -> str:
+    text = ''
+    for group in diagnosis.indistinguishable:
+        text += ('<div class="todo warn2"><b>This log cannot tell these apart:</b> '
+                 f'{escape(" / ".join(title(n) for n in group))}. Any of them would leave the same '
+                 'traces in these runs.</div>')
+    if diagnosis.next_measurement:
+        text += f'<div class="todo"><b>Measure next.</b> {escape(diagnosis.next_measurement)}</div>'
+    return text
+
+
+def _ranking(diagnosis: Diagnosis) -> str:
+    ranked = sorted(diagnosis.ranking.items(), key=lambda item: -item[1])
+    rows = [(title(n), p, percent(p)) for n, p in ranked if p >= SHOWN_PROBABILITY][:10]
+    return bars(rows) + f'<small>{len(ranked) - len(rows)} others: less each</small>'
+
+
+def _sets(diagnosis: Diagnosis) -> str:
+    rows = [[escape(' + '.join(title(n) for n in names) or 'nothing'), percent(p)]
+            for names, p in diagnosis.sets[:5]]
+    return table(['acting together', '>probability'], rows)
+
+
+# ---- where ----------------------------------------------------------------------------------------
+
+def _where(diagnosis: Diagnosis) -> str:
+    text = f'<h2>Where is it?</h2><p>{escape(gap_words.where_words(diagnosis))}</p>'
+    shares = share_map(diagnosis)
+    if shares is None:
+        return text
+    return text + '<div class="cols"><div>' + _map(diagnosis, shares) + '</div><div>' + bars(
+        [(f'after a move of {k}' if len(k) == 1 else k, v, closed_percent(v))
+         for k, v in shares.axis.items()]) + bars(
+        [(f'going {k}', v, closed_percent(v)) for k, v in shares.direction.items()]) + bars(
+        [(k, v, closed_percent(v)) for k, v in shares.state.items()]) + '</div></div>'
+
+
+def _map(diagnosis: Diagnosis, shares: Shares) -> str:
+    names = diagnosis.nominal.table.setup_names
+    named, top = named_cells(shares), max(shares.cells.max(), 1e-9)
+    rows = ''
+    for c, channel in enumerate(CHANNELS.values()):
+        cells = ''
+        for s in range(len(names)):
+            depth = shares.cells[c, s] / top
+            shade = f'rgba(194,87,47,{0.04 + 0.8 * depth:.2f})'
+            said = closed_percent(shares.cells[c, s]) if named[c, s] else '·'
+            cells += (f'<td style="background:{shade};color:{"#fff" if depth > 0.6 else "#22282e"}">'
+                      f'{said}</td>')
+        rows += f'<tr><th class="r">{escape(channel)}</th>{cells}</tr>'
+    heads = ''.join(f'<th>{escape(n)}</th>' for n in names)
+    return (f'<table class="heat"><tr><th></th>{heads}</tr>{rows}</table>'
+            f'<small>Share of the gap by what was measured and in which setup. '
+            f'{escape(gap_figures.legend_of_setups(names))}.</small>')
+
+
+# ---- pictures -------------------------------------------------------------------------------------
+
+def _pictures(diagnosis: Diagnosis) -> str:
+    parts, stops = series(diagnosis), diagnosis.nominal.table
+    named = [a for a in diagnosis.joint.active if a.effect.name]
+    text = '<h2>What the log shows</h2>'
+    if diagnosis.joint.active:
+        who = 'what was found' if named else 'a nameless pattern'
+        text += '<h3>Machine and simulator over each other</h3>' + figure(
+            gap_figures.along_stops(parts, stops, True),
+            f'Points: the machine, after its 21 errors and the misalignments have been taken off. Line: the '
+            f'simulator with {who}. Length, and the two coordinates of the light spot, at each stop of '
+            'each setup, all runs.', 1)
+        caption = 'Log minus simulator, without and with what was found.'
+    else:
+        caption = 'Log minus simulator. Where nothing is wrong the points fill the band of the noise evenly.'
+    return (text + '<h3>What is left at each stop</h3>'
+            + figure(gap_figures.along_stops(parts, stops, False), caption, 2)
+            + '<h3>What is left over time</h3>'
+            + figure(gap_figures.over_time(parts, stops),
+                     'The same, in the order in which it was measured.', 3))
+
+
+def _errors(diagnosis: Diagnosis) -> str:
+    stops = diagnosis.nominal.table
+    plain_ = solution_of(diagnosis.nominal.fit, stops)
+    text = '<h2>What it means for the 21 errors</h2>'
+    if not diagnosis.joint.active:
+        return text + ('<p>There is nothing to take out: these are the errors of the machine, with bands of '
+                       'k = 2.</p>') + figure(gap_figures.errors_before_after(plain_, None),
+                                              'The 18 error curves and the three squareness errors.', 4)
+    freed = diagnosis.solution
+    moved = [row for row in gap_words.changes(diagnosis, plain_, freed) if row[2] > 2.0]
+    if moved:
+        text += ('<p>A plain evaluation would have put part of the trouble into the machine\'s errors. With '
+                 'the causes taken out these change most:</p>')
+        text += table(['error', '>changes by', '>in standard deviations'],
+                      [[n, quantity(c, 'm' if len(n) == 3 and n[1] in 'XYZ' else 'rad'), plain(s)]
+                       for n, c, s in moved[:6]])
+    else:
+        text += ('<p>No error changes by more than twice its standard deviation when the causes are taken '
+                 'out: a plain evaluation of this log was not misled.</p>')
+    return text + figure(gap_figures.errors_before_after(plain_, freed),
+                         'The 18 error curves and the three squareness errors, bands k = 2.', 4)
+
+
+# ---- the end --------------------------------------------------------------------------------------
+
+def _warnings(diagnosis: Diagnosis, notes: tuple[str, ...]) -> str:
+    lines = (*diagnosis.warnings, *notes)
+    if not lines:
+        return ''
+    return '<h2>Notes</h2><ul>' + ''.join(f'<li>{escape(line)}</li>' for line in lines) + '</ul>'
+
+
+def _small_print(diagnosis: Diagnosis) -> str:
+    noise, gap = diagnosis.joint.noise, diagnosis.closing
+    source = ('taken from the repeats of this log' if noise.source == 'repeats'
+              else 'as the maker of the log states it, for the log has no repeats')
+    return ('<footer><p><b>How this was judged.</b> The simulator is a rigid machine with 21 errors, misaligned '
+            'laser and mirror, and a reset in each run. All of these are fitted to the log first; what such '
+            'a fit could imitate is taken out of the view, and only in the rest are causes looked for. '
+            'Each known cause, alone and together, in each of its forms, is weighed by how well it '
+            'foretells the log against how much it could have fitted; nameless patterns take part under '
+            'the same price, so that a name is given only where it foretells better. Then machine and causes '
+            'are fitted together.</p>'
+            f'<p>Noise, {source}: each arrival of an axis errs by {quantity(noise.position, "m")}, the '
+            f'mirror\'s angle by {quantity(noise.angle, "rad")} (one standard deviation). The gap is the '
+            'root mean square of what is foretold wrongly of one length, in the units of its noise times '
+            f'the noise floor; reduced χ² on {escape(gap.held_out)}: {plain(gap.before)} before, '
+            f'{plain(gap.after)} after, over {gap.count} readings. Values ± one standard deviation; all of '
+            'it is in <code>gap.json</code> beside this page.</p></footer>')

@@ -1,0 +1,234 @@
+"""A diagnosis in sentences: the verdict, each cause with its size, the text summary of the command."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from stepdiag_ros.gap.closing import closing
+from stepdiag_ros.gap.diagnose import Diagnosis, Found
+from stepdiag_ros.model.machine import CURVES, SQUARENESS
+from stepdiag_ros.report.series import reach
+from stepdiag_ros.report.words import (
+    SHORT_CHANNELS,
+    certainty,
+    closed_percent,
+    leftover_words,
+    micrometres,
+    parameter_name,
+    parameter_unit,
+    percent,
+    quantity,
+    setup_words,
+    title,
+)
+
+SIGNIFICANT = 3.0
+"""A size is named in a sentence from this many standard deviations on."""
+SPEAKING = ('angle', 'jump', 'both', 'all')
+"""Names of parameters longer than a letter or two that a sentence can take as they are."""
+LEAST_REACH_M = 1e-9
+NAMED = 3
+"""Most sizes in a sentence."""
+HARDLY = 1.15
+"""Reduced χ² of the held-out part up to which a gap does not stand out of the noise there."""
+NOISE_LIKE = 1.3
+"""Reduced χ² of the held-out part up to which what is left counts as noise."""
+
+
+def sizes(found: Found) -> list[tuple[str, str]]:
+    """All parameters of a cause: name and value ± σ with unit."""
+    rows = []
+    for name, value in found.parameters.items():
+        unit = parameter_unit(name, found.units)
+        if name in ('run', 'index') or name.startswith(('run (', 'index (')):
+            # Which run and stop: said by the form's label, a number says nothing.
+            continue
+        text = quantity(value, unit, found.sigma.get(name))
+        if unit == '1/m' and value and found.sigma.get(name):
+            text = f'{value * 1e6:.3g} ± {found.sigma[name] * 1e6:.1g} /km (radius {abs(1.0 / value):.3g} m)' \
+                .replace('/km', '·10⁻⁶/m')
+        rows.append((parameter_name(name), text))
+    return rows
+
+
+def size_words(found: Found) -> str:
+    """The largest sizes that count: ``X 5.71 µm, Y 5.15 µm``."""
+    counted = [(abs(value), name) for name, value in found.parameters.items()
+               if name in found.sigma and 'at the start' not in name
+               and abs(value) > SIGNIFICANT * found.sigma[name] > 0.0]
+    counted.sort(reverse=True)
+    chosen = [name for _, name in counted[:NAMED]]
+    return ', '.join(f'{parameter_name(n)} {quantity(v, parameter_unit(n, found.units))}'
+                     for n, v in found.parameters.items() if n in chosen)
+
+
+def cause(diagnosis: Diagnosis, found: Found) -> str:
+    """One cause in a clause, with its size: its parameters where they speak for themselves, else what
+    it does to the readings."""
+    size = ''
+    speaking = all(len(parameter_name(n)) < 3 or n.endswith(('_s', '_Hz', '_m')) or n in SPEAKING
+                   or 'at the start' in n for n in found.parameters)
+    if speaking:
+        size = size_words(found)
+    if not size:
+        size = reach_words(diagnosis, found.name)
+    return (found.title.rstrip('.') or title(found.name)) + (f' ({size})' if size else '')
+
+
+def reach_words(diagnosis: Diagnosis, name: str) -> str:
+    """How far a cause moves the readings at most; empty where it leaves the stops' means alone."""
+    length, spot = reach(diagnosis, name)
+    parts = []
+    if length > LEAST_REACH_M:
+        parts.append(f'the laser length by up to {quantity(length, "m")}')
+    if spot > LEAST_REACH_M:
+        parts.append(f'the spot by up to {quantity(spot, "m")}')
+    return ' and '.join(parts)
+
+
+def headline(diagnosis: Diagnosis) -> str:
+    """The verdict in one sentence."""
+    found, leftover = diagnosis.effects, leftover_words(diagnosis.leftover)
+    floor = micrometres(diagnosis.closing.floor_m)
+    if not found and not diagnosis.leftover:
+        return (f'Nothing is wrong that this log could show: machine and simulator agree to within '
+                f'the noise of {floor}.')
+    if not found:
+        return f'Something disturbs the measurement that is none of the known causes: {leftover}.'
+    if len(found) == 1:
+        text = cause(diagnosis, found[0])
+    else:
+        count = {2: 'Two', 3: 'Three', 4: 'Four'}.get(len(found), str(len(found)))
+        text = f'{count} things act together: ' + '; '.join(
+            f'{i}) {_lower(cause(diagnosis, f))}' for i, f in enumerate(found, 1))
+    if diagnosis.leftover:
+        return f'{text} — and something more that is none of the known causes: {leftover}.'
+    return text + '.'
+
+
+def _lower(text: str) -> str:
+    return text[0].lower() + text[1:] if not text[:2].isupper() else text
+
+
+def closed_share(diagnosis: Diagnosis) -> float | None:
+    """Share of the gap's variance above the floor that is gone; None where there was none."""
+    gap = diagnosis.closing
+    before, after = gap.before_m**2 - gap.floor_m**2, gap.after_m**2 - gap.floor_m**2
+    return float(np.clip(1.0 - max(after, 0.0) / before, 0.0, 1.0)) if before > 0.0 else None
+
+
+def how_far(diagnosis: Diagnosis) -> str:
+    """Before, after and the floor in a sentence."""
+    gap = diagnosis.closing
+    if diagnosis.verdict == 'no_gap':
+        return (f'On {gap.held_out} simulator and machine differ by {micrometres(gap.before_m)}; '
+                f'noise alone makes {micrometres(gap.floor_m)}.')
+    if not any(a.effect.name for a in diagnosis.joint.active):
+        return (f'The mean readings at the stops differ by {micrometres(gap.before_m)}; '
+                f'noise alone makes {micrometres(gap.floor_m)}.')
+    if gap.before < HARDLY:
+        return (f'In the means of the stops it hardly shows: {micrometres(gap.before_m)} where noise alone makes '
+                f'{micrometres(gap.floor_m)}. It shows in how the readings move while the machine stands still, and '
+                'over the whole log.')
+    share = closed_share(diagnosis)
+    rest = 'what is left is noise' if gap.after < NOISE_LIKE else \
+        f'what is left is still {np.sqrt(gap.after):.1f} times the noise'
+    return (f'With {"it" if len(diagnosis.effects) == 1 else "them"} in the simulator the gap falls from '
+            f'{micrometres(gap.before_m)} to {micrometres(gap.after_m)} (noise alone: '
+            f'{micrometres(gap.floor_m)}): {closed_percent(share or 0.0)} of it is gone, {rest}.')
+
+
+def steps(diagnosis: Diagnosis) -> list[tuple[str, float]]:
+    """The gap budget: label and gap [m] on the held-out part, from before over each cause to after."""
+    gap, joint = diagnosis.closing, diagnosis.joint
+    rows = [('before', gap.before_m)]
+    names = [name for name in dict.fromkeys(f.name for f in diagnosis.effects)
+             if any(a.effect.name == name for a in joint.active)]
+    if any(not a.effect.name for a in joint.active):
+        names.append('')
+    taken: list[str] = []
+    for i, name in enumerate(names):
+        taken.append(name)
+        if i == len(names) - 1:
+            value = gap.after_m
+        else:
+            part = tuple(a for a in joint.active if a.effect.name in taken)
+            value = closing(replace(joint, active=part)).after_m
+        rows.append((name or 'unknown', value))
+    return rows
+
+
+def changes(diagnosis: Diagnosis, before, after) -> list[tuple[str, float, float]]:
+    """Errors by how much taking the causes out moves them: name, largest change, its size in σ.
+
+    ``before``, ``after``: solutions without and with the causes.
+    """
+    rows = []
+    for name in CURVES:
+        if before.has(name) and after.has(name):
+            difference = after.curve(name)[1] - before.curve(name)[1]
+            worst = int(np.argmax(np.abs(difference)))
+            rows.append((name, float(difference[worst]), after.curve(name)[2][worst]))
+    for name in SQUARENESS:
+        if before.has(name) and after.has(name):
+            rows.append((name, after.squareness(name)[0] - before.squareness(name)[0],
+                         after.squareness(name)[1]))
+    rows = [(name, change, abs(change) / sigma if sigma > 0 else 0.0) for name, change, sigma in rows]
+    return sorted(rows, key=lambda row: -row[2])
+
+
+def where_words(diagnosis: Diagnosis) -> str:
+    """Where the gap lies, in a sentence."""
+    shares = diagnosis.shares
+    if not shares:
+        return 'Nowhere: no part of the log stands out of the noise.'
+    parts = []
+    for channel, said in SHORT_CHANNELS.items():
+        mine = [s for s in shares if s.channel == channel]
+        if not mine:
+            continue
+        names = ', '.join(dict.fromkeys(s.setup for s in mine if s.setup))
+        text = f'{closed_percent(sum(s.share for s in mine))} in the {said}'
+        if names:
+            text += f' ({names})'
+        axes = {s.axis for s in mine}
+        directions = {s.direction for s in mine}
+        if len(axes) == 1 and None not in axes:
+            text += f' after moves of {axes.pop()}'
+        if len(directions) == 1 and None not in directions:
+            text += ' going ' + ('forward' if directions.pop() > 0 else 'backward')
+        parts.append(text)
+    return '; '.join(parts) + '.'
+
+
+def summary(diagnosis: Diagnosis, name: str, adoption: tuple[str, ...] = ()) -> str:
+    """What the command prints of one log."""
+    lines = [f'{name}: {headline(diagnosis)}', f'  {how_far(diagnosis)}']
+    for found in diagnosis.effects:
+        lines.append('')
+        lines.append(f'  {title(found.name)} [{found.name}]: {certainty(found.probability)} '
+                     f'({percent(found.probability)}), closes {closed_percent(found.closes)} of the gap')
+        rows = sizes(found)
+        width = max(len(n) for n, _ in rows) if rows else 0
+        lines += [f'      {n:<{width}}  {text}' for n, text in rows[:8]]
+        if len(rows) > 8:
+            lines.append(f'      … and {len(rows) - 8} more in gap.json')
+        moved = reach_words(diagnosis, found.name)
+        if moved:
+            lines.append(f'      moves {moved}')
+        if found.remedy:
+            lines.append(f'      What to do: {found.remedy}')
+    if diagnosis.leftover:
+        lines += ['', f'  Not explained: {leftover_words(diagnosis.leftover)}.']
+    if diagnosis.shares:
+        lines += ['', f'  Where: {where_words(diagnosis)}']
+    for group in diagnosis.indistinguishable:
+        lines += ['', '  Cannot be told apart in this log: ' + ' / '.join(title(n) for n in group)]
+    if diagnosis.next_measurement:
+        lines += [f'  Measure next: {diagnosis.next_measurement}']
+    lines += [f'  note: {text}' for text in (*diagnosis.warnings, *adoption)]
+    return '\n'.join(lines)
+
+
+def setups_legend(diagnosis: Diagnosis) -> list[tuple[str, str]]:
+    return [(name, setup_words(name)) for name in diagnosis.nominal.table.setup_names]

@@ -1,0 +1,106 @@
+"""What the pictures of a diagnosis show: readings before and after, the effects' part, noise, by stop."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from stepdiag_ros.estimate.enhanced import readings_of
+from stepdiag_ros.estimate.noise import whiteners
+from stepdiag_ros.gap.diagnose import Diagnosis
+from stepdiag_ros.gap.joint import unexplained
+from stepdiag_ros.gap.thresholds import LEAST_SHARE
+
+CHANNELS = ('displacement', 'spot_x', 'spot_y')
+
+
+@dataclass(frozen=True)
+class Series:
+    """One row a visited stop (n,), channels ``c`` = length (first beam), spot x, spot y.
+
+    ``before`` (n, 3) [m]: log minus the simulator without the causes, both fitted; ``after``: with them;
+    ``real`` (n, 3) [m]: log minus the fitted rigid machine, causes left in; ``simulated`` (n, 3): what the
+    causes make of it in the simulator; ``sigma`` (n, 3) [m]: noise of one reading.
+    """
+
+    before: np.ndarray
+    after: np.ndarray
+    real: np.ndarray
+    simulated: np.ndarray
+    sigma: np.ndarray
+
+
+def series(diagnosis: Diagnosis) -> Series:
+    """Lay out a diagnosis; ``real`` and ``simulated`` are counted from their mean in each run."""
+    joint, table = diagnosis.joint, diagnosis.nominal.table
+    beams = table.displacement.shape[1]
+    keep = [0, beams, beams + 1]
+    simulated = sum((a.contribution for a in joint.active), np.zeros_like(readings_of(table)))
+    after = joint.fit.residual
+    real = after + simulated
+    mean = np.zeros_like(real)
+    for run in np.unique(table.run):
+        rows = table.run == run
+        mean[rows, :beams] = simulated[rows, :beams].mean(axis=0)
+    variance = np.full(real.size, np.nan)
+    for white in whiteners(table, joint.noise, joint.fit.arrival, joint.fit.present):
+        variance[white.rows] = np.sum(white.factor**2, axis=1)
+    sigma = np.sqrt(variance).reshape(real.shape)
+    return Series(*(part[:, keep] for part in (diagnosis.nominal.fit.residual, after, real - mean,
+                                               simulated - mean, sigma)))
+
+
+def reach(diagnosis: Diagnosis, name: str) -> tuple[float, float]:
+    """How far a cause moves the length (from the run's reset) and the spot, at most [m]."""
+    table = diagnosis.nominal.table
+    beams = table.displacement.shape[1]
+    total = sum((a.contribution for a in diagnosis.joint.active if a.effect.name == name),
+                np.zeros((len(table), beams + 2)))
+    length = 0.0
+    for run in np.unique(table.run):
+        part = total[table.run == run, :beams]
+        length = max(length, float(np.ptp(part, axis=0).max()))
+    return length, float(np.abs(total[:, beams:]).max())
+
+
+@dataclass(frozen=True)
+class Shares:
+    """Shares of the gap's excess by channel and setup (3, s), by axis moved (X, Y, Z, first stop), by
+    direction (forward, backward), and whether it is at rest in the mean or moves inside the dwells."""
+
+    cells: np.ndarray
+    axis: dict[str, float]
+    direction: dict[str, float]
+    state: dict[str, float]
+
+
+def share_map(diagnosis: Diagnosis) -> Shares | None:
+    """Where the gap lies in full; None where there is none."""
+    joint, table = diagnosis.joint, diagnosis.nominal.table
+    space = joint.parity
+    if diagnosis.verdict == 'no_gap':
+        return None
+    rest = unexplained(space, joint.active)
+    excess = (space.data - rest) ** 2
+    if not joint.active:
+        excess = np.maximum(rest**2 - 1.0, 0.0)
+    total = float(excess.sum())
+    if total <= 0.0:
+        return None
+    beams = joint.fit.model.beams
+    channel = np.maximum(space.channel - beams + 1, 0)
+    excess = excess / total
+    cells = np.zeros((3, len(table.setup_names)))
+    np.add.at(cells, (channel, table.setup[space.row]), excess)
+    moved = table.axis[space.row]
+    axis = {letter: float(excess[moved == k].sum()) for k, letter in enumerate('XYZ')}
+    axis['first stop of a run'] = max(0.0, 1.0 - sum(axis.values()))
+    way = table.direction[space.row]
+    direction = {'forward': float(excess[way > 0].sum()), 'backward': float(excess[way < 0].sum())}
+    inside = float(excess[space.stops:].sum())
+    return Shares(cells, axis, direction, {'between stops (means)': 1.0 - inside,
+                                           'inside the stops (while standing still)': inside})
+
+
+def named_cells(shares: Shares) -> np.ndarray:
+    """Cells that hold enough to be named (3, s)."""
+    return shares.cells >= LEAST_SHARE

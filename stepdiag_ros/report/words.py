@@ -1,0 +1,174 @@
+"""How numbers and causes are said to someone who knows machines but not this program."""
+
+import re
+
+import numpy as np
+
+NAMES = {
+    'air_refraction_drift': 'Air along the laser beam changes',
+    'cyclic_nonlinearity': 'Laser reading swings with the fringe',
+    'count_slip': 'Laser lost count',
+    'beam_pointing_drift': 'Laser beam turns slowly',
+    'mirror_curvature': 'Mirror is not flat',
+    'mirror_mount_creep': "Mirror's mount creeps",
+    'psd_zero_offset': "Spot sensor's zero is off",
+    'psd_gain': "Spot sensor's scale is wrong",
+    'psd_nonlinearity': 'Spot sensor bends far from its centre',
+    'psd_rotation': 'Spot sensor is mounted turned',
+    'ambient_light': 'Room light on the spot sensor',
+    'scale_thermal_expansion': "An axis's scale warms up",
+    'structural_thermal_drift': "Machine's structure drifts",
+    'backlash': 'Backlash (lost motion on reversal)',
+    'servo_settling': 'Axis still creeps at the stop',
+    'non_rigid_coupling': 'Machine bends with the position of another axis',
+    'squareness_drift': 'Squareness changes during the log',
+    'vibration': 'Tool point vibrates',
+    'clock_skew': "A sensor's clock is off",
+    'unknown': 'Something that is not in the list',
+    'nothing': 'Nothing wrong',
+}
+CHANNELS = {'displacement': 'laser length', 'spot_x': 'spot x (mirror turns about v)',
+            'spot_y': 'spot y (mirror turns about u)'}
+SHORT_CHANNELS = {'displacement': 'length', 'spot_x': 'spot x', 'spot_y': 'spot y'}
+AXIS_STARTS = {'p': '0', 'n': 'far end'}
+
+SCALES = {'m': ((1e-7, 1e-9, 'nm'), (1e-3, 1e-6, 'µm'), (1.0, 1e-3, 'mm'), (np.inf, 1.0, 'm')),
+          'rad': ((1e-3, 1e-6, 'µrad'), (np.inf, 1e-3, 'mrad')),
+          '1': ((1e-3, 1e-6, 'ppm'), (0.5, 1e-2, '%'), (np.inf, 1.0, '')),
+          's': ((0.5, 1e-3, 'ms'), (600.0, 1.0, 's'), (np.inf, 60.0, 'min')),
+          '1/K': ((np.inf, 1e-6, 'ppm/K'),)}
+"""Unit → (below this value, divide by, say)."""
+
+
+def title(name: str) -> str:
+    """An effect's name for people; a user's own effect by its own name."""
+    return NAMES.get(name, name.replace('_', ' ').capitalize())
+
+
+def scale(unit: str, size: float) -> tuple[float, str]:
+    """Divisor and unit in which a number of this size reads well."""
+    for below, divisor, said in SCALES.get(unit, ((np.inf, 1.0, unit),)):
+        if size < below:
+            return divisor, said
+    raise ValueError(f'{size} {unit}: not a size')
+
+
+def quantity(value: float, unit: str, sigma: float | None = None) -> str:
+    """``5.71 ± 0.12 µm``: two digits of the uncertainty, three of a value without one."""
+    size = max(abs(value), sigma or 0.0)
+    if not np.isfinite(size):
+        return 'not known'
+    divisor, said = scale(unit, size)
+    value = value / divisor
+    if sigma is None or sigma <= 0.0:
+        text = plain(value)
+    else:
+        sigma = sigma / divisor
+        digits = max(0, 1 - int(np.floor(np.log10(sigma))))
+        text = f'{value:.{digits}f} ± {sigma:.{digits}f}' if digits <= 6 else f'{value:.4g} ± {sigma:.1g}'
+    return f'{text} {said}'.strip().replace('-', '−')
+
+
+def plain(value: float) -> str:
+    """Three significant digits without an exponent where that reads well."""
+    if value == 0.0:
+        return '0'
+    if 1e-3 <= abs(value) < 1e5:
+        digits = max(0, 2 - int(np.floor(np.log10(abs(value)))))
+        return f'{value:.{digits}f}'
+    return f'{value:.3g}'
+
+
+def micrometres(value_m: float) -> str:
+    """A gap: always in µm, three digits."""
+    return f'{plain(value_m * 1e6)} µm'
+
+
+def percent(share: float) -> str:
+    """A probability or share; never 100 % or 0 % by rounding."""
+    if share > 0.999:
+        return '> 99.9 %'
+    if share > 0.99:
+        return f'{100 * share:.1f} %'
+    if share < 0.001:
+        return '< 0.1 %'
+    return f'{100 * share:.0f} %' if share >= 0.02 else f'{100 * share:.1f} %'
+
+
+def closed_percent(share: float) -> str:
+    """How much of a gap is gone."""
+    return f'{100 * min(max(share, 0.0), 1.0):.0f} %'
+
+
+def certainty(probability: float) -> str:
+    """A probability in a word."""
+    for least, word in ((0.99, 'practically certain'), (0.9, 'very likely'), (0.6, 'likely')):
+        if probability >= least:
+            return word
+    return 'possible'
+
+
+def parameter_unit(name: str, units: str) -> str:
+    """Unit of one parameter: from its name where it says so, else the form's."""
+    bare = re.sub(r' \(\d+\)$', '', name)
+    for suffix, unit in (('_Hz', 'Hz'), ('_rad', 'rad'), ('_s', 's'), ('_m', 'm')):
+        if bare.endswith(suffix):
+            return unit
+    choices = [u.strip() for u in units.split(',')]
+    if len(choices) > 1 and any(word in bare for word in ('shift', 'dead path')):
+        return choices[-1]
+    return choices[0]
+
+
+def parameter_name(name: str) -> str:
+    """A parameter's name without the unit at its end."""
+    bare, tail = re.match(r'(.*?)( \(\d+\))?$', name).groups()
+    for suffix in ('_Hz', '_rad', '_s', '_m'):
+        if bare.endswith(suffix):
+            bare = bare[:-len(suffix)]
+            break
+    bare = {'tau': 'time constant', 'period': 'period', 'wavelength': 'wavelength', 'start': 'start',
+            'both': 'x and y alike', 'all': 'all axes'}.get(bare, bare).replace('_', ' ')
+    return bare + (tail or '')
+
+
+def setup_words(name: str) -> str:
+    """Where a setup runs, for someone who does not know the signs."""
+    if name.startswith('lin_'):
+        return f'line along {name[-1].upper()}'
+    ends = {'p': 'to +', 'n': 'to −'}
+    return 'diagonal ' + ' '.join(f'{ends[sign]}{axis}' for sign, axis in zip(name, 'XYZ', strict=True)
+                                  if sign in ends)
+
+
+def leftover_words(label: str) -> str:
+    """What an unexplained pattern looks like, from the label of the diagnosis."""
+    channel, _, rest = label.partition(': ')
+    rules = (
+        (r'places by direction in (\w+)', 'belongs to places along {0}, and is opposite forward and backward'),
+        (r'places in (\w+)', 'belongs to places along {0}, the same in every run'),
+        (r'places by direction', 'belongs to places, opposite forward and backward, in all setups'),
+        (r'places', 'belongs to places, the same in every run and setup'),
+        (r'slow shape along (\w+)', 'bends slowly along {0}'),
+        (r'slow shape by direction', 'bends slowly along the travel and is opposite forward and backward'),
+        (r'drift inside the runs', 'drifts inside each run, every run in its own way'),
+        (r'ramp inside the runs', 'runs away steadily inside each run, every run in its own way'),
+        (r'slow in time in (\w+)', 'changes slowly with time in setup {0}'),
+        (r'slow in time', 'changes slowly with time, over the whole log'),
+        (r'wandering inside the runs', 'wanders inside each run'),
+        (r'wandering in time', 'wanders with time'),
+        (r'one stop, (\S+) stop (\d+)', 'is off at a single stop (run {0}, stop {1})'),
+        (r'jump at (\S+) stop (\d+)', 'jumps once (run {0}, stop {1}) and stays there'),
+        (r'inside the dwells, (.*)', 'moves while the machine stands still at a stop ({0})'),
+    )
+    where = {'displacement': 'the laser length', 'spot_x': 'the spot in x', 'spot_y': 'the spot in y',
+             'tool point': 'the tool point', 'beam': "the laser beam's direction",
+             'mirror': "the mirror's attitude"}.get(channel)
+    for pattern, words in rules if where else ():
+        match = re.fullmatch(pattern, rest)
+        if match:
+            return f'{where} {words.format(*match.groups())}'
+    match = re.fullmatch(r'(.*): not alike from (.*) to \2', label)
+    if match:
+        return f'a known pattern ({match[1]}) whose size differs from {match[2]} to {match[2]}'
+    return label
