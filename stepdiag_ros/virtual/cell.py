@@ -56,6 +56,7 @@ class Air:
 class Motion:
     """How the control moves: limits [m/s, m/s², m/s³], window [m], servo time constant, times [s].
 
+    The window is far below the sensors' noise: what creeps in afterwards is an effect, servo_settling.
     ``dwell`` is how long a stop is measured, ``mount`` how long a change of setup takes
     on the virtual clock (offline only; the operator's time is his own).
     """
@@ -63,7 +64,7 @@ class Motion:
     feed: float = 0.1
     acceleration: float = 1.0
     jerk: float = 20.0
-    in_position: float = 5.0e-8
+    in_position: float = 1.0e-9
     settling: float = 0.004
     dwell: float = 0.5
     mount: float = 60.0
