@@ -6,7 +6,7 @@ WORKERS ?= 2
 BIN := $(VENV)/bin
 SETUP = python=$$(PYTHON="$(PYTHON)" sh tools/find_python.sh) && "$$python" tools/setup_env.py --venv "$(VENV)"
 
-.PHONY: setup setup-tests demo test lint bench linuxcnc-test browser-test clean
+.PHONY: setup setup-tests demo test lint bench blind linuxcnc-test browser-test clean
 
 setup:
 	@$(SETUP)
@@ -26,6 +26,13 @@ lint: setup-tests
 
 bench: setup-tests
 	@for bench in bench/bench_*.py; do echo "== $$bench"; $(BIN)/python $$bench || exit 1; done
+
+# The whole blind check, an hour or two: SEED=... draws other logs.
+SEED ?= 20261121
+blind: setup
+	$(BIN)/stepdiag blind seal --seed $(SEED) --null 300 --single 285 --pair 60 --outside 72 --out build/blind-$(SEED)
+	$(BIN)/stepdiag blind answer build/blind-$(SEED)
+	$(BIN)/stepdiag blind open --apart build/blind-$(SEED)
 
 # The optional parts.  What they need besides: sudo apt-get install linuxcnc-uspace / chromium
 linuxcnc-test: setup-tests
