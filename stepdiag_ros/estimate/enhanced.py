@@ -36,6 +36,8 @@ WIDTH_MIRROR_RAD = 1e-2
 WIDTH_OFFSET_M = 10.0
 WIDTH_FRAME_RAD = 1e-4
 """Turning machine and setups together is seen only to second order: it is held to this width."""
+LOADING, LOADING_LIMIT = 1e-15, 1e-8
+"""What is added to the unit diagonal of normal equations that rounding made indefinite: first, last."""
 FRAME_SLOPES = ('EYX', 'EZX', 'EZY')
 MAX_ITERATIONS = 50
 SETTLED = 1e-8
@@ -191,7 +193,19 @@ def normal_equations(jacobian: sparse.csr_array, residual: np.ndarray,
 def _factor(matrix: np.ndarray):
     """Cholesky factor of the matrix scaled to a unit diagonal (units differ by many decades)."""
     scale = 1.0 / np.sqrt(np.diag(matrix))
-    return linalg.cholesky(matrix * scale[:, None] * scale, lower=True, check_finite=False), scale
+    scaled = matrix * scale[:, None] * scale
+    loading = 0.0
+    while True:
+        try:
+            return linalg.cholesky(scaled, lower=True, check_finite=False), scale
+        except linalg.LinAlgError:
+            # Nearly noise-free data narrow some directions 1e16 times more than others are left
+            # open: rounding may hide the open ones' width.  The steps only get shorter by this.
+            if loading > LOADING_LIMIT:
+                raise StepdiagError('the normal equations cannot be solved; check the cell '
+                                    'description against the readings') from None
+            loading = 16.0 * loading or LOADING
+            scaled[np.diag_indices(len(scaled))] = 1.0 + loading
 
 
 def _solve(factor: np.ndarray, scale: np.ndarray, right: np.ndarray) -> np.ndarray:

@@ -23,8 +23,9 @@ from stepdiag_ros.estimate.reduce import StopTable
 from stepdiag_ros.model.description import Noise
 from stepdiag_ros.model.log import NONE
 
-FLOOR_M = 1e-12
-"""Nothing is believed to be quieter than a picometre: it keeps noise-free data solvable."""
+FLOOR_M = 1e-11
+"""Nothing is believed to be quieter than ten picometres: it keeps noise-free data solvable.  The rounding
+of metres in doubles comes to no more than 1e-4 of this, while the widths of the unknowns stay visible."""
 WINSOR = 3.0
 WINSOR_MEAN = 0.9950072780
 """Mean of min(z², 9) of a standard normal z: 1 − P − 6 φ(3) + 9 P with P = P(|z| > 3)."""

@@ -1,0 +1,102 @@
+"""A plan before it is measured: its stops as a table, what a machine would read there, and the noise.
+
+Lets uncertainty be asked for before a machine is stopped for an hour, and gives Monte Carlo its draws.
+Readings come either from the contract's closed forms, through the forward model that the estimator
+itself uses, or from anybody's sensor (:data:`Sensor`), such as the traced scene.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from stepdiag_ros.estimate.reduce import StopTable
+from stepdiag_ros.model.description import Description
+from stepdiag_ros.model.log import NONE
+from stepdiag_ros.model.machine import GeometricErrors, tool_pose
+from stepdiag_ros.model.path import stops
+from stepdiag_ros.model.sensor import Misalignment, measure
+
+Sensor = Callable[[str, Misalignment, np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
+"""``sensor(setup, misalignment, point (n, 3), attitude (n, 3, 3))``: distances (n, beams), spots (n, 2) [m]."""
+
+STOP_NS = 1_000_000_000
+
+
+def planned_table(description: Description, setups: Sequence[str] | None = None,
+                  directions: Sequence[int] = (1, -1), samples: int = 100) -> StopTable:
+    """All visits of the plan in order, without readings; each run goes once along its setup's stops.
+
+    ``samples``: how many samples of either sensor a dwell will hold.
+    """
+    names = tuple(setups or description.setups)
+    columns: dict[str, list[np.ndarray]] = {key: [] for key in (
+        'run', 'setup', 'repeat', 'direction', 'index', 'axis', 'commanded')}
+    run_ids = []
+    for number, name in enumerate(names):
+        path = stops(description, name)
+        count = len(path)
+        for repeat in range(description.plan.repeats):
+            for direction in directions:
+                back = np.concatenate([[NONE], path.axis[:0:-1]])
+                whole = {'run': len(run_ids), 'setup': number, 'repeat': repeat, 'direction': direction}
+                for key, value in whole.items():
+                    columns[key].append(np.full(count, value))
+                columns['index'].append(np.arange(count)[::direction])
+                columns['axis'].append(path.axis if direction > 0 else back)
+                columns['commanded'].append(path.positions[::direction])
+                run_ids.append(f'{name}/{repeat}/{"+" if direction > 0 else "-"}')
+    c = {key: np.concatenate(parts) for key, parts in columns.items()}
+    n, beams = len(c['run']), max(len(description.setups[name].beams) for name in names)
+    begin = np.arange(n, dtype=np.int64) * 2 * STOP_NS
+    nothing = np.zeros((n, 2), np.intp)
+    return StopTable(
+        tuple(run_ids), names, c['run'], c['setup'], c['repeat'], c['direction'], c['index'], c['axis'],
+        c['commanded'], begin, begin + STOP_NS // 2, begin + STOP_NS,
+        np.full((n, beams), np.nan), np.full((n, beams), np.nan), np.full(n, samples), nothing,
+        np.full((n, 2), np.nan), np.full((n, 2), np.nan), np.full(n, samples), nothing,
+        np.ones(n), np.ones(n))
+
+
+def closed_form(description: Description) -> Sensor:
+    """The contract's sensor of every setup."""
+    def sensor(setup: str, misalignment: Misalignment, point: np.ndarray,
+               attitude: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return measure(description.machine, description.setups[setup], misalignment, point, attitude)
+    return sensor
+
+
+def observe(description: Description, table: StopTable, errors: GeometricErrors,
+            misalignments: Mapping[str, Misalignment] | None = None, sensor: Sensor | None = None,
+            shift: np.ndarray | None = None, turn: np.ndarray | None = None) -> np.ndarray:
+    """Readings (n, beams + 2) [m] of a known machine at the table's stops, zero at each run's first.
+
+    ``shift`` (n, 3) [m] and ``turn`` (n, 3) [rad] move the mirror at each stop besides its errors, in
+    the machine frame: errors of arrival.
+    """
+    sensor = sensor or closed_form(description)
+    n, beams = table.displacement.shape
+    readings = np.full((n, beams + 2), np.nan)
+    point, attitude = tool_pose(errors, table.commanded, np.array(description.machine.tool),
+                                description.machine.chain)
+    if shift is not None:
+        point = point + shift
+    if turn is not None:
+        attitude = attitude + np.cross(turn[:, :, None], attitude, axisa=1, axisb=1, axisc=1)
+    for number, name in enumerate(table.setup_names):
+        rows = np.flatnonzero(table.setup == number)
+        if len(rows):
+            length, spot = sensor(name, (misalignments or {}).get(name, Misalignment()), point[rows],
+                                  attitude[rows])
+            readings[rows, :length.shape[1]] = length
+            readings[rows, beams:] = spot
+    for run in np.unique(table.run):
+        rows = np.flatnonzero(table.run == run)
+        readings[rows, :beams] -= readings[rows[0], :beams]
+    return readings
+
+
+def filled(table: StopTable, readings: np.ndarray) -> StopTable:
+    """The table with ``readings`` (n, beams + 2) [m] in it."""
+    beams = table.displacement.shape[1]
+    return replace(table, displacement=readings[:, :beams], spot=readings[:, beams:])
