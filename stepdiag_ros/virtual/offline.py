@@ -162,9 +162,9 @@ def _displacement(world: World, spans: list, rate: float, memory: dict) -> Sampl
     zero: dict[str, np.ndarray] = {}
 
     def look(times, run, first):
-        if run.run_id not in zero:
-            zero[run.run_id] = world.read(run.dwell_ns[:1] - late_ns, run.setup).length
         reading = _read(world, times - late_ns, run.setup, memory)
+        # A run is sampled from its first dwell on, which begins with the reset.
+        zero.setdefault(run.run_id, reading.length[:1])
         noise = world.displacement_noise(first, len(times), reading.length.shape[1])
         return (reading.length - zero[run.run_id] + noise, np.rint(reading.quality), reading.index)
     return _collect(world, spans, rate, beams, look)
