@@ -83,7 +83,7 @@ def draw_cell(rng: np.random.Generator, kind: str, small: bool = False) -> tuple
                 geometry=_geometry(rng, description), misalignments=_misalignments(rng, description),
                 psd_zero=dict.fromkeys(setups, (0.0, 0.0)), air=_air(rng), motion=motion,
                 instruments=Instruments(detector=Detector(sum_voltage=round(rng.uniform(1.0, 9.0), 2))),
-                sampling=Sampling(rate, rate, 0.2 if rate > 30.0 else 0.5, moving))
+                sampling=Sampling(rate, rate, 1.0, moving))
     conditions = Conditions(np.ones(4) if field else np.exp(np.clip(rng.normal(0.0, 0.3, 4), -0.7, 0.7)),
                             _log_uniform(rng, 2e-4, 4e-3), round(rng.uniform(75.0, 97.0)),
                             rng.uniform(0.0, 1.5),
@@ -155,7 +155,7 @@ def _air(rng: np.random.Generator) -> Air:
     return Air(temperature=rng.uniform(18.0, 25.0), pressure=rng.uniform(9.3e4, 1.03e5),
                humidity=rng.uniform(0.3, 0.6), temperature_drift=float(drift[0]),
                pressure_drift=float(drift[1]), humidity_drift=float(drift[2]), sensors=sensors,
-               scale_temperature=tuple(scales.tolist()), period=float(rng.choice([2.0, 5.0, 10.0])))
+               scale_temperature=tuple(scales.tolist()), period=float(rng.choice([5.0, 10.0])))
 
 
 def without_weather(cell: Cell) -> Cell:

@@ -43,12 +43,12 @@ class Order:
 
 @dataclass(frozen=True)
 class SealedWorld:
-    """A log and the truth about it."""
+    """A log and the truth about it; ``yardstick`` where effects act."""
 
     log: CalibrationLog
     truth: dict[str, Any]
     effects: tuple[Hidden, ...]
-    yardstick: Yardstick
+    yardstick: Yardstick | None
 
 
 def kind_of(name: str) -> type[Hidden]:
@@ -82,6 +82,8 @@ def _attempt(order: Order, rng: np.random.Generator, last: bool) -> SealedWorld 
         cell = without_weather(cell)
     if any(kind.name == 'clock_skew' for kind in kinds) and not cell.sampling.in_motion:
         return None if not last else _finish(order, cell, conditions, None, (), ())
+    if not kinds:
+        return _finish(order, cell, conditions, None, (), ())
     bare = measure(cell, conditions)
     yardstick = Yardstick(cell, bare)
     stage = stage_of(cell, bare, conditions.start_ns)
@@ -128,8 +130,6 @@ def _size(effect: Hidden, target: float, see: Callable[[Hidden], Visibility]) ->
 
 def _finish(order: Order, cell, conditions, yardstick, effects, seen) -> SealedWorld:
     log = measure(cell, conditions, effects)
-    if yardstick is None:
-        yardstick = Yardstick(cell, log)
     entry: dict[str, Any] = {
         'category': order.category if effects or order.category == 'null' else 'null',
         'world': order.world, 'small': order.small, 'number': order.number,
