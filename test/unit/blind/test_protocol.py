@@ -1,0 +1,117 @@
+"""Seal, answer, open: a tiny set from end to end, and every lock on the way."""
+
+import hashlib
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from stepdiag_ros.bag.reader import read_log
+from stepdiag_ros.blind.answer import answer
+from stepdiag_ros.blind.opened import load, open_set
+from stepdiag_ros.blind.seal import LOGS, MANIFEST, SEALED, orders, seal
+from stepdiag_ros.blind.vocabulary import NAMES
+from stepdiag_ros.cli.main import main
+from stepdiag_ros.errors import StepdiagError
+
+COUNTS = {'null': 1, 'single': 1, 'outside': 1}
+
+
+@pytest.fixture(scope='module')
+def answered(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp('blind') / 'set'
+    seal(folder, orders('develop', 31, COUNTS, 'field', small=True), progress=False)
+    answer(folder, progress=False)
+    return folder
+
+
+@pytest.fixture
+def copy(answered: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(answered, tmp_path / 'set'))
+
+
+def test_hash_of_the_truth_is_published(answered: Path) -> None:
+    manifest = json.loads((answered / MANIFEST).read_text())
+    assert manifest['logs'] == 3
+    assert manifest['truth_sha256'] == hashlib.sha256((answered / SEALED).read_bytes()).hexdigest()
+
+
+def test_logs_hold_no_trace_of_the_truth(answered: Path) -> None:
+    truth = json.loads((answered / SEALED).read_text())
+    words = [name.encode() for name in NAMES]
+    for path in sorted((answered / LOGS).iterdir()):
+        log = read_log(path)
+        assert log.description.machine.name == 'cell1'
+        assert log.namespace == '/cell1'
+        body = b''.join(file.read_bytes() for file in path.iterdir())
+        assert not any(word in body for word in words)
+        assert str(truth['seed']).encode() not in (path / 'metadata.yaml').read_bytes().split()
+    # Where a log stands in the order says nothing either.
+    assert len({entry['category'] for entry in truth['logs'].values()}) == 3
+
+
+def test_scores(answered: Path) -> None:
+    result = open_set(answered)
+    figures = result['figures']
+    assert figures['false_alarms']['count'] == 1
+    assert figures['seconds']['value'] > 0.0
+    assert json.loads((answered / 'score.json').read_text())['logs'] == 3
+    assert '| false alarms on null logs | 0 of 300 |' in (answered / 'score.md').read_text()
+    assert (answered / 'score.png').stat().st_size > 10_000
+
+
+def test_changed_truth_is_found_out(copy: Path) -> None:
+    text = (copy / SEALED).read_text()
+    (copy / SEALED).write_text(text.replace('"null"', '"single"', 1))
+    with pytest.raises(StepdiagError, match='truth was changed after sealing'):
+        load(copy)
+
+
+def test_changed_answer_is_found_out(copy: Path) -> None:
+    gap = copy / 'answers' / 'log_02' / 'gap.json'
+    gap.write_text(gap.read_text().replace('"verdict"', '"verdikt"'))
+    with pytest.raises(StepdiagError, match=r'log_02/gap\.json.*changed after answering'):
+        load(copy)
+
+
+def test_second_answer_is_refused(copy: Path) -> None:
+    with pytest.raises(StepdiagError, match='answered already'):
+        answer(copy, progress=False)
+
+
+def test_cut_answering_is_resumed_and_keeps_what_is_there(copy: Path) -> None:
+    (copy / 'answers.json').unlink()
+    kept = (copy / 'answers' / 'log_01' / 'extra.json').read_bytes()
+    (copy / 'answers' / 'log_02' / 'gap.json').unlink()
+    answer(copy, processes=1, progress=False)
+    assert (copy / 'answers' / 'log_01' / 'extra.json').read_bytes() == kept
+    cases, _ = load(copy)
+    assert len(cases) == 3
+
+
+def test_answering_needs_no_truth(copy: Path) -> None:
+    shutil.rmtree(copy / 'sealed')
+    (copy / 'answers.json').unlink()
+    (copy / 'answers' / 'log_03' / 'gap.json').unlink()
+    answer(copy, processes=1, progress=False)
+    with pytest.raises(StepdiagError, match=r'truth\.json: is not there'):
+        load(copy)
+
+
+def test_unfinished_set_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(['blind', 'answer', str(tmp_path)]) == 2
+    assert 'manifest.json' in capsys.readouterr().err
+
+
+def test_sealing_twice_is_refused(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(['blind', 'seal', '--seed', '1', '--null', '1', '--out', str(copy)]) == 2
+    assert 'sealed already' in capsys.readouterr().err
+
+
+def test_purposes_never_share_a_log() -> None:
+    develop, sealed = (orders(purpose, 1, {'single': 19}) for purpose in ('develop', 'sealed'))
+    assert [o.kinds for o in develop] != [o.kinds for o in sealed]
+    assert {o.kinds[0] for o in develop} == set(NAMES)
+    with pytest.raises(StepdiagError, match='--purpose'):
+        orders('both', 1, COUNTS)
