@@ -1,7 +1,7 @@
 """Run the calibration on a cell and evaluate it.
 
 TARGET is a cell file (the cell is brought up, calibrated and ended), or the namespace of a
-machine that `stepdiag up` runs, e.g. /demo.  The log goes into a new bag.  Ctrl-C cancels:
+machine that `stepdiag up` runs, e.g. /demo; without it, the one that runs.  The log goes into a new bag.  Ctrl-C cancels:
 the machine stands still and the bag is whole.
 
   stepdiag calibrate cells/demo.yaml
@@ -23,7 +23,8 @@ HELP = 'run the calibration on a cell and evaluate it'
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument('target', metavar='TARGET', help='cell file, or namespace of a running machine')
+    parser.add_argument('target', metavar='TARGET', nargs='?',
+                        help='cell file, or namespace of a running machine (default: the one that runs)')
     parser.add_argument('--setups', nargs='+', default=[], metavar='NAME',
                         help="setups in the order of measuring (default: all of the cell's)")
     parser.add_argument('--steps', type=_count, default=0, metavar='N',
@@ -79,15 +80,23 @@ def measure(operator: Any, bar: Bar, args: argparse.Namespace, meanwhile=lambda:
 @contextmanager
 def _target(args: argparse.Namespace, bag: Path | None, bar: Bar) -> Iterator[tuple[Any, Any]]:
     """The operator of what is to be calibrated, and what to do while waiting."""
-    if args.target.endswith(('.yaml', '.yml')) or Path(args.target).is_file():
+    target = args.target
+    if target is not None and (target.endswith(('.yaml', '.yml')) or Path(target).is_file()):
         from stepdiag_ros.nodes.bringup import Bringup
-        with Bringup(args.target, hardware=args.hardware, bag=bag, say=bar.say) as cell:
+        with Bringup(target, hardware=args.hardware, bag=bag, say=bar.say) as cell:
             if args.steps:
                 cell.operator.new_log('' if bag is None else str(bag), args.steps)
             yield cell.operator, cell.watch
         return
-    from stepdiag_ros.nodes.operator import Operator
-    with Operator(args.target) as operator:
+    from stepdiag_ros.nodes.operator import Operator, running_machines
+    if target is None:
+        machines = running_machines()
+        if len(machines) != 1:
+            raise StepdiagError(f'{len(machines)} machines are running ({", ".join(machines)}); name one'
+                                if machines else
+                                'no machine is running; name a cell file, or start one with stepdiag up')
+        target = machines[0]
+    with Operator(target) as operator:
         operator.new_log('' if bag is None else str(bag), args.steps)
         yield operator, lambda: None
 

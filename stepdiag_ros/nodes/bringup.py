@@ -23,7 +23,7 @@ import yaml
 
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.nodes import environment
-from stepdiag_ros.nodes.graph import NODES, Graph, hardware_endpoints, namespace_of, write_graph
+from stepdiag_ros.nodes.graph import NODES, PARAMETERS, hardware_endpoints, namespace_of, write_graph
 from stepdiag_ros.virtual.cell import Cell, load_cell
 
 CELL = 'virtual cell'
@@ -42,10 +42,25 @@ def _end_with_parent() -> None:
 
 @dataclass
 class _Child:
+    """A process: ``node`` of the machine at ``namespace``, or the virtual cell."""
+
     name: str
     command: list[str]
-    process: subprocess.Popen
+    process: subprocess.Popen | None
+    namespace: str = ''
+    node: str = ''
     deaths: list[float] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class _Machine:
+    """One machine of the cell: its cell file's content, namespace, nodes, runtime directory, bag."""
+
+    cell: Cell
+    namespace: str
+    nodes: tuple[str, ...]
+    runtime: Path
+    bag: Path | None
 
 
 class Bringup:
@@ -53,32 +68,41 @@ class Bringup:
 
     ``say(text)`` is told what happens.  ``runtime`` holds logs, parameters and the
     instruments' addresses; without it a temporary directory is made, and removed when
-    all went well.
+    all went well.  Machines that share the laser (``multiplexer`` in the cell file) come up
+    together, each in its own namespace.
     """
 
     def __init__(self, cell_path: str | Path, *, hardware: bool = False, namespace: str | None = None,
                  bag: Path | None = None, bag_folder: Path = Path('.'), runtime: Path | None = None,
-                 domain: int | None = None, nodes: tuple[str, ...] | None = None,
+                 domain: int | None = None, nodes: tuple[str, ...] = NODES,
                  say: Callable[[str], None] = lambda text: None):
         self.cell_path = Path(cell_path)
-        self.cell: Cell = load_cell(cell_path)
+        cell = load_cell(cell_path)
+        others = [load_cell(file) for file in cell.instruments.machine_files]
+        if others and namespace is not None:
+            raise StepdiagError(f'{cell_path}: --namespace cannot be given where machines share a laser; '
+                                "their namespaces are the machines' names")
         self.hardware = hardware
-        self.namespace = namespace_of(self.cell.description.machine.name) if namespace is None \
+        self.namespace = namespace_of(cell.description.machine.name) if namespace is None \
             else '/' + namespace.strip('/')
-        self._bag, self._bag_folder = bag, bag_folder
+        self._bag_folder = bag_folder
         self._own_runtime = runtime is None
         self.runtime = Path(tempfile.mkdtemp(prefix='stepdiag-')) if runtime is None else runtime
         self.runtime.mkdir(parents=True, exist_ok=True)
+        self.machines = [_Machine(cell, self.namespace, nodes, self.runtime, bag)]
+        for other in others:
+            name = other.description.machine.name
+            self.machines.append(_Machine(
+                other, namespace_of(name), tuple(n for n in nodes if n != 'interferometer_driver'),
+                self.runtime / name, None if bag is None else bag.with_name(f'{bag.name}_{name}')))
         self._say = say
-        self._nodes = available(NODES) if nodes is None else nodes
         self._children: dict[str, _Child] = {}
         self._failed = False
         self.restarts = 0
         environment.prepare()
         if domain is not None:
             os.environ['ROS_DOMAIN_ID'] = str(domain)
-        self.graph: Graph | None = None
-        self._operator = None
+        self._operators: dict = {}
 
     def __enter__(self) -> 'Bringup':
         try:
@@ -95,11 +119,15 @@ class Bringup:
 
     @property
     def operator(self):
-        """The facade to the running nodes."""
+        """The facade to the (first) machine's nodes."""
+        return self.operator_of(self.namespace)
+
+    def operator_of(self, namespace: str):
+        """The facade to one machine's nodes."""
         from stepdiag_ros.nodes.operator import Operator
-        if self._operator is None:
-            self._operator = Operator(self.namespace)
-        return self._operator
+        if namespace not in self._operators:
+            self._operators[namespace] = Operator(namespace)
+        return self._operators[namespace]
 
     @property
     def truth_file(self) -> Path:
@@ -107,54 +135,62 @@ class Bringup:
         return self.runtime / 'truth.json'
 
     def pids(self) -> dict[str, int]:
-        """Process of each node and of the virtual cell."""
+        """Process of the virtual cell and of each node; a second machine's are ``<machine>/<node>``."""
         return {name: child.process.pid for name, child in self._children.items()}
 
     # -- start -------------------------------------------------------------------
 
     def start(self) -> None:
         """All processes up, all nodes active."""
-        endpoints = hardware_endpoints(self.cell) if self.hardware else self._start_cell()
-        self.graph = write_graph(self.cell, endpoints, self.runtime, self.namespace, self._bag,
-                                 self._bag_folder, self._nodes)
-        for node in self._nodes:
-            self._spawn(node, self._node_command(node))
-        for node in self._nodes:
-            self.activate(node)
-        self._say(f'{self.namespace}: all nodes active')
+        endpoints = self._endpoints()
+        for machine in self.machines:
+            graph = write_graph(machine.cell, endpoints[machine.namespace], machine.runtime,
+                                machine.namespace, machine.bag, self._bag_folder, machine.nodes)
+            for node in machine.nodes:
+                name = node if machine is self.machines[0] else f'{graph.namespace.strip("/")}/{node}'
+                self._spawn(_Child(name, self._command(machine, node), None, machine.namespace, node))
+        for child in list(self._children.values()):
+            if child.node:
+                self._activate(child)
+        for machine in self.machines:
+            self._say(f'{machine.namespace}: all nodes active')
 
-    def _start_cell(self) -> dict:
-        endpoints = self.runtime / 'endpoints.yaml'
-        endpoints.unlink(missing_ok=True)
-        self._spawn(CELL, [sys.executable, '-m', 'stepdiag_ros.virtual.cell_process',
-                           str(self.cell_path), '--runtime', str(self.runtime),
-                           '--truth', str(self.truth_file)])
-        self._await(endpoints.exists, CELL)
-        self._say(f'virtual cell {self.cell.description.machine.name} is up')
-        return yaml.safe_load(endpoints.read_text(encoding='utf-8'))
+    def _endpoints(self) -> dict[str, dict]:
+        """The instruments' addresses by machine; a virtual cell is started for them."""
+        if self.hardware:
+            found = {m.namespace: hardware_endpoints(m.cell) for m in self.machines[:1]}
+            for machine in self.machines[1:]:
+                found[machine.namespace] = found[self.namespace] | {
+                    k: v for k, v in hardware_endpoints(machine.cell).items() if k in ('psd', 'cnc')}
+            return found
+        file = self.runtime / 'endpoints.yaml'
+        file.unlink(missing_ok=True)
+        self._spawn(_Child(CELL, [sys.executable, '-m', 'stepdiag_ros.virtual.cell_process',
+                                  str(self.cell_path), '--runtime', str(self.runtime),
+                                  '--truth', str(self.truth_file)], None))
+        self._await(file.exists, CELL)
+        self._say(f'virtual cell {self.machines[0].cell.description.machine.name} is up')
+        first = yaml.safe_load(file.read_text(encoding='utf-8'))
+        return {self.namespace: first} | {
+            namespace_of(name): yaml.safe_load(Path(path).read_text(encoding='utf-8'))
+            for name, path in first.get('machines', {}).items()}
 
-    def _node_command(self, node: str) -> list[str]:
+    def _command(self, machine: _Machine, node: str) -> list[str]:
         return [sys.executable, '-m', f'stepdiag_ros.nodes.{node}', '--ros-args',
-                '-r', f'__ns:={self.namespace}', '--params-file', str(self.runtime / 'parameters.yaml')]
+                '-r', f'__ns:={machine.namespace}', '--params-file', str(machine.runtime / PARAMETERS)]
 
-    def _spawn(self, name: str, command: list[str]) -> None:
-        log = open(self.log_file(name), 'ab')
-        try:
+    def _spawn(self, child: _Child) -> None:
+        with open(self.log_file(child.name), 'ab') as log:
             # A session of its own: Ctrl-C reaches this process alone, which ends the others
             # in order.
-            process = subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT,
-                                       stdin=subprocess.DEVNULL, start_new_session=True,
-                                       preexec_fn=_end_with_parent)
-        finally:
-            log.close()
-        if name in self._children:
-            self._children[name].process = process
-        else:
-            self._children[name] = _Child(name, command, process)
+            child.process = subprocess.Popen(child.command, stdout=log, stderr=subprocess.STDOUT,
+                                             stdin=subprocess.DEVNULL, start_new_session=True,
+                                             preexec_fn=_end_with_parent)
+        self._children[child.name] = child
 
     def log_file(self, name: str) -> Path:
         """What a process wrote."""
-        return self.runtime / f'{name.replace(" ", "_")}.log'
+        return self.runtime / f'{name.replace(" ", "_").replace("/", "_")}.log'
 
     def _await(self, ready: Callable[[], bool], name: str) -> None:
         end = time.monotonic() + START_TIMEOUT_S
@@ -171,15 +207,15 @@ class Bringup:
         lines = self.log_file(name).read_text(encoding='utf-8', errors='replace').strip().splitlines()
         return lines[-1].removeprefix('stepdiag: ') if lines else 'without a word'
 
-    def activate(self, node: str) -> None:
+    def _activate(self, child: _Child) -> None:
         """Configure and activate one node."""
         from stepdiag_ros.nodes.operator import ACTIVE
         try:
-            self.operator.bring(node, ACTIVE, START_TIMEOUT_S)
+            self.operator_of(child.namespace).bring(child.node, ACTIVE, START_TIMEOUT_S)
         except StepdiagError as error:
-            if self._children[node].process.poll() is not None:
-                raise StepdiagError(f'{node} ended while it was being started: '
-                                    f'{self._last_words(node)}') from None
+            if child.process.poll() is not None:
+                raise StepdiagError(f'{child.name} ended while it was being started: '
+                                    f'{self._last_words(child.name)}') from None
             raise error
 
     # -- watch -------------------------------------------------------------------
@@ -200,46 +236,48 @@ class Bringup:
                 raise StepdiagError(f'{child.name} died {len(child.deaths)} times within a minute: '
                                     f'{self._last_words(child.name)}')
             self._say(f'{child.name} {how}; starting it again')
-            if child.name == 'recorder':
-                self._spare_bag()
-            self._spawn(child.name, child.command)
-            self.activate(child.name)
+            if child.node == 'recorder':
+                self._spare_bag(child)
+            self._spawn(child)
+            self._activate(child)
             self.restarts += 1
             self._say(f'{child.name} is active again')
             revived.append(child.name)
         return revived
 
-    def _spare_bag(self) -> None:
+    def _spare_bag(self, recorder: _Child) -> None:
         """A recorder that is started again writes beside the bag that its death tore."""
-        status = self.operator.recorder
-        torn = Path(status.bag) if status is not None and status.bag else self._bag
+        machine = next(m for m in self.machines if m.namespace == recorder.namespace)
+        status = self.operator_of(recorder.namespace).recorder
+        torn = Path(status.bag) if status is not None and status.bag else machine.bag
         if torn is None:
             return
         number = 2
         while (after := torn.parent / f'{torn.name}_{number}').exists():
             number += 1
         self._say(f'{torn} is torn; mend it with: stepdiag recover {torn}; going on in {after}')
-        self._children['recorder'].command = [*self._node_command('recorder'), '-p', f'bag:={after}']
+        recorder.command = [*self._command(machine, 'recorder'), '-p', f'bag:={after}']
 
     # -- stop --------------------------------------------------------------------
 
     def stop(self) -> None:
-        """End everything: the sequencer first (the machine stands), the recorder after the
-        sources, the virtual cell last."""
-        order = [n for n in reversed(self._nodes) if n not in ('recorder', 'evaluation_solver')]
-        for group in (order[:1], order[1:], ['evaluation_solver', 'recorder'], [CELL]):
-            self._end([self._children[n] for n in group if n in self._children])
+        """End everything: sequencers first (the machines stand), recorders after the sources,
+        the virtual cell last."""
+        last = ('evaluation_solver', 'gap_monitor', 'recorder')
+        for wanted in (lambda n: n == 'step_sequencer', lambda n: n and n not in last,
+                       lambda n: n in last, lambda n: not n):
+            self._end([child for child in self._children.values()
+                       if child.process.poll() is None and wanted(child.node)])
         self._children.clear()
-        if self._operator is not None:
-            self._operator.close()
-            self._operator = None
+        for operator in self._operators.values():
+            operator.close()
+        self._operators.clear()
         if self._own_runtime and not self._failed:
             shutil.rmtree(self.runtime, ignore_errors=True)
 
     def _end(self, children: list[_Child]) -> None:
         for child in children:
-            if child.process.poll() is None:
-                child.process.terminate()
+            child.process.terminate()
         end = time.monotonic() + GRACE_S
         for child in children:
             try:
@@ -248,12 +286,6 @@ class Bringup:
                 self._say(f'{child.name} does not end; killing it')
                 child.process.kill()
                 child.process.wait()
-
-
-def available(nodes: tuple[str, ...]) -> tuple[str, ...]:
-    """Those of ``nodes`` that are installed."""
-    folder = Path(__file__).parent
-    return tuple(node for node in nodes if (folder / f'{node}.py').exists())
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -280,7 +312,8 @@ def run(arguments: argparse.Namespace) -> int:
     with Bringup(arguments.cell, hardware=arguments.hardware, namespace=arguments.namespace,
                  bag=arguments.bag, bag_folder=arguments.bag_folder, runtime=arguments.runtime,
                  say=say) as cell:
-        say(f'calibrate with: stepdiag calibrate {cell.namespace}   (Ctrl-C ends)')
+        for machine in cell.machines:
+            say(f'calibrate with: stepdiag calibrate {machine.namespace}   (Ctrl-C ends)')
         while not asked:
             cell.watch()
             time.sleep(0.2)

@@ -52,14 +52,13 @@ class DriverNode(StepdiagNode):
     def serve_select(self, name: str, prefix: str = '') -> None:
         """Offer the service that changes the setup (of the machine below ``prefix``)."""
         def answer(request, response):
-            if not request.setup:
-                response.message = f'{self.sensor}: no setup was named'
-                return response
             return self.between_blocks(lambda: self.select(request.setup, prefix), response)
         self.create_service(SelectSetup, name, answer)
 
     def select(self, setup: str, prefix: str) -> None:
-        """Another setup from the next block on (in the acquisition's thread)."""
+        """Another setup from the next block on (in the acquisition's thread); empty: none is needed."""
+        if not setup:
+            return
         if hasattr(self.instrument, 'select_setup'):
             self.instrument.select_setup(setup)
         self.setup = setup

@@ -19,8 +19,6 @@ from stepdiag_ros.virtual.cell import Cell
 #: first, the sequencer last.
 NODES = ('recorder', 'evaluation_solver', 'gap_monitor', 'interferometer_driver', 'psd_driver',
          'step_sequencer')
-#: A machine can be calibrated without these.
-OPTIONAL = ('gap_monitor',)
 PARAMETERS = 'parameters.yaml'
 DESCRIPTION_FILE = 'cell_description.yaml'
 
@@ -32,9 +30,6 @@ class Graph:
     namespace: str
     nodes: tuple[str, ...]
     parameters_file: Path
-
-    def full_name(self, node: str) -> str:
-        return f'{self.namespace}/{node}'
 
 
 def namespace_of(machine: str) -> str:
@@ -51,6 +46,9 @@ def hardware_endpoints(cell: Cell) -> dict[str, dict[str, Any]]:
              'psd': {'host': instruments.psd.host, 'port': instruments.psd.port,
                      'stream_port': instruments.psd_stream.port},
              'cnc': {'host': instruments.cnc.host, 'port': instruments.cnc.port}}
+    if instruments.multiplexer:
+        found['switch'] = {'host': instruments.switch.host, 'port': instruments.switch.port,
+                           'channels': {m: i + 1 for i, m in enumerate(instruments.multiplexer)}}
     for name, where in found.items():
         for key in ('port', 'stream_port'):
             if where.get(key) == 0:
@@ -68,6 +66,12 @@ def parameters(cell: Cell, endpoints: Mapping[str, Mapping[str, Any]], descripti
     codes = where['cnc'].get('setup_codes') or {}
     beams = max(len(setup.beams) for setup in cell.description.setups.values())
 
+    switch: dict[str, Any] = {'serves': ['']}
+    if endpoints.get('switch'):
+        switch = {'switch_host': endpoints['switch']['host'], 'switch_port': endpoints['switch']['port'],
+                  'serves': [f'{namespace_of(machine).strip("/")}={channel}' for machine, channel
+                             in endpoints['switch']['channels'].items()]}
+
     def rate(value: float) -> dict[str, Any]:
         return {'sample_rate': float(value), 'block_samples': max(1, round(value * sampling.block))}
 
@@ -78,8 +82,7 @@ def parameters(cell: Cell, endpoints: Mapping[str, Mapping[str, Any]], descripti
         'interferometer_driver': {
             'host': where['interferometer']['host'], 'port': where['interferometer']['port'],
             'setup': first, 'beams': beams, 'environment_period': max(0.5, float(cell.air.period)),
-            'serves': [namespace_of(m) for m in cell.instruments.multiplexer] or [''],
-            **rate(sampling.interferometer)},
+            **switch, **rate(sampling.interferometer)},
         'psd_driver': {
             'host': where['psd']['host'], 'port': where['psd']['port'],
             'stream_port': where['psd']['stream_port'], 'setup': first,

@@ -1,9 +1,12 @@
 """The interferometer's node: ``interferometer/displacement`` and ``environment/…``.
 
 Services ``interferometer/select_setup`` and ``interferometer/reset`` are called by the
-sequencer at the start of each run.  One instrument may serve several machines: the
-parameter ``serves`` names their namespaces, and the blocks go to the machine whose
-setup was selected last.
+sequencer at the start of each run.
+
+One instrument may serve several machines through an optical switch: the parameter
+``serves`` names their namespaces and channels.  The blocks go to the machine whose setup
+was selected last; it keeps the laser until it selects no setup any more (an empty name)
+or has been idle for ``hold``.
 """
 
 import array
@@ -15,10 +18,14 @@ import numpy as np
 from sensor_msgs.msg import FluidPressure, RelativeHumidity, Temperature
 from std_msgs.msg import Header
 
-from stepdiag_msgs.msg import Displacement
+from stepdiag_msgs.msg import Displacement, Step
 from stepdiag_msgs.srv import ResetDisplacement
+from stepdiag_ros.bag.schemas import STEP
 from stepdiag_ros.devices.base import DisplacementBlock
 from stepdiag_ros.devices.ids3010 import PORT, Ids3010
+from stepdiag_ros.devices.optical_switch import PORT as SWITCH_PORT
+from stepdiag_ros.devices.optical_switch import OpticalSwitch
+from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.nodes.base import ERROR, OK, WARN, Health, overridable, reliable, run_node
 from stepdiag_ros.nodes.driver import DriverNode
 from stepdiag_ros.nodes.stamps import stamp_of
@@ -52,14 +59,26 @@ class InterferometerDriver(DriverNode):
         super().__init__('interferometer_driver', PORT)
         self.count('beams', 1, 'axes of the instrument that look at the mirror', 1, 3)
         self.number('environment_period', 1.0, 'between two readings of the air', 0.5, 60.0, 's')
-        served = self.text('serves', [''], 'namespaces of the machines that share this instrument; '
-                                           'empty: its own only')
-        prefixes = [f'/{name.strip("/")}/' for name in served if name.strip('/')] or ['']
-        self._machines = {prefix: _Machine(self, prefix) for prefix in prefixes}
-        self._prefix = prefixes[0]
-        for prefix in prefixes:
+        self.text('switch_host', '', 'host name or address of the optical switch; empty: there is none')
+        self.count('switch_port', SWITCH_PORT, 'TCP port of the optical switch', 1, 65535)
+        self.number('hold', 60.0, 'rest after which a machine loses the laser to another that asks',
+                    1.0, 36_000.0, 's')
+        served = self.text('serves', [''], 'machines that share this instrument, namespace=channel of the '
+                                           'switch, e.g. left=1; empty: its own machine only')
+        self._channels = _channels(served)
+        self._machines = {prefix: _Machine(self, prefix) for prefix in self._channels}
+        self._prefix = next(iter(self._channels))
+        self._holder: str | None = None
+        self._used_s = 0.0
+        self._switch: OpticalSwitch | None = None
+        for prefix in self._channels:
             self.serve_select(f'{prefix}interferometer/select_setup', prefix)
-            self.create_service(ResetDisplacement, f'{prefix}interferometer/reset', self._on_reset)
+            self.create_service(
+                ResetDisplacement, f'{prefix}interferometer/reset',
+                lambda request, response, prefix=prefix: self._on_reset(prefix, response))
+            if len(self._channels) > 1:
+                self.create_subscription(Step, f'{prefix}{STEP}',
+                                         lambda _step, prefix=prefix: self._use(prefix), reliable(100))
         self._next_environment = 0.0
         self._zero_known = False
         self._quality = 0
@@ -68,6 +87,20 @@ class InterferometerDriver(DriverNode):
     def build(self) -> Ids3010:
         return Ids3010(self.value('host'), self.value('port'), self.value('beams'),
                        self.value('timeout'))
+
+    def configure(self) -> None:
+        if self.value('switch_host'):
+            self._switch = OpticalSwitch(self.value('switch_host'), self.value('switch_port'),
+                                         self._channels, self.value('timeout'))
+            self._switch.connect()
+            self._switch.select(self._prefix)
+        super().configure()
+
+    def cleanup(self) -> None:
+        super().cleanup()
+        if self._switch is not None:
+            self._switch.close()
+            self._switch = None
 
     def activate(self) -> None:
         # Until the first reset nobody knows from where the distance counts: no signal.
@@ -88,13 +121,31 @@ class InterferometerDriver(DriverNode):
         self._zero_known = False
 
     def select(self, setup: str, prefix: str) -> None:
+        idle_s = time.monotonic() - self._used_s
+        if self._holder not in (None, prefix) and idle_s < self.value('hold'):
+            raise StepdiagError(f'the laser serves {self._holder.strip("/")}, which used it '
+                                f'{idle_s:.0f} s ago')
+        if not setup:
+            self._holder = None
+            return
+        if self._switch is not None and prefix != self._prefix:
+            self._switch.select(prefix)
+            self._zero_known = False
+        self._holder, self._prefix = prefix, prefix
+        self._use(prefix)
         super().select(setup, prefix)
-        self._prefix = prefix
 
-    def _on_reset(self, _request, response):
+    def _use(self, prefix: str) -> None:
+        if prefix == self._holder:
+            self._used_s = time.monotonic()
+
+    def _on_reset(self, prefix: str, response):
         def reset() -> None:
+            if prefix != self._prefix:
+                raise StepdiagError(f'the laser serves {self._prefix.strip("/")}')
             self.instrument.reset()
             self._zero_known = True
+            self._use(prefix)
         return self.between_blocks(reset, response)
 
     def publish(self, block: DisplacementBlock) -> None:
@@ -134,6 +185,18 @@ class InterferometerDriver(DriverNode):
         if values['blocks'] and self._quality == 0:
             return Health(WARN, 'no signal: the beam does not come back', values)
         return super().judge(values)
+
+
+def _channels(served: list[str]) -> dict[str, int]:
+    """``['left=1', 'right=2']`` -> topic prefixes and channels; nothing named: no prefix."""
+    channels = {}
+    for entry in filter(None, served):
+        name, _, channel = entry.partition('=')
+        if not name.strip('/') or not channel.isdigit():
+            raise StepdiagError(f'interferometer_driver: parameter serves holds {entry!r}; '
+                                'write namespace=channel, e.g. left=1')
+        channels[f'/{name.strip("/")}/'] = int(channel)
+    return channels or {'': 1}
 
 
 def main() -> int:

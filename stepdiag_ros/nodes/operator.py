@@ -56,6 +56,20 @@ class Calibration:
         return self.how == 'succeeded'
 
 
+def running_machines(wait_s: float = 5.0) -> list[str]:
+    """Namespaces in which a sequencer runs; waits until one is found, and a little longer."""
+    with Operator('') as anybody:
+        end, found = time.monotonic() + wait_s, set()
+        while time.monotonic() < end:
+            seen = {space for name, space in anybody.node.get_node_names_and_namespaces()
+                    if name == 'step_sequencer'}
+            if seen and seen == found:
+                break
+            found = seen
+            time.sleep(0.5)
+        return sorted(found)
+
+
 class Operator:
     """Talks to the nodes below ``namespace``; a context manager.
 

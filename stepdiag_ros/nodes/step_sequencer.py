@@ -203,6 +203,7 @@ class StepSequencer(StepdiagNode):
             outcome, how = Outcome((), 0), 'abort'
             message = f'{type(error).__name__}: {error}'
             self.get_logger().error(message)
+        self._release()
         done.set_result((how, RunStepDiagonal.Result(
             success=how == 'succeed', message=message, run_ids=list(outcome.run_ids),
             stops=outcome.stops)))
@@ -214,7 +215,8 @@ class StepSequencer(StepdiagNode):
                 f'refused: {goal.steps} steps were asked for and the cell description that is being '
                 f'recorded says {self.description.plan.steps}; set the parameter steps of '
                 f'{self.get_name()} and begin a new bag (stepdiag calibrate --steps does both)')
-        course(self.description, goal.setups)   # an unknown setup is refused before anything waits
+        asked = course(self.description, goal.setups)   # unknown setups are refused at once
+        self._claim(handle, asked[0].setup)
         self._await_ready(handle)
         bag = self._watch.recording.bag
         self._begin_bag(bag)
@@ -240,6 +242,33 @@ class StepSequencer(StepdiagNode):
         finally:
             for run in runs:
                 self._repeats[run.setup] = run.repeat + 1
+
+    def _claim(self, handle: ServerGoalHandle, setup: str) -> None:
+        """Have the laser for this machine; others may share it and be using it."""
+        client, end = self._select['interferometer'], time.monotonic() + self.value('ready_timeout')
+        while client.wait_for_service(timeout_sec=1.0):
+            response = self._ask(client, SelectSetup.Request(setup=setup), 2.0)
+            if response is None or response.success:
+                return   # a driver that does not answer shows as a silent source
+            if handle.is_cancel_requested or self._leave.is_set():
+                raise Cancelled
+            if time.monotonic() > end:
+                raise StepdiagError(f'refused to start: {response.message}')
+            time.sleep(0.2)
+
+    def _release(self) -> None:
+        """Others may have the laser."""
+        client = self._select['interferometer']
+        if client.service_is_ready():
+            self._ask(client, SelectSetup.Request(setup=''), 2.0)
+
+    @staticmethod
+    def _ask(client, request, timeout_s: float):
+        """The service's response, ``None`` if there is none in time."""
+        answered = threading.Event()
+        future = client.call_async(request)
+        future.add_done_callback(lambda _future: answered.set())
+        return future.result() if answered.wait(timeout_s) else None
 
     def _await_ready(self, handle: ServerGoalHandle) -> None:
         """Every source delivers and the recorder hears it, or the goal is refused."""

@@ -58,6 +58,11 @@ def write_cell(folder: Path, name: str = 'tiny', dwell: float = 0.12) -> Path:
     return path
 
 
+@pytest.fixture(name='write_cell')
+def _write_cell() -> Callable[..., Path]:
+    return write_cell
+
+
 @pytest.fixture
 def cell_file(tmp_path: Path) -> Path:
     return write_cell(tmp_path)
