@@ -1,6 +1,6 @@
 """A quiet cell, its log with and without an effect, and what the diagnosis sees of it."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -64,9 +64,9 @@ class Bench:
         return found, float(np.linalg.norm(target - columns @ found) / np.linalg.norm(target))
 
 
-@pytest.fixture(scope='session')
-def bench() -> Bench:
-    cell = parse_cell(TEXT)
+def bench_of(text: str) -> Bench:
+    """A cell file's text, simulated and observed."""
+    cell = parse_cell(text)
     log = simulate_log(cell)
     plain = observe(log)
     jacobian = plain.fit.jacobian.toarray()
@@ -75,6 +75,18 @@ def bench() -> Bench:
     return Bench(cell, log, plain, vector[:, value > 1e-9 * value[0]])
 
 
-@pytest.fixture
-def quiet_cell(bench) -> Cell:
-    return replace(bench.cell)
+@pytest.fixture(scope='session')
+def bench() -> Bench:
+    return bench_of(TEXT)
+
+
+@pytest.fixture(scope='session')
+def other_bench() -> Bench:
+    """A moving table, three beams, another order of the axes."""
+    text = TEXT.replace('{name: quiet,', '{name: other, chain: XYFZ,')
+    text = text.replace('steps: 4,', 'steps: 4, order: ZXY,')
+    text = text.replace('psd_offset: [0.02, 0.01]', 'psd_offset: [0.02, 0.01], beams: [[0, 0], [0.025, 0], [0, 0.025]]')
+    # Three beams a nanometre apart would be all but exactly one another at the quiet cell's noise.
+    text = text.replace('1.0e-11', '1.0e-9').replace('1.0e-10, angle_repeatability: 1.0e-10',
+                                                     '1.0e-8, angle_repeatability: 1.0e-8')
+    return bench_of(text)

@@ -219,4 +219,27 @@ def test_forms_are_whole(bench, name):
 def test_forms_are_few(bench, name):
     forms = effect_class(name)().appearance(bench.view)
     assert 0 < len(forms) <= 60
-    assert max(len(form.names) for form in forms) <= 56
+    assert len({form.label for form in forms}) == len(forms)
+
+
+@pytest.mark.parametrize(('name', 'values', 'words'), [
+    ('squareness_drift', {'amp': [2e-6, 4e-6, -6e-6]}, ('exponential',)),
+    ('structural_thermal_drift', {'amp': [2e-6, 4e-6, -6e-6]}, ('exponential',)),
+    ('scale_thermal_expansion', {'alpha': 1e-5, 'dT': [1.0, -0.5, 0.8]}, ('exponential',)),
+    ('beam_pointing_drift', {'amp': [1e-5, -2e-5]}, ('exponential',)),
+    ('mirror_curvature', {'radius': 5000.0, 'astigmatism': 0.4}, ('quadratic',)),
+    ('non_rigid_coupling', {'motion': 'EAY', 'by': 'X', 'amp': 1e-5}, ('EAY by X, product',)),
+    ('backlash', {'B': [1e-6, 2e-6, 5e-7]}, ('constant reversal, carried over',))])
+def test_on_a_moving_table_with_three_beams(other_bench, name, values, words):
+    if words == ('exponential',):
+        tau = drift_tau(other_bench.view)
+        values, words = {**values, 'tau': tau}, (f'exponential, τ = {tau:.0f} s',)
+    found = compare(other_bench, name, values, *words, limit=0.02)
+    assert np.isfinite(found).all()
+
+
+def test_a_slip_of_one_beam_alone_has_a_form(other_bench):
+    forms = effect_class('count_slip')().appearance(other_bench.view)
+    alone = [f for f in forms if f.label.endswith('beam 1')]
+    assert len(alone) == len(forms) / 4
+    assert all(f.columns[0, :, 1].any() and not f.columns[0, :, [0, 2]].any() for f in alone)
