@@ -96,3 +96,41 @@ def diagonal_corners():
         end[2] = machine.volume[2]
         return np.stack([start, end])
     return corners
+
+
+@pytest.fixture
+def plan_of():
+    """``make(steps, repeats, beams, chain, names)``: the machine of fig. 5 with a tool, its setups and plan."""
+    from stepdiag_ros.model.description import Description, Plan
+
+    def make(steps=4, repeats=2, beams=((0.0, 0.0),), chain='FXYZ', names=(*DIAGONALS, *LINEAR)):
+        machine = Machine('planned', chain, (0.8, 0.6, 0.5), (0.01, -0.02, -0.15))
+        setups = {}
+        for name in names:
+            length = machine.volume['xyz'.index(name[-1])] if name in LINEAR else None
+            setups[name] = Setup(name, 0.35, (0.02, 0.01), beams, length, 2 if length else None)
+        return Description(machine, Plan(steps, 'XYZ', repeats), setups)
+    return make
+
+
+@pytest.fixture
+def misaligned():
+    """``draw(description, size, seed)``: lasers and mirrors of the diagonals turned; linear setups aligned."""
+    from stepdiag_ros.model.sensor import Misalignment
+
+    def draw(description, size, seed=3):
+        rng = np.random.default_rng(seed)
+        return {name: Misalignment(tuple(rng.uniform(-size, size, 2)), tuple(rng.uniform(-size, size, 2)))
+                for name in description.setups if name in DIAGONALS}
+    return draw
+
+
+@pytest.fixture
+def silent():
+    """``table(table)``: the table of sensors without noise."""
+    from dataclasses import replace
+
+    def make(table):
+        return replace(table, displacement_scatter=np.zeros_like(table.displacement),
+                       spot_scatter=np.zeros_like(table.spot))
+    return make
