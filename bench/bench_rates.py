@@ -109,7 +109,8 @@ def measure(rate: float, seconds: float, virtual: bool, folder: Path) -> dict:
     try:
         if virtual:
             import yaml
-            (folder / 'cell.yaml').write_text(CELL.replace('RATE', str(rate)).replace('BLOCK', str(BLOCK_S)), encoding='utf-8')
+            text = CELL.replace('RATE', str(rate)).replace('BLOCK', str(BLOCK_S))
+            (folder / 'cell.yaml').write_text(text, encoding='utf-8')
             processes.append(spawn([sys.executable, '-m', 'stepdiag_ros.virtual.cell_process',
                                     str(folder / 'cell.yaml'), '--runtime', str(folder / 'run')],
                                    folder / 'cell.log'))

@@ -1,8 +1,8 @@
 """Run the calibration on a cell and evaluate it.
 
 TARGET is a cell file (the cell is brought up, calibrated and ended), or the namespace of a
-machine that `stepdiag up` runs, e.g. /demo; without it, the one that runs.  The log goes into a new bag.  Ctrl-C cancels:
-the machine stands still and the bag is whole.
+machine that `stepdiag up` runs, e.g. /demo; without it, the one that runs.  The log goes into
+a new bag.  Ctrl-C cancels: the machine stands still and the bag is whole.
 
   stepdiag calibrate cells/demo.yaml
   stepdiag calibrate /demo --setups ppp npp --repeats 1 --bag bags/today
@@ -83,9 +83,8 @@ def _target(args: argparse.Namespace, bag: Path | None, bar: Bar) -> Iterator[tu
     target = args.target
     if target is not None and (target.endswith(('.yaml', '.yml')) or Path(target).is_file()):
         from stepdiag_ros.nodes.bringup import Bringup
-        with Bringup(target, hardware=args.hardware, bag=bag, say=bar.say) as cell:
-            if args.steps:
-                cell.operator.new_log('' if bag is None else str(bag), args.steps)
+        with Bringup(target, hardware=args.hardware, bag=bag, steps=args.steps,
+                     say=bar.say) as cell:
             yield cell.operator, cell.watch
         return
     from stepdiag_ros.nodes.operator import Operator, running_machines

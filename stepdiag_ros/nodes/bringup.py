@@ -68,13 +68,14 @@ class Bringup:
 
     ``say(text)`` is told what happens.  ``runtime`` holds logs, parameters and the
     instruments' addresses; without it a temporary directory is made, and removed when
-    all went well.  Machines that share the laser (``multiplexer`` in the cell file) come up
-    together, each in its own namespace.
+    all went well.  ``steps``: of each axis along a diagonal, 0: the cell's.  Machines that
+    share the laser (``multiplexer`` in the cell file) come up together, each in its own
+    namespace.
     """
 
     def __init__(self, cell_path: str | Path, *, hardware: bool = False, namespace: str | None = None,
                  bag: Path | None = None, bag_folder: Path = Path('.'), runtime: Path | None = None,
-                 domain: int | None = None, nodes: tuple[str, ...] = NODES,
+                 domain: int | None = None, nodes: tuple[str, ...] = NODES, steps: int = 0,
                  say: Callable[[str], None] = lambda text: None):
         self.cell_path = Path(cell_path)
         cell = load_cell(cell_path)
@@ -85,7 +86,7 @@ class Bringup:
         self.hardware = hardware
         self.namespace = namespace_of(cell.description.machine.name) if namespace is None \
             else '/' + namespace.strip('/')
-        self._bag_folder = bag_folder
+        self._bag_folder, self._steps = bag_folder, steps
         self._own_runtime = runtime is None
         self.runtime = Path(tempfile.mkdtemp(prefix='stepdiag-')) if runtime is None else runtime
         self.runtime.mkdir(parents=True, exist_ok=True)
@@ -145,7 +146,8 @@ class Bringup:
         endpoints = self._endpoints()
         for machine in self.machines:
             graph = write_graph(machine.cell, endpoints[machine.namespace], machine.runtime,
-                                machine.namespace, machine.bag, self._bag_folder, machine.nodes)
+                                machine.namespace, machine.bag, self._bag_folder, machine.nodes,
+                                self._steps)
             for node in machine.nodes:
                 name = node if machine is self.machines[0] else f'{graph.namespace.strip("/")}/{node}'
                 self._spawn(_Child(name, self._command(machine, node), None, machine.namespace, node))

@@ -14,8 +14,8 @@ from dataclasses import replace
 
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
-from stepdiag_msgs.msg import GeometricErrors
 
+from stepdiag_msgs.msg import GeometricErrors
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate import Solution, evaluate
 from stepdiag_ros.model.machine import SQUARENESS

@@ -16,8 +16,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
-from stepdiag_msgs.msg import GapReport
 
+from stepdiag_msgs.msg import GapReport
 from stepdiag_ros.effects import all_effects
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate import Solution, evaluate

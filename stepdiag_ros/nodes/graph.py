@@ -58,8 +58,8 @@ def hardware_endpoints(cell: Cell) -> dict[str, dict[str, Any]]:
 
 
 def parameters(cell: Cell, endpoints: Mapping[str, Mapping[str, Any]], description_file: Path,
-               bag: Path | None, bag_folder: Path) -> dict[str, dict[str, Any]]:
-    """Parameters by node."""
+               bag: Path | None, bag_folder: Path, steps: int = 0) -> dict[str, dict[str, Any]]:
+    """Parameters by node; ``steps`` of an axis, 0: the cell's."""
     sampling, motion, detector = cell.sampling, cell.motion, cell.instruments.detector
     first = cell.setup_names[0]
     where = {name: dict(endpoints[name]) for name in ('interferometer', 'psd', 'cnc')}
@@ -92,21 +92,22 @@ def parameters(cell: Cell, endpoints: Mapping[str, Mapping[str, Any]], descripti
         'step_sequencer': {
             'host': where['cnc']['host'], 'port': where['cnc']['port'],
             'description_file': str(description_file), 'feed': float(motion.feed),
-            'dwell': float(motion.dwell),
+            'dwell': float(motion.dwell), 'steps': steps,
             'setup_codes': [f'{setup}={code}' for setup, code in codes.items()] or ['']},
     }
 
 
 def write_graph(cell: Cell, endpoints: Mapping[str, Mapping[str, Any]], runtime: Path,
                 namespace: str | None = None, bag: Path | None = None,
-                bag_folder: Path = Path('.'), nodes: tuple[str, ...] = NODES) -> Graph:
+                bag_folder: Path = Path('.'), nodes: tuple[str, ...] = NODES,
+                steps: int = 0) -> Graph:
     """Write description and parameter file into ``runtime``; what is to be started."""
     runtime.mkdir(parents=True, exist_ok=True)
     description_file = (runtime / DESCRIPTION_FILE).absolute()
     description_file.write_text(cell.description.to_yaml(), encoding='utf-8')
     space = namespace_of(cell.description.machine.name) if namespace is None \
         else '/' + namespace.strip('/')
-    wanted = parameters(cell, endpoints, description_file, bag, bag_folder)
+    wanted = parameters(cell, endpoints, description_file, bag, bag_folder, steps)
     content = {f'{space}/{name}': {'ros__parameters': wanted[name]} for name in nodes if wanted[name]}
     file = (runtime / PARAMETERS).absolute()
     file.write_text(yaml.safe_dump(content, sort_keys=False), encoding='utf-8')

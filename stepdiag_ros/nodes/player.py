@@ -56,5 +56,6 @@ class Player:
 
     def settle(self, timeout_s: float = 10.0) -> bool:
         """Wait until reliable readers have acknowledged; whether all did."""
-        return all([p.wait_for_all_acked(Duration(seconds=timeout_s))
-                    for p in self._publishers.values()])
+        late = [p for p in self._publishers.values()
+                if not p.wait_for_all_acked(Duration(seconds=timeout_s))]
+        return not late

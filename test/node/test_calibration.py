@@ -167,6 +167,7 @@ def test_a_second_goal_at_the_same_time_is_rejected(cell, live):
 
 def test_the_gap_monitor_publishes_its_report_when_all_is_measured(cell, live, eventually):
     from rclpy.qos import DurabilityPolicy, QoSProfile
+
     from stepdiag_msgs.msg import GapReport, GeometricErrors
 
     operator, heard = cell.operator, {}
