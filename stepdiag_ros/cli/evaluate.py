@@ -26,7 +26,7 @@ FAR_FROM_MODEL = 2.0
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('bag', metavar='BAG', nargs='+', help='rosbag2 folder or .mcap file')
-    parser.add_argument('--method', default='enhanced', choices=[m for m in METHODS],
+    parser.add_argument('--method', default='enhanced', choices=list(METHODS),
                         help='method of evaluation (default: enhanced)')
     parser.add_argument('--namespace', help="the machine's namespace where a log holds several")
     parser.add_argument('--json', action='store_true', help='print the whole answer as JSON')

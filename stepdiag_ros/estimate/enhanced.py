@@ -140,7 +140,7 @@ def fit(description: Description, table: StopTable, noise: NoiseModel | None = N
 
     value = objective(theta, predicted)
     converged = False
-    for iteration in range(1, MAX_ITERATIONS + 1):
+    for iteration in range(1, MAX_ITERATIONS + 1):  # noqa: B007 - it is reported below
         residual = np.where(present, readings - predicted, 0.0)
         normal, right = normal_equations(jacobian, residual.ravel(), white)
         factor, scale = _factor(normal + precision)

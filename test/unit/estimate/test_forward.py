@@ -90,7 +90,7 @@ def test_readings_are_those_of_the_contract(plan_of, draw_errors, misaligned, ch
     description = plan_of(4, 1, beams, chain)
     errors = draw_errors(description.machine, 4, framed=False)
     # Squareness is no unknown of its own: it is a slope of a straightness curve.
-    straight = {name: curve for name, curve in errors.curves.items()}
+    straight = dict(errors.curves)
     for name, square, sign in (('EXY', 'EC0Y', -1.0), ('EXZ', 'EB0Z', 1.0), ('EYZ', 'EA0Z', -1.0)):
         curve = straight[name]
         straight[name] = Curve(curve.position, curve.value + sign * errors.square[square] * curve.position)
