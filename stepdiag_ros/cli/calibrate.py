@@ -10,6 +10,8 @@ a new bag.  Ctrl-C cancels: the machine stands still and the bag is whole.
 
 import argparse
 import json
+import sys
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -72,8 +74,18 @@ def run(args: argparse.Namespace) -> int:
 
 def measure(operator: Any, bar: Bar, args: argparse.Namespace, meanwhile=lambda: None) -> Any:
     """Send the goal with the command's options; progress on the bar."""
+    from stepdiag_ros.nodes.step_sequencer import ASK
+
     def show(feedback) -> None:
         bar.show(feedback.stop, feedback.stops, feedback.doing, feedback.time_left)
+        if feedback.doing.startswith(ASK):
+            threading.Thread(target=confirm, args=(feedback.setup,), daemon=True).start()
+
+    def confirm(setup: str) -> None:
+        print(f'\nMount base unit and mirror for {setup}, then press Enter.', file=sys.stderr, flush=True)
+        if sys.stdin.readline():   # at the end of input nobody can confirm: wait for the service
+            operator.mounted()
+
     return operator.calibrate(args.setups, args.repeats, args.dwell, show, args.steps, meanwhile)
 
 

@@ -8,6 +8,7 @@ publishes ``gap_report``.
 
 import json
 import math
+import os
 import sys
 import threading
 import time
@@ -160,6 +161,7 @@ def report_message(diagnosis: Diagnosis, time_ns: int) -> GapReport:
 
 
 def main() -> int:
+    os.nice(10)   # watching must not delay those who measure
     return run_node(GapMonitor)
 
 

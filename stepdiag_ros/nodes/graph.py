@@ -93,7 +93,9 @@ def parameters(cell: Cell, endpoints: Mapping[str, Mapping[str, Any]], descripti
             'host': where['cnc']['host'], 'port': where['cnc']['port'],
             'description_file': str(description_file), 'feed': float(motion.feed),
             'dwell': float(motion.dwell), 'steps': steps,
-            'setup_codes': [f'{setup}={code}' for setup, code in codes.items()] or ['']},
+            'setup_codes': [f'{setup}={code}' for setup, code in codes.items()] or [''],
+            # Where no code mounts the mirrors, as on most machines, a person does.
+            'ask_operator': not codes},
     }
 
 

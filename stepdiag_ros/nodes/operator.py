@@ -267,6 +267,12 @@ class Operator:
         if self._handle is not None:
             self._handle.cancel_goal_async()
 
+    def mounted(self) -> None:
+        """Tell the sequencer that the setup it waits for is mounted."""
+        answer = self._call(Trigger, 'sequencer/mounted', Trigger.Request(), 10.0)
+        if not answer.success:
+            raise StepdiagError(answer.message)
+
     def evaluate(self, timeout_s: float = 300.0) -> dict[str, Any]:
         """Have the solver evaluate now; the document of ``stepdiag evaluate --json``."""
         answer = self._call(Trigger, 'evaluate', Trigger.Request(), timeout_s)

@@ -9,6 +9,8 @@ goal ends at once, nothing has moved, and the result's message names what is sil
 import sys
 import threading
 import time
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 from geometry_msgs.msg import Point
@@ -16,6 +18,7 @@ from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.task import Future
 from std_msgs.msg import Header, String
+from std_srvs.srv import Trigger
 
 from stepdiag_msgs.action import RunStepDiagonal
 from stepdiag_msgs.msg import Displacement, RecorderStatus, SpotPosition, Step
@@ -33,6 +36,8 @@ from stepdiag_ros.nodes.watch import Recording, Watch
 #: Setup services wait for an operator who mounts a mirror.
 SERVICE_TIMEOUT_S = 60.0
 ACTION = 'run_step_diagonal'
+#: Feedback begins with this while a person is waited for.
+ASK = 'waiting until somebody has mounted'
 
 
 class StepSequencer(StepdiagNode):
@@ -53,6 +58,8 @@ class StepSequencer(StepdiagNode):
                     'be taken after its stamp', 0.0, 10.0, 's')
         self.text('origin', [0.0, 0.0, 0.0], "machine coordinates of the volume's lower corner [m]")
         self.text('setup_codes', [''], 'what has a mirror mounted: setup=M-code, e.g. ppp=M101')
+        self.text('ask_operator', False, 'a setup without a code is mounted by a person, who confirms by the '
+                                         'service sequencer/mounted')
         self.text('listeners', ['recorder', 'evaluation_solver'],
                   'nodes that must be connected to sequencer/step before a start')
         self.text('sources', [DISPLACEMENT, SPOT], 'topics that must deliver before a start')
@@ -78,6 +85,8 @@ class StepSequencer(StepdiagNode):
             self.create_subscription(kinds[topic][0], topic, kinds[topic][1], reliable(),
                                      qos_overriding_options=overridable())
         self.create_subscription(RecorderStatus, 'recorder/status', self._on_recorder, reliable(10))
+        self._mounted, self._asking = threading.Event(), False
+        self.create_service(Trigger, 'sequencer/mounted', self._on_mounted)
         self._action = ActionServer(
             self, RunStepDiagonal, ACTION, self._execute, goal_callback=self._on_goal,
             cancel_callback=lambda _handle: CancelResponse.ACCEPT)
@@ -233,8 +242,12 @@ class StepSequencer(StepdiagNode):
                 stops=progress.total, axis=progress.axis, time_left=progress.time_left_s,
                 doing=progress.doing))
 
+        def mount(setup: str) -> None:
+            self._mount(setup, cancelled,
+                        lambda: report(replace(self._progress, doing=f'{ASK} setup {setup}')))
+
         dwell = goal.dwell if goal.dwell > 0.0 else self.value('dwell')
-        runner = Runner(self.controller, self._announce, self._mount, self._zero,
+        runner = Runner(self.controller, self._announce, mount, self._zero,
                         lambda setup: self._watch.check(bag, setup), report, cancelled,
                         self.value('feed'), dwell, self.value('guard'))
         try:
@@ -307,8 +320,24 @@ class StepSequencer(StepdiagNode):
             self.controller.connect()
         self.controller.make_ready()
 
-    def _mount(self, setup: str) -> None:
+    def _on_mounted(self, _request, response: Trigger.Response) -> Trigger.Response:
+        response.success = self._asking
+        response.message = '' if self._asking else 'no setup is waited for'
+        self._mounted.set()
+        return response
+
+    def _mount(self, setup: str, cancelled: Callable[[], bool], ask: Callable[[], None]) -> None:
+        """Mirror, base unit and sensors to a setup, by the control's code or a person's hands."""
         self.controller.select_setup(setup)
+        if self.value('ask_operator') and setup not in _codes(self.value('setup_codes')):
+            self._mounted.clear()
+            self._asking = True
+            ask()
+            while not self._mounted.wait(0.1):
+                if cancelled():
+                    self._asking = False
+                    raise Cancelled
+            self._asking = False
         for sensor, client in self._select.items():
             self._call(client, SelectSetup.Request(setup=setup), f'{sensor}/select_setup')
         self._watch.begin()

@@ -185,3 +185,25 @@ def test_the_gap_monitor_publishes_its_report_when_all_is_measured(cell, live, e
     errors = heard['geometric_errors']
     assert json.loads(errors.json)['dof'] == errors.dof > 0
     assert errors.squareness[0] == json.loads(errors.json)['errors']['EC0Y']['value']
+
+
+def test_a_setup_without_a_code_waits_for_a_person(cell, live):
+    from stepdiag_ros.nodes.step_sequencer import ASK
+    operator, asked = cell.operator, []
+    operator.new_log(str(cell.runtime.parent / 'by_hand'))
+    codes = ['ppp=M101']       # lin_x has none: the virtual mirror stays where it is
+    operator.set_parameters('step_sequencer', {'ask_operator': True, 'setup_codes': codes})
+    with pytest.raises(StepdiagError, match='no setup is waited for'):
+        operator.mounted()
+
+    def confirm(feedback) -> None:
+        if feedback.doing.startswith(ASK):
+            asked.append(feedback.setup)
+            threading.Thread(target=operator.mounted).start()
+    try:
+        outcome = operator.calibrate(setups=['ppp', 'lin_x'], feedback=confirm, meanwhile=lambda: (
+            operator.cancel() if asked == ['lin_x'] else None))
+    finally:
+        operator.set_parameters('step_sequencer', {
+            'ask_operator': False, 'setup_codes': ['ppp=M101', 'lin_x=M102']})
+    assert asked == ['lin_x'] and outcome.how == 'canceled' and outcome.stops >= 8
