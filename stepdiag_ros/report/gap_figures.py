@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from stepdiag_ros.estimate.reduce import StopTable
 from stepdiag_ros.estimate.solution import Solution
 from stepdiag_ros.model.machine import CURVES, SQUARENESS
-from stepdiag_ros.report.series import Series
+from stepdiag_ros.report.series import Inside, Series
 from stepdiag_ros.report.words import setup_words
 
 INK, SOFT, GRID = '#22282e', '#6b747c', '#e4e7ea'
@@ -23,6 +23,7 @@ STYLE = {'font.family': 'sans-serif', 'font.size': 8.5, 'text.color': INK, 'axes
          'xtick.major.size': 2.5, 'ytick.major.size': 2.5, 'legend.frameon': False}
 CHANNEL_NAMES = ('length', 'spot x', 'spot y')
 K = 2.0
+MEAN_OF = 8
 ASTRAY = 6.0
 """A curve this much wider than the right one is let out of its panel."""
 
@@ -141,8 +142,11 @@ def over_time(parts: Series, table: StopTable) -> Figure:
             begin = minutes[first]
             ax.axvline(begin, color='#c4cbd0', linewidth=0.7)
             if row == 0:
-                ax.annotate(f' {table.setup_names[s]}, {table.time_s[first] / 60:.0f} min', (begin, 1.0), xycoords=('data', 'axes fraction'),
-                            fontsize=7.5, color=SOFT, va='bottom')
+                said = f' {table.setup_names[s]}'
+                if np.ptp(minutes[table.setup == s]) > 0.09 * np.ptp(minutes):
+                    said += f', after {table.time_s[first] / 60:.0f} min'
+                ax.annotate(said, (begin, 1.0), xycoords=('data', 'axes fraction'), fontsize=7.5,
+                            color=SOFT, va='bottom')
     axes[-1].set_xlabel('time of measuring  [min]; pauses are cut short, above: when each setup began')
     return figure
 
@@ -155,6 +159,61 @@ def _pauses_cut(time_s: np.ndarray) -> np.ndarray:
     cut = np.empty_like(time_s)
     cut[order] = np.cumsum(np.minimum(step, limit))
     return cut
+
+
+@styled
+def inside_stops(parts: Inside, table: StopTable) -> Figure:
+    """How readings move while the machine stands still: mean course by axis moved where that shows what was
+    found, else the rate over the log; the channels in which it shows."""
+    misfit = np.nanmax(np.abs(parts.course - parts.simulated_course), axis=(0, 1))
+    if np.any(np.nanmax(np.abs(parts.simulated_course), axis=(0, 1)) > 3.0 * misfit):
+        return _courses(parts)
+    return _rates(parts, table)
+
+
+def _courses(parts: Inside) -> Figure:
+    figure = Figure(figsize=(11.5, 2.6), layout='constrained')
+    channel = int(np.nanargmax(np.nanmax(np.abs(parts.simulated_course), axis=(0, 1))))
+    factor, unit = _scale(np.stack([parts.course, parts.simulated_course])[..., channel])
+    for k, (ax, letter) in enumerate(zip(figure.subplots(1, 3, sharey=True), 'XYZ', strict=True)):
+        ax.plot(parts.time * 1e3, parts.course[k, :, channel] * factor, 'o', color=REAL, markersize=5,
+                markeredgewidth=0)
+        ax.plot(parts.time * 1e3, parts.simulated_course[k, :, channel] * factor, '-', color=AFTER, linewidth=1.5)
+        ax.set_title(f'{CHANNEL_NAMES[channel]} after a move of {letter}  [{unit}]')
+        ax.set_xlabel('after the stop began [ms]')
+    return figure
+
+
+def _rates(parts: Inside, table: StopTable) -> Figure:
+    noise = np.nanstd(parts.rate - parts.simulated_rate, axis=0)
+    shown = np.flatnonzero(np.nanstd(parts.simulated_rate, axis=0) > 0.1 * noise)
+    shown = shown if len(shown) else np.array([0])
+    figure = Figure(figsize=(11.5, 1.0 + 1.7 * len(shown)), layout='constrained')
+    minutes = _pauses_cut(table.time_s) / 60.0
+    for ax, channel in zip(figure.subplots(len(shown), 1, sharex=True, squeeze=False)[:, 0], shown, strict=True):
+        ax.plot(minutes, parts.rate[:, channel] * 1e9, '.', color='#a9b3ba', markersize=2.6, markeredgewidth=0,
+                label='machine, each stop')
+        mean_time, mean = _means_of(minutes, parts.rate[:, channel] * 1e9, table.run)
+        ax.plot(mean_time, mean, 'o', color=REAL, markersize=3.6, markeredgewidth=0,
+                label=f'machine, mean of {MEAN_OF} stops')
+        for run in np.unique(table.run):
+            rows = table.run == run
+            ax.plot(minutes[rows], parts.simulated_rate[rows, channel] * 1e9, '-', color=AFTER, linewidth=1.5,
+                    label='simulator with what was found' if run == table.run[0] else None)
+        ax.set_ylabel(f'{CHANNEL_NAMES[channel]}  [nm/s]')
+    figure.legend(*figure.axes[0].get_legend_handles_labels(), loc='outside upper left', ncols=3)
+    figure.axes[-1].set_xlabel('time of measuring  [min], pauses cut short')
+    return figure
+
+
+def _means_of(time: np.ndarray, values: np.ndarray, run: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Means of a few consecutive stops of a run."""
+    found = []
+    for r in np.unique(run):
+        rows = np.flatnonzero((run == r) & np.isfinite(values))
+        found += [(time[part].mean(), values[part].mean())
+                  for part in np.array_split(rows, max(1, len(rows) // MEAN_OF)) if len(part)]
+    return tuple(np.array(found).T)
 
 
 @styled

@@ -7,11 +7,12 @@ import numpy as np
 
 from stepdiag_ros.estimate.evaluate import solution_of
 from stepdiag_ros.gap.diagnose import Diagnosis, Found
+from stepdiag_ros.gap.unknown import NAME as UNKNOWN
 from stepdiag_ros.report import gap_figures, gap_words
 from stepdiag_ros.report.page import bars, figure, page, table
-from stepdiag_ros.report.series import Shares, named_cells, series, share_map
+from stepdiag_ros.report.series import Shares, inside, named_cells, series, share_map
 from stepdiag_ros.report.words import (
-    CHANNELS,
+    SHORT_CHANNELS,
     certainty,
     closed_percent,
     leftover_words,
@@ -25,6 +26,8 @@ from stepdiag_ros.report.words import (
 BADGES = {'no_gap': ('good', 'nothing wrong'), 'explained': ('warn', 'cause found'),
           'partly_explained': ('bad', 'partly explained'), 'unexplained': ('bad', 'cause not known')}
 SHOWN_PROBABILITY = 0.01
+LEAST_INSIDE = 0.15
+"""Share of the gap inside the stops from which a picture of it is shown."""
 
 
 def gap_page(diagnosis: Diagnosis, name: str, notes: tuple[str, ...] = ()) -> str:
@@ -55,7 +58,8 @@ def _budget(diagnosis: Diagnosis) -> str:
     floor = diagnosis.closing.floor_m
     labels = []
     for i, (name, value) in enumerate(rows):
-        said = 'machine against simulator, as it is' if i == 0 else f'+ {title(name)}'
+        said = 'machine against simulator, as it is' if i == 0 else \
+            '+ a pattern without a name' if name == UNKNOWN else f'+ {title(name)}'
         labels.append((said, value))
     text = ('<h2>How big is the gap?</h2><p>How far a stop lies from where the simulator foretells it, '
             f'on {escape(diagnosis.closing.held_out)}'
@@ -171,7 +175,7 @@ def _map(diagnosis: Diagnosis, shares: Shares) -> str:
     names = diagnosis.nominal.table.setup_names
     named, top = named_cells(shares), max(shares.cells.max(), 1e-9)
     rows = ''
-    for c, channel in enumerate(CHANNELS.values()):
+    for c, channel in enumerate(SHORT_CHANNELS.values()):
         cells = ''
         for s in range(len(names)):
             depth = shares.cells[c, s] / top
@@ -182,7 +186,8 @@ def _map(diagnosis: Diagnosis, shares: Shares) -> str:
         rows += f'<tr><th class="r">{escape(channel)}</th>{cells}</tr>'
     heads = ''.join(f'<th>{escape(n)}</th>' for n in names)
     return (f'<table class="heat"><tr><th></th>{heads}</tr>{rows}</table>'
-            f'<small>Share of the gap by what was measured and in which setup. '
+            f'<small>Share of the gap by what was measured and in which setup: the length by the laser, the spot of '
+            'light that tells how the mirror turns. '
             f'{escape(gap_figures.legend_of_setups(names))}.</small>')
 
 
@@ -206,7 +211,18 @@ def _pictures(diagnosis: Diagnosis) -> str:
             + figure(gap_figures.along_stops(parts, stops, False), caption, 2)
             + '<h3>What is left over time</h3>'
             + figure(gap_figures.over_time(parts, stops),
-                     'The same, in the order in which it was measured.', 3))
+                     'The same, in the order in which it was measured.', 3) + _inside(diagnosis))
+
+
+def _inside(diagnosis: Diagnosis) -> str:
+    """What happens while the machine stands still, where a good part of the gap is there."""
+    shares = share_map(diagnosis)
+    if shares is None or list(shares.state.values())[1] < LEAST_INSIDE or not diagnosis.joint.active:
+        return ''
+    return '<h3>While the machine stands still</h3>' + figure(
+        gap_figures.inside_stops(inside(diagnosis), diagnosis.nominal.table),
+        'How the reading moves from the beginning of a stop to its end. Points: the machine; line: the '
+        'simulator with what was found.', 5)
 
 
 def _errors(diagnosis: Diagnosis) -> str:
@@ -220,8 +236,9 @@ def _errors(diagnosis: Diagnosis) -> str:
     freed = diagnosis.solution
     moved = [row for row in gap_words.changes(diagnosis, plain_, freed) if row[2] > 2.0]
     if moved:
+        taken = 'the causes' if diagnosis.effects else 'the pattern'
         text += ('<p>A plain evaluation would have put part of the trouble into the machine\'s errors. With '
-                 'the causes taken out these change most:</p>')
+                 f'{taken} taken out these change most:</p>')
         text += table(['error', '>changes by', '>in standard deviations'],
                       [[n, quantity(c, 'm' if len(n) == 3 and n[1] in 'XYZ' else 'rad'), plain(s)]
                        for n, c, s in moved[:6]])

@@ -7,7 +7,7 @@ import numpy as np
 from stepdiag_ros.gap.closing import closing
 from stepdiag_ros.gap.diagnose import Diagnosis, Found
 from stepdiag_ros.model.machine import CURVES, SQUARENESS
-from stepdiag_ros.report.series import reach
+from stepdiag_ros.report.series import reach, share_map
 from stepdiag_ros.report.words import (
     SHORT_CHANNELS,
     certainty,
@@ -123,6 +123,10 @@ def how_far(diagnosis: Diagnosis) -> str:
     if diagnosis.verdict == 'no_gap':
         return (f'On {gap.held_out} simulator and machine differ by {micrometres(gap.before_m)}; '
                 f'noise alone makes {micrometres(gap.floor_m)}.')
+    if diagnosis.leftover and not diagnosis.effects:
+        return (f'A pattern without a name brings the gap from {micrometres(gap.before_m)} to '
+                f'{micrometres(gap.after_m)} (noise alone: {micrometres(gap.floor_m)}). It describes the trouble; '
+                'it does not explain it.')
     if not any(a.effect.name for a in diagnosis.joint.active):
         return (f'The mean readings at the stops differ by {micrometres(gap.before_m)}; '
                 f'noise alone makes {micrometres(gap.floor_m)}.')
@@ -198,6 +202,10 @@ def where_words(diagnosis: Diagnosis) -> str:
         if len(directions) == 1 and None not in directions:
             text += ' going ' + ('forward' if directions.pop() > 0 else 'backward')
         parts.append(text)
+    overall = share_map(diagnosis)
+    still = list(overall.state.values())[1] if overall else 0.0
+    if still > 0.5:
+        parts.append(f'{closed_percent(still)} of all of it shows while the machine stands still at a stop')
     return '; '.join(parts) + '.'
 
 

@@ -19,16 +19,18 @@ small{font-size:12.5px}
 .badge{display:inline-block;border-radius:3px;padding:2px 10px;font-size:13px;font-weight:650;color:#fff}
 .good{background:var(--good)}.warn{background:var(--warn)}.bad{background:var(--bad)}
 table{border-collapse:collapse;margin:8px 0;font-size:14px}
-th{font-weight:600;text-align:left;color:var(--soft);font-size:12.5px;border-bottom:1px solid var(--rule);padding:5px 14px 5px 0}
+th{font-weight:600;text-align:left;color:var(--soft);font-size:12.5px;
+border-bottom:1px solid var(--rule);padding:5px 14px 5px 0}
 td{border-bottom:1px solid var(--rule);padding:7px 14px 7px 0;vertical-align:top}
 td.n,th.n{text-align:right;font-variant-numeric:tabular-nums}
 .nums td{padding:1px 12px 1px 0;border:0;font-variant-numeric:tabular-nums;white-space:nowrap}
 .nums{margin:0}
 .heat{font-size:13px}
 .heat td{border:2px solid #fff;padding:6px 4px;text-align:center;min-width:52px;font-variant-numeric:tabular-nums}
-.heat th{border:0;padding:4px 6px;text-align:center}.heat th.r{text-align:right;width:92px;line-height:1.25}
+.heat th{border:0;padding:4px 6px;text-align:center}.heat th.r{text-align:right;white-space:nowrap}
 .cols{display:grid;grid-template-columns:minmax(0,1.15fr) minmax(0,1fr);gap:44px}
-.bars{display:grid;grid-template-columns:max-content 1fr max-content;gap:4px 12px;align-items:center;font-size:14px;margin:8px 0}
+.bars{display:grid;grid-template-columns:max-content 1fr max-content;gap:4px 12px;
+align-items:center;font-size:14px;margin:8px 0}
 .bars .b{background:var(--tint);height:13px;border-radius:2px}
 .bars .b i{display:block;height:100%;background:var(--after);border-radius:2px;min-width:1px}
 .bars .v{font-variant-numeric:tabular-nums;text-align:right}
@@ -41,7 +43,8 @@ code{font:13px ui-monospace,Menlo,Consolas,monospace}
 footer{margin-top:40px;padding-top:12px;border-top:1px solid var(--rule);color:var(--soft);font-size:12.5px}
 footer p{max-width:80em}
 @media (max-width:900px){main{padding:20px}.cols{grid-template-columns:1fr}}
-@media print{body{background:#fff}main{box-shadow:none;max-width:none;padding:0}h2{break-after:avoid}figure,tr{break-inside:avoid}}
+@media print{body{background:#fff}main{box-shadow:none;max-width:none;padding:0}
+h2{break-after:avoid}figure,tr{break-inside:avoid}}
 """
 
 

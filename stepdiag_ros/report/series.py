@@ -63,6 +63,41 @@ def reach(diagnosis: Diagnosis, name: str) -> tuple[float, float]:
 
 
 @dataclass(frozen=True)
+class Inside:
+    """What moves while the machine stands still; channels as in :class:`Series`.
+
+    ``rate``, ``simulated_rate`` (n, 3) [m/s]; by axis moved: ``time`` (b,) [s] after the stop began,
+    ``course`` and ``simulated_course`` (3 axes, b, 3) [m] about their mean, turned by the axis's motion.
+    """
+
+    rate: np.ndarray
+    simulated_rate: np.ndarray
+    time: np.ndarray
+    course: np.ndarray
+    simulated_course: np.ndarray
+
+
+def inside(diagnosis: Diagnosis) -> Inside:
+    """Reduce the bins of the dwells to what can be looked at."""
+    seen, view, table = diagnosis.joint.observation, diagnosis.nominal.view, diagnosis.nominal.table
+    beams = table.displacement.shape[1]
+    keep = [0, beams, beams + 1]
+    real = seen.bins[:, :, keep]
+    modelled = sum((a.inside for a in diagnosis.joint.active), np.zeros_like(seen.bins))[:, :, keep]
+    away = view.bin_time - view.bin_time.mean(axis=1, keepdims=True)
+    weight = away / np.maximum(np.sum(away**2, axis=1, keepdims=True), 1e-30)
+    courses = np.full((2, 3, real.shape[1], 3), np.nan)
+    for axis in range(3):
+        rows = (table.axis == axis) & np.isfinite(real).all(axis=(1, 2))
+        sign = view.approach[rows, axis][:, None, None]
+        if rows.any():
+            courses[0, axis] = np.mean(real[rows] * sign, axis=0)
+            courses[1, axis] = np.mean(modelled[rows] * sign, axis=0)
+    return Inside(np.einsum('nb,nbc->nc', weight, real), np.einsum('nb,nbc->nc', weight, modelled),
+                  np.nanmedian(view.bin_time, axis=0), *courses)
+
+
+@dataclass(frozen=True)
 class Shares:
     """Shares of the gap's excess by channel and setup (3, s), by axis moved (X, Y, Z, first stop), by
     direction (forward, backward), and whether it is at rest in the mean or moves inside the dwells."""

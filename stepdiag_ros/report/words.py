@@ -27,8 +27,6 @@ NAMES = {
     'unknown': 'Something that is not in the list',
     'nothing': 'Nothing wrong',
 }
-CHANNELS = {'displacement': 'laser length', 'spot_x': 'spot x (mirror turns about v)',
-            'spot_y': 'spot y (mirror turns about u)'}
 SHORT_CHANNELS = {'displacement': 'length', 'spot_x': 'spot x', 'spot_y': 'spot y'}
 AXIS_STARTS = {'p': '0', 'n': 'far end'}
 
@@ -92,7 +90,7 @@ def percent(share: float) -> str:
         return f'{100 * share:.1f} %'
     if share < 0.001:
         return '< 0.1 %'
-    return f'{100 * share:.0f} %' if share >= 0.02 else f'{100 * share:.1f} %'
+    return f'{100 * share:.0f} %' if share >= 0.1 else f'{100 * share:.1f} %'
 
 
 def closed_percent(share: float) -> str:

@@ -1,0 +1,181 @@
+"""A cell file from a diagnosis: the simulator that reproduces the log.
+
+What was fitted is put into the words of the virtual cell: the errors as they were fitted (straightness
+slopes of the carried axes counted as squareness, which is the same machine), misalignments, noise, the
+course of the plan in time, and each effect with the parameters of its physical face
+(:mod:`stepdiag_ros.report.physical`).  A given cell is the base: whatever the log does not tell stays as
+it is there.
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import yaml
+
+from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.estimate.enhanced import Fit
+from stepdiag_ros.estimate.gauge import slope_weights
+from stepdiag_ros.gap.diagnose import Diagnosis
+from stepdiag_ros.gap.observe import sane_fit
+from stepdiag_ros.model.machine import CURVES
+from stepdiag_ros.report.physical import physical
+
+SQUARE_OF = {'EXY': ('EC0Y', -1.0), 'EXZ': ('EB0Z', 1.0), 'EYZ': ('EA0Z', -1.0)}
+"""Straightness curve whose slope is a squareness error, and its sign."""
+RESET_S = 0.02
+"""The simulator's time between in position and the first dwell of a run."""
+FAST = 1000.0
+"""Jerk [m/s³] high enough not to matter: a log tells how long moves take, hardly how they begin."""
+
+
+def adopted_cell(diagnosis: Diagnosis, base: Mapping[str, Any] | None = None
+                 ) -> tuple[dict[str, Any], tuple[str, ...]]:
+    """The cell as a mapping for YAML, and notes: one line for all that has no counterpart there.
+
+    ``base``: the cell file that the log was held against, as parsed.
+    """
+    log = diagnosis.log
+    cell = dict(base) if base is not None else yaml.safe_load(log.description.to_yaml())
+    cell.setdefault('schema', 1)
+    cell.setdefault('seed', 1)
+    # The plan runs the setups in the order in which the log did.
+    order = list(dict.fromkeys(diagnosis.nominal.table.setup_names))
+    cell['setups'] = {name: cell['setups'][name] for name in order if name in cell['setups']}
+    cell['noise'] = _noise(diagnosis)
+    if base is None:
+        cell['motion'] = _motion(diagnosis)
+        cell['air'] = _air(diagnosis)
+        cell['sampling'] = _sampling(diagnosis)
+    effects = dict(cell.get('effects') or {})
+    notes: list[str] = []
+    lead = float(cell.get('motion', {}).get('mount', 60.0)) + RESET_S
+    taken = sum(a.contribution for a in diagnosis.joint.active if not a.effect.name)
+    for name in dict.fromkeys(f.name for f in diagnosis.effects):
+        found = next(f for f in diagnosis.effects if f.name == name)
+        said = physical(diagnosis, found, lead)
+        taken = taken + said.contribution
+        values = said.values
+        if said.note:
+            notes.append(f'{found.name}: {said.note}')
+        if values:
+            if found.name in effects:
+                raise StepdiagError(f'the cell has {found.name} already; take it out of the file that --cell '
+                                    'names, the diagnosis finds its whole size')
+            effects[found.name] = values
+    cell['effects'] = effects
+    fit = _machine_without(diagnosis, taken)
+    cell['geometry'] = _geometry(fit)
+    cell['misalignments'] = {'given': _misalignments(fit, base)}
+    if diagnosis.leftover:
+        notes.append(f'not adopted, for it has no name: {diagnosis.leftover}')
+    if diagnosis.solution.unidentifiable:
+        notes.append('directions that the log leaves open are held near zero: '
+                     + ', '.join(sorted({n for u in diagnosis.solution.unidentifiable for n in u.names})[:8]))
+    return cell, tuple(notes)
+
+
+def _noise(diagnosis: Diagnosis) -> dict[str, float]:
+    table, noise = diagnosis.nominal.table, diagnosis.joint.noise
+    sample = {'displacement': table.displacement_scatter, 'spot': table.spot_scatter}
+    believed = diagnosis.log.description.noise
+    result = {name: float(np.sqrt(np.nanmean(v**2))) if np.isfinite(v).any() else getattr(believed, name)
+              for name, v in sample.items()}
+    return result | {'position_repeatability': float(noise.position),
+                     'angle_repeatability': float(noise.angle)}
+
+
+def _machine_without(diagnosis: Diagnosis, taken: np.ndarray | float) -> Fit:
+    """The machine fitted to the log less what the adopted effects will add: what a form and its physical
+    counterpart differ by in what a machine can imitate must not be counted twice."""
+    joint, table = diagnosis.joint, diagnosis.joint.observation.table
+    freed = replace(table, displacement=table.displacement - np.asarray(taken)[..., :-2],
+                    spot=table.spot - np.asarray(taken)[..., -2:]) if np.ndim(taken) else table
+    return sane_fit(joint.observation.log, freed, joint.fit.theta)
+
+
+def _geometry(fit: Fit) -> dict[str, Any]:
+    """The fitted curves as they are; only slopes that are squareness by another name are counted there."""
+    curves, square = {}, {}
+    for name in CURVES:
+        position = np.asarray(fit.parameters.knots[name])
+        value = np.concatenate([[0.0], fit.theta[fit.parameters.slice(name)]])
+        if name in SQUARE_OF:
+            slope = float(slope_weights(position) @ value)
+            value = value - slope * position
+            error, sign = SQUARE_OF[name]
+            square[error] = sign * slope
+        if len(position) > 1:
+            curves[name] = {'position': [float(p) for p in position], 'value': [float(v) for v in value]}
+    return {'curves': curves, 'squareness': square}
+
+
+def _misalignments(fit: Fit, base: Mapping[str, Any] | None) -> dict[str, Any]:
+    known = ((base or {}).get('misalignments') or {}).get('given') or {}
+    result = {}
+    for name, first in fit.parameters.setup_first.items():
+        angles = [float(a) for a in fit.theta[first:first + 4]]
+        result[name] = {'laser': angles[:2], 'mirror': angles[2:]}
+        if 'psd_zero' in known.get(name, {}):
+            result[name]['psd_zero'] = known[name]['psd_zero']
+    return result
+
+
+def _motion(diagnosis: Diagnosis) -> dict[str, float]:
+    """Dwell, feed and change of setup from the log's own times."""
+    table = diagnosis.nominal.table
+    dwell = float(np.median(table.done_ns - table.dwell_ns)) * 1e-9
+    distance = np.linalg.norm(np.diff(table.commanded, axis=0), axis=1)
+    within = (np.diff(table.run) == 0) & (distance > 0.0)
+    took = (table.dwell_ns[1:] - table.done_ns[:-1])[within] * 1e-9
+    feed, acceleration = _pace(distance[within], took)
+    moves = distance / feed + feed / acceleration
+    changes = np.flatnonzero(np.diff(table.setup) != 0)
+    pause = (table.dwell_ns[changes + 1] - table.done_ns[changes]) * 1e-9 - moves[changes] - RESET_S
+    return {'feed': feed, 'acceleration': acceleration, 'jerk': FAST, 'dwell': dwell,
+            'in_position': 5.0e-8, 'settling': 0.0,
+            'mount': max(0.0, float(np.median(pause))) if len(pause) else 0.0}
+
+
+def _pace(distance: np.ndarray, took: np.ndarray) -> tuple[float, float]:
+    """Feed [m/s] and acceleration [m/s²] of trapezoidal moves that take about as long: T = d/f + f/a."""
+    if not len(took) or np.median(took) <= 0.0:
+        return 0.1, 1.0
+    # No move may take less than its distance at twice its mean speed: that is a triangle.
+    design = np.column_stack([distance, np.ones_like(distance)])
+    slope, rest = np.linalg.lstsq(design, took, rcond=None)[0]
+    fastest = 1.9 * float(np.min(distance / took))
+    feed = float(np.clip(1.0 / slope if slope > 0.0 else np.inf, 1.05 * np.max(distance / took) / 2.0, fastest)) \
+        if fastest > 1.05 * np.max(distance / took) / 2.0 else fastest
+    rest = max(float(np.mean(took - distance / feed)), 1e-3)
+    return feed, feed / rest
+
+
+def _air(diagnosis: Diagnosis) -> dict[str, Any]:
+    """Air at the start and the sensors that there were; the instrument takes out what the log's did."""
+    environment = diagnosis.log.environment
+    result: dict[str, Any] = {'compensated': True, 'sensors': [], 'drift': {}}
+    for key, topic, low, high in (('temperature', 'air_temperature', -20.0, 60.0),
+                                  ('pressure', 'air_pressure', 5e4, 1.2e5), ('humidity', 'humidity', 0.0, 1.0)):
+        series = environment.get(topic)
+        if series is not None and len(series.value):
+            result['sensors'].append(key)
+            result[key] = float(np.clip(np.median(series.value[:9]), low, high))
+    scales = [environment.get(f'scale_temperature/{axis}') for axis in 'xyz']
+    if all(s is not None and len(s.value) for s in scales):
+        result['sensors'].append('scale')
+        result['scale_temperature'] = [float(np.median(s.value[:9])) for s in scales]
+    return result
+
+
+def _sampling(diagnosis: Diagnosis) -> dict[str, Any]:
+    result: dict[str, Any] = {}
+    log, table = diagnosis.log, diagnosis.nominal.table
+    for key, samples in (('interferometer', log.displacement), ('psd', log.spot)):
+        if len(samples) > 1:
+            period = float(np.median(np.diff(samples.time_ns))) * 1e-9
+            result[key] = float(np.clip(1.0 / max(period, 1e-6), 1.0, 50_000.0))
+    inside = int(np.sum(table.displacement_rows[:, 1] - table.displacement_rows[:, 0]))
+    result['in_motion'] = bool(len(log.displacement) > 1.2 * inside)
+    return result
