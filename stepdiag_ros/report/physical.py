@@ -238,7 +238,7 @@ def _exponential(diagnosis: Diagnosis, active: list[Active], signature: np.ndarr
     # In the simulator the course began lead_s before the first stop; what came before is a constant there.
     sizes = sizes * np.exp(lead_s / tau)
     grown = 1.0 - np.exp(-(since + lead_s) / tau)
-    return sizes, tau, missed, np.tensordot(sizes, grown[None, :, None] * signature, axes=1)
+    return sizes, float(tau), missed, np.tensordot(sizes, grown[None, :, None] * signature, axes=1)
 
 
 def _course(diagnosis: Diagnosis, active: list[Active], signature: np.ndarray, lead_s: float) -> Physical:
