@@ -136,9 +136,10 @@ def measure(rate: float, seconds: float, virtual: bool, folder: Path) -> dict:
             player.play(Message(-1, NAMESPACE, 1, 0, 'cell_description',
                                 b'\0\1\0\0' + len(cdr).to_bytes(4, 'little') + cdr))
             for name in where:
+                operator.bring(name, 'inactive')
+            time.sleep(3.0)   # the recorder finds the drivers' topics
+            for name in where:
                 operator.bring(name, 'active')
-            if virtual:
-                time.sleep(1.0)
             before = _cpu(processes)
             time.sleep(seconds)
             used = {k: (v - before[k]) / seconds for k, v in _cpu(processes).items()}
@@ -159,7 +160,9 @@ def _cpu(processes: list[subprocess.Popen]) -> dict[str, float]:
     for process in processes:
         fields = Path(f'/proc/{process.pid}/stat').read_text().rsplit(')', 1)[1].split()
         name = next((n for n in ('recorder', 'interferometer_driver', 'psd_driver')
-                     if any(n in str(a) for a in process.args)), 'cell')
+                     if any(n in str(a) for a in process.args)), None)
+        if name is None:
+            continue   # the virtual cell: its work is in its own children
         found[name] = (int(fields[11]) + int(fields[12])) / os.sysconf('SC_CLK_TCK')
     return found
 
@@ -189,6 +192,7 @@ def main() -> int:
                         help='the same from the virtual cell (default: 1, 10 kHz)')
     parser.add_argument('--seconds', type=float, default=10.0)
     parser.add_argument('--json', action='store_true')
+    parser.add_argument('--out', type=Path, help='write a Markdown table there')
     args, rest = parser.parse_known_args()
     if args.node:
         return node(args.node)
@@ -208,7 +212,29 @@ def main() -> int:
                     _print(row)
     if args.json:
         print(json.dumps(rows, indent=1))
+    if args.out:
+        args.out.write_text(_markdown(rows, args.seconds), encoding='utf-8')
     return 0 if all(r[s]['lost'] == 0 for r in rows for s in ('displacement', 'spot')) else 1
+
+
+def _markdown(rows: list[dict], seconds: float) -> str:
+    lines = ['# Samples a second through driver, topic and recorder', '',
+             f'Made by `python bench/bench_rates.py --out …`; both sensors at once, {seconds:g} s each, '
+             f'{1e3 * BLOCK_S:g} ms of samples in a message, '
+             f'{os.cpu_count()} processors, load {os.getloadavg()[0]:.1f}. Every node is a process of '
+             'its own. No sequence number is missing between the first and the last in the bag.', '',
+             '| source | asked of each, samples/s | displacement, samples/s | spot, samples/s | messages, '
+             'sequence numbers | lost | processor: drivers, recorder |', '|---|---:|---:|---:|---|---:|---|']
+    for row in rows:
+        got = [row[sensor] for sensor in ('displacement', 'spot')]
+        heard = ', '.join(f'{g["messages"]} ({g["sequence"][0]}–{g["sequence"][1]})' for g in got)
+        cpu = [round(100 * row['cpu'][n]) for n in ('interferometer_driver', 'psd_driver', 'recorder')]
+        lines.append(f'| {row["source"]} | {row["rate_Hz"]:,.0f} | {got[0]["samples_a_second"]:,} | '
+                     f'{got[1]["samples_a_second"]:,} | {heard} | {sum(g["lost"] for g in got)} | '
+                     f'{cpu[0]} %, {cpu[1]} %, {cpu[2]} % |')
+    lines += ['', '`generator`: the instrument is inside the driver and makes the samples on time. '
+              '`virtual cell`: over JSON-RPC, a request a sample, and over the T7\'s stream.', '']
+    return '\n'.join(lines)
 
 
 def _print(row: dict) -> None:

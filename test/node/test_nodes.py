@@ -1,5 +1,8 @@
 """Every node of a running cell: lifecycle, parameters, diagnostics."""
 
+import re
+from pathlib import Path
+
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from rcl_interfaces.msg import ParameterType
@@ -31,6 +34,9 @@ def test_every_parameter_is_described_and_numbers_have_a_range(cell, node):
     own = [n for n in names if not n.startswith('qos_overrides.') and n not in
            ('use_sim_time', 'start_type_description_service')]
     assert 'autostart' in own
+    page = (Path(__file__).resolve().parents[2] / 'docs' / 'reference' / 'nodes.md').read_text()
+    section = page.split(f'## `{node}`')[1].split('## `')[0]
+    assert sorted(own) == sorted(re.findall(r'^\| `(\w+)` \|', section, re.MULTILINE))
     described = call(cell, DescribeParameters, f'{node}/describe_parameters',
                      DescribeParameters.Request(names=own)).descriptors
     for descriptor in described:
