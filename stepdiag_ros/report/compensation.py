@@ -9,10 +9,12 @@ rad, as the formats want them.
 - **Sinumerik 840D** ``$AA_ENC_COMP`` (leadscrew error): the value is taken off the axis's position, *a positive
   value moves the axis negative*; so the value is the error itself.  ``$AN_CEC`` (sag, squareness): one table a
   pair of axes, likewise the error.
-- **Heidenhain** ``.COM``: a row a position with the correction that the control adds to the target.
+- **Heidenhain** ``.COM``, a table a moving axis: *AXISPOS* (from the machine datum), *BACKLASH*, and a column an
+  axis that errs there.  What is entered is the error curve (manuals: "the compensation points of the error
+  curve"), so the error itself.
 - **Etalon** exchange format: the errors themselves, in mm and rad, a section ``[EXY]`` each.
-- **ISG**: a CSV of an axis, *X EXX EYX EZX EAX EBX ECX*, the errors themselves in mm and rad; the control
-  takes them off.
+- **ISG**: a table an axis, *X EXX EYX EZX EAX EBX ECX*, columns parted by blanks, the errors themselves in mm
+  and rad; the control takes them off.
 """
 
 from collections.abc import Callable, Mapping
@@ -117,23 +119,17 @@ def _sinumerik(solution: Solution, machine: str) -> dict[str, str]:
 def _heidenhain(solution: Solution, machine: str) -> dict[str, str]:
     files = {}
     for axis in AXES:
-        columns = []
-        for moved in AXES:
-            name = f'E{moved}{axis}'
-            if solution.has(name):
-                curve = solution.curve(name)[:2] if moved == axis else straightness(solution, name)
-                columns.append((moved, *curve))
-        if not columns:
+        curves = {moved: solution.curve(f'E{moved}{axis}')[:2] if moved == axis
+                  else straightness(solution, f'E{moved}{axis}')
+                  for moved in AXES if solution.has(f'E{moved}{axis}')}
+        if not curves:
             continue
-        grid, _ = _even(columns[0][1], columns[0][2])
-        heads = ' '.join(f'{moved}=F()'.rjust(14) for moved, _, _ in columns)
-        lines = [f'BEGIN {axis}_AXIS.COM DATUM:+0 DIST:{NUMBER.format((grid[1] - grid[0]) * MILLI)}',
-                 f'NR {"POS".rjust(14)} {heads}']
+        grid, _ = _even(*next(iter(curves.values())))
+        heads = ['AXISPOS', 'BACKLASH', *AXES]
+        lines = [f'BEGIN {axis}_AXIS.COM MM', f'{"NR":<6}' + ''.join(h.ljust(14) for h in heads)]
         for i, place in enumerate(grid):
-            # The control adds what stands here to the target: the error with the other sign.
-            row = ' '.join(NUMBER.format(-np.interp(place, p, v) * MILLI + 0.0).rjust(14)
-                           for _, p, v in columns)
-            lines.append(f'{i:<2d} {NUMBER.format(place * MILLI).rjust(14)} {row}')
+            values = [place, 0.0, *(np.interp(place, *curves[m]) if m in curves else 0.0 for m in AXES)]
+            lines.append(f'{i:<6d}' + ''.join(NUMBER.format(v * MILLI + 0.0).ljust(14) for v in values))
         files[f'{axis}_AXIS.COM'] = '\n'.join([*lines, '[END]']) + '\n'
     return files
 
@@ -161,7 +157,8 @@ def _isg(solution: Solution, machine: str) -> dict[str, str]:
         if not present:
             continue
         grid = solution.curve(present[0])[0]
-        lines = [';'.join([axis, *names])]
+        lines = [_head('//', machine, f'component errors of {axis}, mm and rad').rstrip(),
+                 ' '.join([axis, *names])]
         for place in grid:
             row = [NUMBER.format(place * MILLI)]
             for name in names:
@@ -172,7 +169,7 @@ def _isg(solution: Solution, machine: str) -> dict[str, str]:
                 curve = straightness(solution, name) if translation and name[1] != axis else \
                     solution.curve(name)[:2]
                 row.append(f'{np.interp(place, *curve) * (MILLI if translation else 1.0) + 0.0:.9e}')
-            lines.append(';'.join(row))
+            lines.append(' '.join(row))
         files[f'{axis.lower()}.csv'] = '\n'.join(lines) + '\n'
     return files
 

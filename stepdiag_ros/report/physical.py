@@ -189,7 +189,12 @@ def _bend(diagnosis: Diagnosis, active: list[Active], lead_s: float) -> Physical
 
 
 def _rotation(diagnosis: Diagnosis, active: list[Active], lead_s: float) -> Physical:
-    return Physical({'angle': float(active[0].coefficients[0])}, '', _sum(active))
+    view, angle = diagnosis.joint.observation.view, float(active[0].coefficients[0])
+    # The form is a turn to first order; the simulator's is a whole one.
+    added = view.zeros(1)[0]
+    cosine, sine = np.cos(angle), np.sin(angle)
+    added[:, view.beams:] = view.spot_model @ np.array([[cosine - 1.0, sine], [-sine, cosine - 1.0]])
+    return Physical({'angle': angle}, '', added)
 
 
 # ---- laser ----------------------------------------------------------------------------------------

@@ -1,0 +1,58 @@
+"""The page of an evaluation: curves, squareness, misalignments, residuals, what the log leaves open.
+
+Writes DIR/index.html, which needs nothing from outside, DIR/errors.png and DIR/evaluation.json.
+
+  stepdiag report bags/demo --out report
+  stepdiag report bags/demo --out report --truth truth.json
+"""
+
+import argparse
+import json
+from pathlib import Path
+
+from stepdiag_ros.errors import StepdiagError
+
+NAME = 'report'
+HELP = 'figures, sheets and pages of an evaluation'
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument('bag', metavar='BAG', help='rosbag2 folder or .mcap file')
+    parser.add_argument('--out', metavar='DIR', type=Path, required=True, help='folder for page and pictures')
+    parser.add_argument('--truth', metavar='FILE', type=Path,
+                        help='known errors (JSON), drawn dashed into errors.png')
+    parser.add_argument('--json', action='store_true', help='print the evaluation as JSON')
+    parser.add_argument('--namespace', help="the machine's namespace where a log holds several")
+
+
+def run(args: argparse.Namespace) -> int:
+    from stepdiag_ros.bag.reader import read_log
+    from stepdiag_ros.estimate import evaluate
+    from stepdiag_ros.estimate.compare import truth_of
+    from stepdiag_ros.report.evaluation_page import evaluation_page
+    from stepdiag_ros.report.figures import calibration_figure
+
+    log = read_log(args.bag, args.namespace)
+    path = Path(args.bag).resolve()
+    name = path.stem if path.suffix == '.mcap' else path.name
+    truth = None
+    if args.truth is not None:
+        try:
+            text = args.truth.read_text(encoding='utf-8')
+        except (OSError, UnicodeDecodeError) as error:
+            raise StepdiagError(f'{args.truth}: cannot be read: {error}') from None
+        truth = truth_of(text, log.description, name, str(args.truth))
+    solution = evaluate(log)
+    document = solution.to_json_dict()
+    try:
+        args.out.mkdir(parents=True, exist_ok=True)
+        (args.out / 'index.html').write_text(evaluation_page(solution, log.description, name), encoding='utf-8')
+        (args.out / 'evaluation.json').write_text(json.dumps(document, indent=1), encoding='utf-8')
+    except OSError as error:
+        raise StepdiagError(f'{args.out}: cannot be written: {error.strerror or error}') from None
+    calibration_figure(solution, truth, args.out / 'errors.png')
+    if args.json:
+        print(json.dumps(document, indent=1))
+    else:
+        print(args.out / 'index.html')
+    return 0

@@ -1,0 +1,153 @@
+"""The page of an evaluation: the 21 errors, how well they are known, what is left, what the log leaves open."""
+
+from html import escape
+
+import matplotlib
+import numpy as np
+from matplotlib.figure import Figure
+
+from stepdiag_ros.estimate.prediction import predict
+from stepdiag_ros.estimate.solution import Solution
+from stepdiag_ros.model.description import Description
+from stepdiag_ros.model.machine import AXES, CURVES, SQUARENESS
+from stepdiag_ros.report.figures import draw_calibration
+from stepdiag_ros.report.gap_figures import AFTER, CHANNEL_NAMES, STYLE, svg
+from stepdiag_ros.report.page import figure, page, table
+from stepdiag_ros.report.words import plain, quantity, setup_words
+
+GOOD, DOUBTFUL = 1.15, 1.5
+"""Reduced χ² up to which a log agrees with the model, and from which it clearly does not."""
+GRID = 5
+SQUARE_WORDS = {'EC0Y': 'Y to X', 'EB0Z': 'Z to X', 'EA0Z': 'Z to Y'}
+
+
+def evaluation_page(solution: Solution, description: Description, name: str) -> str:
+    """The HTML of one evaluation."""
+    sections = [_head(solution, description, name), _curves(solution), _squareness(solution),
+                _misalignments(solution), _residuals(solution), _open(solution), _notes(solution),
+                _small_print(solution)]
+    return page(f'{name}: the 21 geometric errors', '\n'.join(s for s in sections if s))
+
+
+def _head(solution: Solution, description: Description, name: str) -> str:
+    chi2 = solution.reduced_chi2
+    if solution.status != 'ok':
+        badge = ('bad', solution.status)
+    elif chi2 is None or chi2 <= GOOD:
+        badge = ('good', 'log and model agree')
+    elif chi2 <= DOUBTFUL:
+        badge = ('warn', 'log and model agree roughly')
+    else:
+        badge = ('bad', 'log and model disagree: see `stepdiag gap` before using this')
+    size, sigma = _worst(solution, description)
+    sentence = (f'The machine misses by up to {quantity(size, "m")} (± {quantity(sigma, "m")}) in its volume of '
+                + ' × '.join(plain(v * 1e3) for v in description.machine.volume) + ' mm.')
+    said = '' if chi2 is None else (f'<p class="lead">Reduced χ² {plain(chi2)} over {solution.dof} degrees of '
+                                    'freedom; 1 is what noise alone gives.</p>')
+    return (f'<header><div class="kicker">Machine {escape(description.machine.name)} · log {escape(name)} · chain '
+            f'{escape(description.machine.chain)} · method {escape(solution.method)}</div>'
+            f'<h1>{escape(sentence)}</h1><p><span class="badge {badge[0]}">{escape(badge[1])}</span></p>{said}'
+            '</header>')
+
+
+def _worst(solution: Solution, description: Description) -> tuple[float, float]:
+    """The largest predicted deviation [m] over a grid of the volume and its standard deviation."""
+    lines = [np.linspace(0.0, v, GRID) for v in description.machine.volume]
+    points = np.stack(np.meshgrid(*lines, indexing='ij'), axis=-1).reshape(-1, 3)
+    predicted = predict(solution, description.machine, points)
+    worst = int(np.argmax(predicted.size_m))
+    return float(predicted.size_m[worst]), float(predicted.size_sigma_m[worst])
+
+
+def _curves(solution: Solution) -> str:
+    with matplotlib.rc_context(STYLE):
+        drawing = svg(draw_calibration(solution))
+    rows = []
+    for name in CURVES:
+        if solution.has(name):
+            _, value, sigma = solution.curve(name)
+            unit = 'm' if name[1] in AXES else 'rad'
+            rows.append([name, quantity(float(np.ptp(value)), unit), quantity(float(value[-1]), unit),
+                         quantity(float(np.max(sigma)), unit)])
+    body = table(['error', '>from lowest to highest', '>at the end', '>σ at most'], rows)
+    return ('<h2>The 18 error curves</h2>'
+            + figure(drawing, 'Rows: the axis that moves. Columns: what it does besides. Bands of k = 2. '
+                     'Right: squareness.', 1)
+            + f'<details><summary>as numbers</summary>{body}</details>')
+
+
+def _squareness(solution: Solution) -> str:
+    rows = [[name, SQUARE_WORDS[name], quantity(*_with_unit(solution, name)),
+             quantity(abs(solution.squareness(name)[0]) * 0.1, 'm')]
+            for name in SQUARENESS if solution.has(name)]
+    return '' if not rows else '<h2>Squareness</h2>' + table(
+        ['error', 'of', '>angle ± σ', '>that is, over 100 mm'], rows)
+
+
+def _with_unit(solution: Solution, name: str) -> tuple[float, str, float]:
+    value, sigma = solution.squareness(name)
+    return value, 'rad', sigma
+
+
+def _misalignments(solution: Solution) -> str:
+    if not solution.misalignments:
+        return ''
+    rows = [[escape(name), escape(setup_words(name)), *(quantity(a, 'rad') for a in (*m.laser, *m.mirror))]
+            for name, m in solution.misalignments.items()]
+    return ('<h2>How laser and mirror were aligned</h2><p>Found together with the errors and taken out of them: '
+            'small angles about the beam\'s sideways directions u and v.</p>'
+            + table(['setup', 'which', '>laser about u', '>about v', '>mirror about u', '>about v'], rows))
+
+
+def _residuals(solution: Solution) -> str:
+    left = solution.residuals
+    if left is None:
+        return ''
+    with matplotlib.rc_context(STYLE):
+        drawing = svg(_draw_residuals(solution))
+    return '<h2>What is left</h2>' + figure(
+        drawing, 'Log minus model, in the order of measuring: length of the first beam, spot x and y. A pattern here is '
+        'something that the model does not know; `stepdiag gap` says what.', 2)
+
+
+def _draw_residuals(solution: Solution) -> Figure:
+    left = solution.residuals
+    values = np.column_stack([left.displacement_m[:, :1], left.spot_m]) * 1e6
+    order = np.argsort(left.time_s, kind='stable')
+    values, setup = values[order], left.setup[order]
+    drawing = Figure(figsize=(11.5, 4.0), layout='constrained')
+    axes = drawing.subplots(3, 1, sharex=True)
+    for k, ax in enumerate(axes):
+        ax.plot(values[:, k], '.', color=AFTER, markersize=3)
+        ax.set_ylabel(f'{CHANNEL_NAMES[k]}  [µm]')
+        for first in np.flatnonzero(setup[1:] != setup[:-1]) + 1:
+            ax.axvline(first - 0.5, color='#c4cbd0', linewidth=0.7)
+    for first in [0, *(np.flatnonzero(setup[1:] != setup[:-1]) + 1)]:
+        axes[0].annotate(f' {setup[first]}', (first, 1.0), xycoords=('data', 'axes fraction'), fontsize=7.5,
+                         va='bottom')
+    axes[-1].set_xlabel('stop, in the order of measuring')
+    return drawing
+
+
+def _open(solution: Solution) -> str:
+    if not solution.unidentifiable:
+        return '<h2>What the log leaves open</h2><p>Nothing: every direction is narrowed down by the data.</p>'
+    reasons: dict[str, list[str]] = {}
+    for direction in solution.unidentifiable:
+        reasons.setdefault(direction.why, []).append(' + '.join(direction.names))
+    rows = [['<br>'.join(escape(n) for n in names), escape(why)] for why, names in reasons.items()]
+    return ('<h2>What the log leaves open</h2><p>These trade against each other, or hardly show; no reading of this log '
+            'tells them.</p>' + table(['which', 'why'], rows))
+
+
+def _notes(solution: Solution) -> str:
+    if not solution.warnings:
+        return ''
+    return '<h2>Notes</h2><ul>' + ''.join(f'<li>{escape(w)}</li>' for w in solution.warnings) + '</ul>'
+
+
+def _small_print(solution: Solution) -> str:
+    noise = ', '.join(f'{key.replace("_", " ")} {value if isinstance(value, str) else plain(value)}'
+                      for key, value in solution.noise.items())
+    return (f'<footer><p>Reference lines: {escape(solution.gauge)}. Noise: {escape(noise)}. Uncertainties are one standard '
+            'deviation from the covariance of the fit, bands twice that.</p></footer>')
