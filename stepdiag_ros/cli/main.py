@@ -23,6 +23,7 @@ COMMANDS: tuple[tuple[str, str, str], ...] = (
     ('simulate', 'simulate', 'write the log of a virtual cell without running the graph'),
     ('evaluate', 'evaluate', 'evaluate a log: the 21 errors with their uncertainties'),
     ('compare', 'compare', 'evaluate a log with every method that fits it, side by side'),
+    ('uncertainty', 'uncertainty', 'an uncertainty budget carried to every error and to any point'),
     ('map', 'map', 'the volumetric error that a solution predicts'),
     ('gap', 'gap', 'where log and simulator disagree, why, and how far it closes'),
     ('blind', 'blind', 'seal, answer and open the blind check of the diagnosis'),

@@ -26,7 +26,7 @@ from stepdiag_ros.estimate.gauge import GAUGE, slope_weights
 from stepdiag_ros.estimate.noise import NoiseModel, Whitener, estimate_noise, whiteners
 from stepdiag_ros.estimate.parameters import Parameters, parameters_of
 from stepdiag_ros.estimate.reduce import StopTable
-from stepdiag_ros.model.description import Description
+from stepdiag_ros.model.description import LINEAR, Description
 from stepdiag_ros.model.machine import CURVES
 
 WIDTH_SHIFT_M = 1e-3
@@ -78,14 +78,15 @@ def readings_of(table: StopTable) -> np.ndarray:
     return np.concatenate([table.displacement, table.spot], axis=1)
 
 
-def prior_precision(parameters: Parameters) -> np.ndarray:
-    """Inverse covariance (size, size) of the widths."""
+def prior_precision(parameters: Parameters, linear_laser: float = WIDTH_LASER_RAD) -> np.ndarray:
+    """Inverse covariance (size, size) of the widths; ``linear_laser`` [rad] in linear setups."""
     width = np.empty(parameters.size)
     for name in CURVES:
         width[parameters.slice(name)] = WIDTH_SHIFT_M if name[1] in 'XYZ' else WIDTH_TURN_RAD
     for setup in parameters.setups:
         first = parameters.setup_first[setup]
-        width[first:first + 2], width[first + 2:first + 4] = WIDTH_LASER_RAD, WIDTH_MIRROR_RAD
+        laser = linear_laser if setup in LINEAR else WIDTH_LASER_RAD
+        width[first:first + 2], width[first + 2:first + 4] = laser, WIDTH_MIRROR_RAD
     width[parameters.offset_first:] = WIDTH_OFFSET_M
     precision = np.diag(width**-2.0)
     for name in FRAME_SLOPES:
@@ -113,11 +114,13 @@ def start(parameters: Parameters, model: ForwardModel, table: StopTable,
 
 def fit(description: Description, table: StopTable, noise: NoiseModel | None = None,
         readings: np.ndarray | None = None, theta: np.ndarray | None = None,
-        parameters: Parameters | None = None, settled: float = SETTLED) -> Fit:
+        parameters: Parameters | None = None, settled: float = SETTLED,
+        linear_laser: float = WIDTH_LASER_RAD) -> Fit:
     """Solve for all unknowns of the stops in ``table``.
 
     ``noise`` is estimated from the table when not given; ``readings`` replaces the table's own
-    (n, beams + 2); ``theta`` starts the iteration, ``settled`` [χ²] ends it.
+    (n, beams + 2); ``theta`` starts the iteration, ``settled`` [χ²] ends it.  ``linear_laser`` [rad]: how
+    well the beams of the linear setups are known to lie along their axes (their cosine error).
     """
     parameters = parameters or parameters_of(description, table)
     model = ForwardModel(description, table, parameters)
@@ -128,7 +131,7 @@ def fit(description: Description, table: StopTable, noise: NoiseModel | None = N
         raise StepdiagError('no readings at all; nothing to solve')
     if theta is None:
         theta = start(parameters, model, table, readings)
-    precision = prior_precision(parameters)
+    precision = prior_precision(parameters, linear_laser)
     predicted, jacobian, arrival = model.jacobian(theta)
     if noise is None:
         noise = estimate_noise(table, description.noise, arrival)

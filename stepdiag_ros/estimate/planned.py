@@ -69,30 +69,34 @@ def closed_form(description: Description) -> Sensor:
 def observe(description: Description, table: StopTable, errors: GeometricErrors,
             misalignments: Mapping[str, Misalignment] | None = None, sensor: Sensor | None = None,
             shift: np.ndarray | None = None, turn: np.ndarray | None = None) -> np.ndarray:
-    """Readings (n, beams + 2) [m] of a known machine at the table's stops, zero at each run's first.
+    """Readings (…, n, beams + 2) [m] of a known machine at the table's stops, zero at each run's first.
 
-    ``shift`` (n, 3) [m] and ``turn`` (n, 3) [rad] move the mirror at each stop besides its errors, in
-    the machine frame: errors of arrival.
+    ``shift`` (…, n, 3) [m] and ``turn`` (…, n, 3) [rad] move the mirror at each stop besides its errors, in
+    the machine frame: errors of arrival, whose leading axes (draws) the readings take over.
     """
     sensor = sensor or closed_form(description)
     n, beams = table.displacement.shape
-    readings = np.full((n, beams + 2), np.nan)
     point, attitude = tool_pose(errors, table.commanded, np.array(description.machine.tool),
                                 description.machine.chain)
     if shift is not None:
         point = point + shift
     if turn is not None:
-        attitude = attitude + np.cross(turn[:, :, None], attitude, axisa=1, axisb=1, axisc=1)
+        attitude = attitude + np.cross(turn[..., None], attitude, axisa=-2, axisb=-2, axisc=-2)
+    lead = np.broadcast_shapes(point.shape[:-2], attitude.shape[:-3])
+    point = np.broadcast_to(point, (*lead, n, 3))
+    attitude = np.broadcast_to(attitude, (*lead, n, 3, 3))
+    readings = np.full((*lead, n, beams + 2), np.nan)
     for number, name in enumerate(table.setup_names):
         rows = np.flatnonzero(table.setup == number)
         if len(rows):
-            length, spot = sensor(name, (misalignments or {}).get(name, Misalignment()), point[rows],
-                                  attitude[rows])
-            readings[rows, :length.shape[1]] = length
-            readings[rows, beams:] = spot
+            length, spot = sensor(name, (misalignments or {}).get(name, Misalignment()),
+                                  point[..., rows, :].reshape(-1, 3), attitude[..., rows, :, :].reshape(-1, 3, 3))
+            width = length.shape[1]
+            readings[..., rows, :width] = length.reshape(*lead, len(rows), width)
+            readings[..., rows, beams:] = spot.reshape(*lead, len(rows), 2)
     for run in np.unique(table.run):
         rows = np.flatnonzero(table.run == run)
-        readings[rows, :beams] -= readings[rows[0], :beams]
+        readings[..., rows, :beams] -= readings[..., rows[:1], :beams]
     return readings
 
 

@@ -1,0 +1,188 @@
+"""An uncertainty budget: named contributors, read from YAML and checked line by line.
+
+    schema: 1
+    contributors:
+      - {name: wavelength, kind: scale, type: B, distribution: normal, value: 2.0e-8, unit: m/m}
+
+``kind`` says how a contributor acts (:data:`KINDS`), ``unit`` must be the kind's own and is written so
+that a reader sees it.  ``value`` is a standard uncertainty for ``normal`` and a half width for
+``rectangular``, ``triangular`` and ``arcsine``; ``from log`` takes what the log itself says (type A:
+repeats and scatter in the dwells).  ``dof`` are the degrees of freedom of ``value``, infinite if left out.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import yaml
+
+from stepdiag_ros.errors import StepdiagError
+
+SCHEMA = 1
+FROM_LOG = 'from log'
+KINDS: dict[str, tuple[str, str]] = {
+    'position_repeatability': ('m', 'an axis errs at each arrival and stays so until it moves again'),
+    'angle_repeatability': ('rad', "the mirror's attitude errs at each arrival"),
+    'interferometer_noise': ('m', "one sample of the interferometer"),
+    'psd_noise': ('m', 'one sample of the detector, along x and y'),
+    'scale': ('m/m', 'all lengths of the interferometer alike: wavelength'),
+    'air_temperature': ('K', 'index of air, through the temperature sensor'),
+    'air_pressure': ('Pa', 'index of air, through the pressure sensor'),
+    'humidity': ('1', 'index of air, through the humidity sensor (relative, 0 to 1)'),
+    'dead_path': ('1', 'change of the index within a run, acting on the path before the first stop'),
+    'cosine': ('rad', 'beam against axis in the linear setups, about each of two axes'),
+    'psd_gain': ('1', "scale of the detector, x and y apart"),
+    'psd_zero': ('m', 'zero of the detector, x and y, anew in each setup'),
+    'psd_rotation': ('rad', 'turn of the detector about the beam'),
+    'scale_temperature': ('K', 'temperature of an axis to which positioning errors are referred'),
+    'expansion_coefficient': ('1/K', "expansion coefficient, times the axes' distance from 20 °C"),
+}
+"""kind → unit of its value, what it does."""
+MEASURED = ('position_repeatability', 'angle_repeatability', 'interferometer_noise', 'psd_noise')
+"""Kinds that a log says something about itself."""
+SPREAD = {'normal': 1.0, 'rectangular': 1 / math.sqrt(3.0), 'triangular': 1 / math.sqrt(6.0),
+          'arcsine': 1 / math.sqrt(2.0)}
+"""Standard deviation of each distribution per unit of ``value``."""
+KEYS = ('name', 'kind', 'type', 'distribution', 'value', 'unit', 'dof', 'coefficient')
+
+
+@dataclass(frozen=True)
+class Contributor:
+    """One line of a budget.  ``value`` None: from the log.  ``coefficient`` [1/K]: of scale_temperature."""
+
+    name: str
+    kind: str
+    type: str
+    distribution: str
+    value: float | None
+    dof: float = math.inf
+    coefficient: float = 0.0
+
+    @property
+    def unit(self) -> str:
+        return KINDS[self.kind][0]
+
+    @property
+    def standard(self) -> float | None:
+        """Standard uncertainty in :attr:`unit`."""
+        return None if self.value is None else self.value * SPREAD[self.distribution]
+
+    def draw(self, rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
+        """Variates of mean 0 and, for infinite ``dof``, of standard deviation 1.
+
+        A normal with few degrees of freedom is drawn from Student's t (GUM Supplement 1, 6.4.9).  A
+        cosine error follows from two normal angles: their summed squares, less the mean.
+        """
+        if self.kind == 'cosine':
+            # (α² + β²)/2ε² of two normal angles is exponential with mean and deviation 1.
+            return rng.exponential(1.0, shape) - 1.0
+        if self.distribution == 'rectangular':
+            return rng.uniform(-1.0, 1.0, shape) / SPREAD['rectangular']
+        if self.distribution == 'triangular':
+            return rng.triangular(-1.0, 0.0, 1.0, shape) / SPREAD['triangular']
+        if self.distribution == 'arcsine':
+            return np.sin(rng.uniform(-np.pi, np.pi, shape)) / SPREAD['arcsine']
+        if math.isfinite(self.dof):
+            # One estimated deviation stands behind all draws of a trial.
+            chi = rng.chisquare(self.dof, (shape[0],) + (1,) * (len(shape) - 1)) / self.dof
+            return rng.standard_normal(shape) / np.sqrt(chi)
+        return rng.standard_normal(shape)
+
+
+@dataclass(frozen=True)
+class Budget:
+    """All contributors, by their order in the file."""
+
+    contributors: tuple[Contributor, ...]
+    source: str = 'budget'
+
+    @classmethod
+    def from_yaml(cls, text: str, source: str = 'budget') -> 'Budget':
+        """Parse and check; :class:`StepdiagError` names source, line and key."""
+        try:
+            node, data = yaml.compose(text, yaml.SafeLoader), yaml.safe_load(text)
+        except yaml.YAMLError as error:
+            mark = getattr(error, 'problem_mark', None)
+            raise StepdiagError(f'{source}:{mark.line + 1 if mark else 1}: not valid YAML: '
+                                f'{" ".join(str(getattr(error, "problem", error)).split())}') from None
+        if not isinstance(data, dict) or data.get('schema') != SCHEMA:
+            raise StepdiagError(f'{source}:1: schema is '
+                                f'{data.get("schema") if isinstance(data, dict) else None!r}; '
+                                f'a budget begins with "schema: {SCHEMA}"')
+        places = {key.value: (key, value) for key, value in node.value}
+        for name, (key, _) in places.items():
+            if name not in ('schema', 'contributors'):
+                raise StepdiagError(f'{source}:{key.start_mark.line + 1}: {name}: unknown key; '
+                                    'known are schema, contributors')
+        raw = data.get('contributors')
+        if not isinstance(raw, list) or not raw:
+            raise StepdiagError(f'{source}:1: contributors is missing or empty; list at least one')
+        entries = places['contributors'][1].value
+        found: list[Contributor] = []
+        for body, entry in zip(raw, entries, strict=True):
+            contributor = _contributor(body, entry, source)
+            if contributor.name in [c.name for c in found]:
+                raise StepdiagError(f'{source}:{entry.start_mark.line + 1}: name: {contributor.name!r} '
+                                    'comes twice; give each contributor a name of its own')
+            found.append(contributor)
+        return cls(tuple(found), source)
+
+
+def _contributor(body: Any, node: yaml.Node, source: str) -> Contributor:
+    lines = {}
+    if isinstance(body, dict):
+        lines = {key.value: key.start_mark.line + 1 for key, _ in node.value}
+
+    def wrong(key: str, text: str) -> StepdiagError:
+        return StepdiagError(f'{source}:{lines.get(key, node.start_mark.line + 1)}: {key}: {text}')
+
+    if not isinstance(body, dict):
+        raise wrong('contributors', 'each entry is a mapping with name, kind, type, distribution, value, unit')
+    for key in body:
+        if key not in KEYS:
+            raise wrong(str(key), f'unknown key; known are {", ".join(KEYS)}')
+    kind = body.get('kind')
+    if kind not in KINDS:
+        raise wrong('kind', f'{kind!r} is not known; choose from {", ".join(KINDS)}')
+    name = str(body.get('name') or kind)
+    if body.get('type') not in ('A', 'B'):
+        raise wrong('type', f'{body.get("type")!r}; write A (statistics) or B (other knowledge)')
+    distribution = body.get('distribution', 'normal')
+    if distribution not in SPREAD:
+        raise wrong('distribution', f'{distribution!r} is not known; choose from {", ".join(SPREAD)}')
+    if kind == 'cosine' and distribution != 'normal':
+        raise wrong('distribution', 'a cosine error follows from two normal angles; write normal')
+    if str(body.get('unit')) != KINDS[kind][0]:
+        raise wrong('unit', f'{body.get("unit")!r}; {kind} is given in {KINDS[kind][0]}')
+    value = body.get('value')
+    if value == FROM_LOG:
+        if kind not in MEASURED:
+            raise wrong('value', f'a log does not say {kind}; give a number')
+        if body['type'] != 'A' or distribution != 'normal':
+            raise wrong('value', 'what comes from the log is type A and normal')
+        number = None
+    else:
+        number = _number(value, wrong, 'value', f'; give a number in {KINDS[kind][0]}'
+                         + (f' or "{FROM_LOG}"' if kind in MEASURED else ''))
+    dof = math.inf
+    if 'dof' in body:
+        dof = _number(body['dof'], wrong, 'dof', '; give a number above 2 or .inf', infinite=True)
+        if dof <= 2.0:
+            raise wrong('dof', f'{dof:g}; below 3 Student\'s t has no standard deviation, give more')
+        if distribution != 'normal':
+            raise wrong('dof', f'only for normal; a {distribution} width is taken as exact')
+    if kind == 'scale_temperature' and 'coefficient' not in body:
+        raise wrong('coefficient', 'missing; give the expansion coefficient [1/K], e.g. 1.15e-5')
+    coefficient = _number(body.get('coefficient', 0.0), wrong, 'coefficient', '; give a number in 1/K')
+    return Contributor(name, kind, body['type'], distribution, number, dof, coefficient)
+
+
+def _number(value: Any, wrong, key: str, advice: str, infinite: bool = False) -> float:
+    try:
+        number = math.nan if isinstance(value, bool) else float(value)
+    except (TypeError, ValueError):
+        number = math.nan
+    if math.isnan(number) or number < 0.0 or (math.isinf(number) and not infinite):
+        raise wrong(key, f'{value!r}{advice}')
+    return number
