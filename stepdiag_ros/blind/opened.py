@@ -1,5 +1,6 @@
 """Open a sealed and answered set: check both hashes, score, and show it as table, picture and JSON."""
 
+import datetime
 import hashlib
 import json
 import multiprocessing
@@ -13,9 +14,11 @@ from stepdiag_ros.blind.answer import ANSWER_HASHES, ANSWERS, answer_hashes, log
 from stepdiag_ros.blind.apart import apart
 from stepdiag_ros.blind.score import COUNTS_FROM, Case, score
 from stepdiag_ros.blind.seal import MANIFEST, SEALED, write_json
+from stepdiag_ros.blind.world import CATEGORIES
 from stepdiag_ros.errors import StepdiagError
 
 APART = 'apart.json'
+MARK = '<!-- results -->'
 ROWS = (
     ('false_alarms', 'false alarms on null logs', '0 of 300', True),
     ('detection', 'detection', '≥ 99 %', True),
@@ -40,11 +43,31 @@ ROWS = (
 def open_set(folder: Path) -> dict[str, Any]:
     """Check the hashes and score; writes ``score.json``, ``score.md`` and ``score.png`` into the set."""
     cases, head = load(folder)
-    result = {**head, **score(cases)}
+    result = {**head, 'opened': datetime.date.today().isoformat(),
+              'categories': {category: sum(c.category == category for c in cases) for category in CATEGORIES},
+              **score(cases)}
     write_json(folder / 'score.json', result)
     (folder / 'score.md').write_text(table(result) + '\n')
     draw(result, folder / 'score.png')
     return result
+
+
+def into_page(result: dict[str, Any], folder: Path, page: Path) -> None:
+    """Replace what stands below ``<!-- results -->`` of a page by the table, and its picture by the set's."""
+    text = page.read_text()
+    if MARK not in text:
+        raise StepdiagError(f'{page}: has no line {MARK}; add it where the results shall stand')
+    picture = page.parent / 'images' / 'blind.png'
+    picture.parent.mkdir(exist_ok=True)
+    picture.write_bytes((folder / 'score.png').read_bytes())
+    counts = ', '.join(f'{n} {category}' for category, n in result['categories'].items())
+    head = (f'{result["logs"]} logs ({counts}), purpose `{result["purpose"]}`, seed {result["seed"]}, opened on '
+            f'{result["opened"]}.  SHA-256 of the truth `{result["truth_sha256"]}`, of the answers '
+            f'`{result["answers_sha256"]}`.')
+    peers = folder / 'peers.md'
+    rest = f'\n### Peers on the same logs\n\n{peers.read_text()}' if peers.exists() else ''
+    page.write_text(f'{text.split(MARK)[0]}{MARK}\n\n{head}\n\n{table(result)}\n\n'
+                    f'![Seen and named, calibration](images/blind.png)\n{rest}')
 
 
 def load(folder: Path) -> tuple[list[Case], dict[str, Any]]:

@@ -61,6 +61,12 @@ class Case:
         return self.gap['verdict'] in ('unexplained', 'partly_explained')
 
     @property
+    def in_means(self) -> bool:
+        """Whether the stops' means show the effects, so that it makes sense to ask where they lie."""
+        return all(e['visibility'].get('stops', np.inf) >= 0.5 * e['visibility']['total']
+                   for e in self.truth['effects'])
+
+    @property
     def separable(self) -> bool:
         """Whether the sealed truth says that no rival could stand for the effect."""
         return self.truth.get('least_apart', np.inf) >= SEPARABLE
@@ -96,7 +102,7 @@ def score(cases: Sequence[Case]) -> dict[str, Any]:
         'outside_unknown': share(outside, lambda c: c.unknown and not c.named),
         'outside_misnamed': share(outside, lambda c: bool(c.named)),
         'pair_exact': share(pair, lambda c: set(c.named) == set(c.true_names)),
-        'where_f1': mean(where_f1(c) for c in known if c.alarmed),
+        'where_f1': mean(where_f1(c) for c in known if c.alarmed and c.in_means),
         'gap_closed': mean(closed(c) for c in known if c.alarmed and np.isfinite(closed(c))),
         'held_out_chi2': median(c.extra['closing']['after'] for c in known if c.alarmed),
         'held_out_chi2_at_most_1.05': share([c for c in known if c.alarmed],

@@ -34,6 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     opened.add_argument('--apart', action='store_true',
                         help='judge first which effects another could stand for (some seconds a log)')
     opened.add_argument('--json', action='store_true', help='print the score as JSON')
+    opened.add_argument('--page', type=Path, help='Markdown page to put the results into, below its mark')
     for sub in (seal, answer, opened):
         sub.add_argument('--processes', type=int, default=2, help='logs worked on at a time (2)')
         sub.add_argument('--quiet', action='store_true', help='no progress')
@@ -60,9 +61,11 @@ def _answer(args: argparse.Namespace) -> int:
 
 
 def _open(args: argparse.Namespace) -> int:
-    from stepdiag_ros.blind.opened import judge_apart, open_set, table
+    from stepdiag_ros.blind.opened import into_page, judge_apart, open_set, table
     if args.apart:
         judge_apart(args.folder, args.processes, not args.quiet)
     result = open_set(args.folder)
+    if args.page is not None:
+        into_page(result, args.folder, args.page)
     print(json.dumps(result, indent=1) if args.json else table(result))
     return 0

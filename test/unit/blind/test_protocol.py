@@ -9,7 +9,7 @@ import pytest
 
 from stepdiag_ros.bag.reader import read_log
 from stepdiag_ros.blind.answer import answer
-from stepdiag_ros.blind.opened import load, open_set
+from stepdiag_ros.blind.opened import into_page, load, open_set
 from stepdiag_ros.blind.seal import LOGS, MANIFEST, SEALED, orders, seal
 from stepdiag_ros.blind.vocabulary import NAMES
 from stepdiag_ros.cli.main import main
@@ -59,6 +59,20 @@ def test_scores(answered: Path) -> None:
     assert json.loads((answered / 'score.json').read_text())['logs'] == 3
     assert '| false alarms on null logs | 0 of 300 |' in (answered / 'score.md').read_text()
     assert (answered / 'score.png').stat().st_size > 10_000
+
+
+def test_results_go_into_a_page(answered: Path, tmp_path: Path) -> None:
+    page = tmp_path / 'page.md'
+    page.write_text('# Page\n\n<!-- results -->\nold\n')
+    into_page(open_set(answered), answered, page)
+    text = page.read_text()
+    assert text.startswith('# Page')
+    assert 'old' not in text
+    assert '3 logs (1 null, 1 single, 0 pair, 1 outside), purpose `develop`, seed 31' in text
+    assert (tmp_path / 'images' / 'blind.png').exists()
+    page.write_text('# No mark')
+    with pytest.raises(StepdiagError, match='has no line'):
+        into_page(open_set(answered), answered, page)
 
 
 def test_changed_truth_is_found_out(copy: Path) -> None:
