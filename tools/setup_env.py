@@ -198,7 +198,8 @@ class Environment:
         done |= self.stage('msgs', msgs_key, 'building stepdiag_msgs', self.build_messages)
 
         package = [ROOT / 'package.xml', ROOT / 'setup.py', ROOT / 'setup.cfg', Path(__file__).resolve()]
-        done |= self.stage('package', digest(package, msgs_key, str(ROOT)), 'installing stepdiag_ros', self.install_package)
+        package_key = digest(package, msgs_key, str(ROOT))
+        done |= self.stage('package', package_key, 'installing stepdiag_ros', self.install_package)
         return done
 
 

@@ -27,7 +27,6 @@ from stepdiag_ros.estimate.prediction import predict
 from stepdiag_ros.estimate.propagate import (
     Conditions,
     Setting,
-    Uncertainty,
     coverage_factor,
     propagate,
     with_budget,
