@@ -106,8 +106,8 @@ def _residuals(solution: Solution) -> str:
     with matplotlib.rc_context(STYLE):
         drawing = svg(_draw_residuals(solution))
     return '<h2>What is left</h2>' + figure(
-        drawing, 'Log minus model, in the order of measuring: length of the first beam, spot x and y. A pattern here is '
-        'something that the model does not know; `stepdiag gap` says what.', 2)
+        drawing, 'Log minus model, in the order of measuring: length of the first beam, spot x and y. A pattern '
+        'here is something that the model does not know; `stepdiag gap` says what.', 2)
 
 
 def _draw_residuals(solution: Solution) -> Figure:
@@ -123,6 +123,8 @@ def _draw_residuals(solution: Solution) -> Figure:
         for first in np.flatnonzero(setup[1:] != setup[:-1]) + 1:
             ax.axvline(first - 0.5, color='#c4cbd0', linewidth=0.7)
     for first in [0, *(np.flatnonzero(setup[1:] != setup[:-1]) + 1)]:
+        if np.sum(setup == setup[first]) < 0.03 * len(setup):
+            continue
         axes[0].annotate(f' {setup[first]}', (first, 1.0), xycoords=('data', 'axes fraction'), fontsize=7.5,
                          va='bottom')
     axes[-1].set_xlabel('stop, in the order of measuring')
@@ -135,9 +137,9 @@ def _open(solution: Solution) -> str:
     reasons: dict[str, list[str]] = {}
     for direction in solution.unidentifiable:
         reasons.setdefault(direction.why, []).append(' + '.join(direction.names))
-    rows = [['<br>'.join(escape(n) for n in names), escape(why)] for why, names in reasons.items()]
-    return ('<h2>What the log leaves open</h2><p>These trade against each other, or hardly show; no reading of this log '
-            'tells them.</p>' + table(['which', 'why'], rows))
+    rows = [[escape(', '.join(sorted(names))), escape(why)] for why, names in reasons.items()]
+    return ('<h2>What the log leaves open</h2><p>These trade against each other, or hardly show; no reading of '
+            'this log tells them.</p>' + table(['which', 'why'], rows))
 
 
 def _notes(solution: Solution) -> str:
@@ -147,7 +149,12 @@ def _notes(solution: Solution) -> str:
 
 
 def _small_print(solution: Solution) -> str:
-    noise = ', '.join(f'{key.replace("_", " ")} {value if isinstance(value, str) else plain(value)}'
-                      for key, value in solution.noise.items())
-    return (f'<footer><p>Reference lines: {escape(solution.gauge)}. Noise: {escape(noise)}. Uncertainties are one standard '
-            'deviation from the covariance of the fit, bands twice that.</p></footer>')
+    parts = []
+    for key, value in solution.noise.items():
+        if isinstance(value, str):
+            parts.append(f'{key}: {value}')
+            continue
+        said, _, unit = key.rpartition('_')
+        parts.append(f'{said.replace("_", " ")} {quantity(float(value), unit)}')
+    return (f'<footer><p>Reference lines: {escape(solution.gauge)}. Noise: {escape(", ".join(parts))}. Uncertainties '
+            'are one standard deviation from the covariance of the fit, bands twice that.</p></footer>')

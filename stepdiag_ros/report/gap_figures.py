@@ -32,7 +32,7 @@ def svg(figure: Figure) -> str:
     """A figure as an ``<svg>`` element."""
     buffer = io.StringIO()
     figure.savefig(buffer, format='svg', metadata={'Date': None, 'Creator': None}, transparent=True)
-    text = buffer.getvalue()
+    text = re.sub(r'<metadata>.*?</metadata>', '', buffer.getvalue(), flags=re.S)
     return re.sub(r' (width|height)="[\d.]+pt"', '', text[text.index('<svg'):], count=2)
 
 

@@ -1,0 +1,145 @@
+"""The page and the summary of a diagnosis: well-formed, self-contained, and saying what is wrong."""
+
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import pytest
+
+from stepdiag_ros.estimate.evaluate import solution_of
+from stepdiag_ros.report.gap_page import budget_svg, gap_page
+from stepdiag_ros.report.gap_words import changes, closed_share, headline, steps, summary, where_words
+
+VOID = {'meta', 'br', 'img', 'hr', 'link', 'input'}
+BACKLASH = {'B': [4e-6, 3e-6, 5e-6]}
+
+
+class Page(HTMLParser):
+    """Tags balanced, text collected, addresses of anything fetched."""
+
+    def __init__(self, text: str):
+        super().__init__()
+        self.open: list[str] = []
+        self.words: list[str] = []
+        self.fetched: list[str] = []
+        self.ids: list[str] = []
+        self.counts: dict[str, int] = {}
+        self.feed(text)
+        assert self.open == []
+
+    def handle_starttag(self, tag, attributes):
+        self.counts[tag] = self.counts.get(tag, 0) + 1
+        for key, value in attributes:
+            if key in ('src', 'href', 'xlink:href') and value and not value.startswith(('#', 'data:')):
+                self.fetched.append(value)
+            if key == 'id':
+                self.ids.append(value)
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attributes):
+        self.handle_starttag(tag, attributes)
+        if tag not in VOID:
+            self.open.pop()
+
+    def handle_endtag(self, tag):
+        assert self.open and self.open[-1] == tag, f'</{tag}> closes {self.open[-1:]}'
+        self.open.pop()
+
+    def handle_data(self, data):
+        if not self.open or self.open[-1] not in ('style', 'defs'):
+            self.words.append(data)
+
+    @property
+    def text(self) -> str:
+        return re.sub(r'\s+', ' ', ' '.join(self.words))
+
+
+@pytest.fixture(scope='module')
+def backlash(diagnosed):
+    return diagnosed('backlash', BACKLASH, ('backlash', 'psd_gain', 'servo_settling'))
+
+
+@pytest.fixture(scope='module')
+def backlash_page(backlash):
+    return Page(gap_page(backlash, 'some_log', ('a <note>',)))
+
+
+def test_page_is_whole_and_fetches_nothing(backlash_page):
+    assert backlash_page.fetched == []
+    assert len(backlash_page.ids) == len(set(backlash_page.ids))
+    assert backlash_page.counts['svg'] >= 5
+    assert backlash_page.counts['h1'] == 1
+
+
+def test_page_says_what_is_wrong(backlash_page):
+    text = backlash_page.text
+    for said in ('depending on the direction it came from', 'Backlash (lost motion on reversal)',
+                 'practically certain', 'ball screw', 'noise floor', 'laser', 'EXX', 'a <note>', 'How this was judged',
+                 'repeat 1 of every setup'):
+        assert said in text, said
+    assert re.search(r'X 3\.\d|X 4\.\d', text)
+    assert 'µm' in text and ' m)' not in text
+
+
+def test_summary_says_what_is_wrong(backlash):
+    text = summary(backlash, 'some_log', ('cell written to x.yaml',))
+    first = text.splitlines()[0]
+    assert first.startswith('some_log: An axis stops at a different place')
+    assert re.search(r'Y +3\.\d+ ± 0\.\d+ µm', text)
+    for said in ('noise alone', '[backlash]: practically certain', 'What to do: Check the ball screw',
+                 'Where: ', 'note: cell written to x.yaml'):
+        assert said in text, said
+
+
+def test_null_log_is_called_sound(diagnosed):
+    diagnosis = diagnosed('')
+    page = Page(gap_page(diagnosis, 'quiet'))
+    assert headline(diagnosis).startswith('Nothing is wrong that this log could show')
+    assert 'nothing wrong' in page.text and 'Nothing needs a cause' in page.text
+    assert where_words(diagnosis).startswith('Nowhere')
+    assert 'what to do' not in page.text
+
+
+def test_unexplained_is_not_named(diagnosed):
+    """Backlash in the log, and nothing looked for that could explain it."""
+    diagnosis = diagnosed('backlash', BACKLASH, ('psd_rotation',))
+    assert diagnosis.verdict in ('unexplained', 'partly_explained')
+    text = Page(gap_page(diagnosis, 'odd')).text
+    assert 'none of the known causes' in text
+    assert 'Backlash' not in text
+    assert 'Not explained: ' in summary(diagnosis, 'odd')
+
+
+def test_what_cannot_be_told_apart_and_next_measurement_are_shown(backlash):
+    doubtful = replace(backlash, indistinguishable=(('backlash', 'count_slip'),),
+                       next_measurement='Run ppp once more, backwards first.')
+    text = Page(gap_page(doubtful, 'x')).text
+    assert 'cannot tell these apart' in text and 'Laser lost count' in text
+    assert 'Run ppp once more, backwards first.' in text
+    said = summary(doubtful, 'x')
+    assert 'Cannot be told apart' in said and 'Measure next: Run ppp' in said
+
+
+def test_budget_goes_from_before_to_after(backlash):
+    rows = steps(backlash)
+    assert [name for name, _ in rows] == ['before', 'backlash']
+    assert rows[0][1] == backlash.closing.before_m and rows[-1][1] == backlash.closing.after_m
+    assert rows[-1][1] < rows[0][1]
+    assert closed_share(backlash) > 0.9
+
+
+def test_budget_bars_are_in_proportion():
+    drawn = budget_svg([('before', 4e-6), ('after', 1e-6)], 1e-6)
+    widths = [float(w) for w in re.findall(r'<rect [^>]*?width="([\d.]+)"', drawn)]
+    assert widths[0] == pytest.approx(4 * widths[1], rel=1e-2)
+    line = float(re.search(r'<line x1="([\d.]+)"', drawn)[1])
+    assert line == pytest.approx(340 + widths[1], abs=0.2)
+    gross = budget_svg([('before', 4e-4), ('after', 1e-6)], 1e-6)
+    assert 'logarithmic' in gross
+
+
+def test_changes_of_the_errors_are_ranked(backlash):
+    rows = changes(backlash, solution_of(backlash.nominal.fit, backlash.nominal.table), backlash.solution)
+    assert len(rows) == 21
+    assert [r[2] for r in rows] == sorted((r[2] for r in rows), reverse=True)

@@ -1,0 +1,53 @@
+"""Numbers and causes in words."""
+
+import pytest
+
+from stepdiag_ros.effects import VOCABULARY
+from stepdiag_ros.report import words
+
+
+@pytest.mark.parametrize(('value', 'unit', 'sigma', 'said'), [
+    (5.71e-6, 'm', 1.2e-7, '5.71 ± 0.12 µm'), (-2.5e-3, 'm', None, '−2.50 mm'), (9.66e-9, 'm', None, '9.66 nm'),
+    (3e-5, 'rad', 1e-6, '30.0 ± 1.0 µrad'), (0.02, '1', 0.001, '2.00 ± 0.10 %'), (4e-6, '1', None, '4.00 ppm'),
+    (-0.0282, 's', 6e-4, '−28.20 ± 0.60 ms'), (1800.0, 's', None, '30.0 min'), (12.0, 'Hz', None, '12.0 Hz'),
+    (0.0, 'm', None, '0 nm'), (float('nan'), 'm', None, 'not known')])
+def test_quantities(value, unit, sigma, said):
+    assert words.quantity(value, unit, sigma) == said
+
+
+def test_probabilities_are_never_rounded_to_certainty():
+    assert words.percent(0.99999) == '> 99.9 %'
+    assert words.percent(1e-6) == '< 0.1 %'
+    assert words.percent(0.5) == '50 %'
+    assert [words.certainty(p) for p in (0.995, 0.95, 0.7, 0.2)] == ['practically certain', 'very likely', 'likely',
+                                                                     'possible']
+
+
+def test_every_effect_has_a_name_for_people():
+    for name in VOCABULARY:
+        assert words.title(name) != name and '_' not in words.title(name)
+    assert words.title('my_own_effect') == 'My own effect'
+
+
+def test_parameters_lose_their_unit_and_keep_their_meaning():
+    assert words.parameter_unit('tau_s', 'm') == 's'
+    assert words.parameter_unit('X shift', '1, m') == 'm'
+    assert words.parameter_unit('X', '1, m') == '1'
+    assert words.parameter_name('tau_s (2)') == 'time constant (2)'
+
+
+@pytest.mark.parametrize(('label', 'said'), [
+    ('displacement: places by direction in ppp',
+     'the laser length belongs to places along ppp, and is opposite forward and backward'),
+    ('mirror: wandering inside the runs', "the mirror's attitude wanders inside each run"),
+    ('spot_x: jump at npp/0/+ stop 4', 'the spot in x jumps once (run npp/0/+, stop 4) and stays there'),
+    ('constant: not alike from setup to setup',
+     'a known pattern (constant) whose size differs from setup to setup'),
+    ('something never heard of', 'something never heard of')])
+def test_leftovers_are_described(label, said):
+    assert words.leftover_words(label) == said
+
+
+def test_setups_are_described():
+    assert words.setup_words('npp') == 'diagonal to −X to +Y to +Z'
+    assert words.setup_words('lin_y') == 'line along Y'
