@@ -105,8 +105,11 @@ class SharedHistory(History):
         super().__init__()
         size = 8 + CAPACITY * SEGMENT.itemsize
         if create:
-            with open(path, 'wb') as file:
+            # Others open the file as soon as it is there: it appears with its full size.
+            made = path.with_name(f'{path.name}.new')
+            with open(made, 'wb') as file:
                 file.truncate(size)   # sparse: only what is written takes room
+            made.replace(path)
         mode = 'r+' if create else 'r'
         self._shared_count = np.memmap(path, '<i8', mode, 0, 1)
         self._shared = np.memmap(path, SEGMENT, mode, 8, CAPACITY)
