@@ -30,6 +30,8 @@ WINSOR = 3.0
 WINSOR_MEAN = 0.9950072780
 """Mean of min(z², 9) of a standard normal z: 1 − P − 6 φ(3) + 9 P with P = P(|z| > 3)."""
 MAX_SWEEPS = 12
+LEAST_SHARE = 0.02
+"""Share of the variance below which a source's size is only felt for with short steps."""
 
 
 @dataclass(frozen=True)
@@ -149,8 +151,9 @@ def estimate_noise(table: StopTable, belief: Noise, arrival: np.ndarray) -> Nois
     contrasts = list(_contrasts(table, readings))
     sigma = {}
     dof = {}
-    for what, columns, believed in (('position', [0], belief.position_repeatability),
-                                    ('angle', [beams, beams + 1], belief.angle_repeatability)):
+    # The angle first: it reaches the distance through the arm beside the beam.
+    for what, columns, believed in (('angle', [beams, beams + 1], belief.angle_repeatability),
+                                    ('position', [0], belief.position_repeatability)):
         parts = []
         for rows, values, time in contrasts:
             for column in columns:
@@ -163,15 +166,21 @@ def estimate_noise(table: StopTable, belief: Noise, arrival: np.ndarray) -> Nois
             continue
         known = max(believed, FLOOR_M)
         for _ in range(MAX_SWEEPS):
-            guess = (known, 0.0) if what == 'position' else (0.0, known)
-            total = 0.0
+            guess, rest = ((known, sigma['angle']), (0.0, sigma['angle'])) if what == 'position' \
+                else ((0.0, known), (0.0, 0.0))
+            total = other = 0.0
             for rows, value, time, column in parts:
-                covariance = run_covariance(rows, *guess, sensor[:, [column]],
-                                            arrival[:, :, [column]], numbers)
-                white = _white_without_parabola(covariance, value, time)
+                covariance, fixed = (run_covariance(rows, *sizes, sensor[:, [column]],
+                                                    arrival[:, :, [column]], numbers)
+                                     for sizes in (guess, rest))
+                factor = linalg.cholesky(covariance, lower=True)
+                white = _white_without_parabola(factor, value, time)
                 total += np.sum(np.minimum(white**2, WINSOR**2)) / WINSOR_MEAN
-            ratio = np.sqrt(total / dof[what])
-            updated = float(np.clip(known * ratio, FLOOR_M, None))
+                other += np.trace(linalg.cho_solve((factor, True), fixed)) / len(rows) * len(white)
+            # Scoring: what is not this source's share of the variance does not grow with it.
+            share = max(1.0 - other / dof[what], LEAST_SHARE)
+            change = 1.0 + (total / dof[what] - 1.0) / share
+            updated = max(known * float(np.sqrt(max(change, 0.0))), FLOOR_M)
             settled = abs(updated / known - 1.0) < 1e-3
             known = updated
             if settled:
@@ -202,10 +211,8 @@ def _contrasts(table: StopTable, readings: np.ndarray):
                 yield runs[0], (values[:r].sum(0) - r * values[r]) / np.sqrt(r * (r + 1)), time
 
 
-def _white_without_parabola(covariance: np.ndarray, value: np.ndarray,
-                            time: np.ndarray) -> np.ndarray:
-    """White residuals (k − 3,) of ``value`` about its best parabola in time."""
-    factor = linalg.cholesky(covariance, lower=True)
+def _white_without_parabola(factor: np.ndarray, value: np.ndarray, time: np.ndarray) -> np.ndarray:
+    """White residuals (k − 3,) of ``value`` about its best parabola in time; ``factor`` of its covariance."""
     scaled = time / max(time[-1], 1e-9) if len(time) else time
     trend = np.stack([np.ones_like(scaled), scaled, scaled**2], axis=1)
     white = linalg.solve_triangular(factor, np.column_stack([trend, value]), lower=True)

@@ -1,0 +1,115 @@
+"""From samples to stops."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.estimate.reduce import reduce_log
+from stepdiag_ros.model.log import DONE, DWELL, MOVE, NONE, CalibrationLog, Samples, StepEvents
+
+SECOND = 1_000_000_000
+
+
+@pytest.fixture
+def log(plan_of):
+    """Three stops of one run, one second apart, dwelling half of it, ten samples a second; values count up."""
+    stops = 3
+    times, phases, index = [], [], []
+    for i in range(stops):
+        times += [i * SECOND, i * SECOND + SECOND // 2, (i + 1) * SECOND - 1]
+        phases += [MOVE, DWELL, DONE]
+        index += [i] * 3
+    m = len(times)
+    steps = StepEvents(np.array(times), ('ppp/0/+',), np.zeros(m, int), ('ppp',), np.zeros(m, int),
+                       np.zeros(m, int), np.ones(m, int), np.array(index), np.repeat([NONE, 0, 1], 3),
+                       np.repeat(np.arange(3.0)[:, None] * np.ones(3), 3, axis=0), np.array(phases))
+
+    def samples(columns, health):
+        time = np.arange(30) * SECOND // 10
+        values = 1.0 + 1e-9 * np.arange(30)[:, None] * np.ones(columns)
+        return Samples(time, values, np.full(30, health), np.full(30, 1.00027), ('ppp',),
+                       np.zeros(30, int), np.arange(30) // 5)
+    return CalibrationLog(plan_of(1, 1, names=('ppp',)), steps, samples(1, 80.0), samples(2, 4.0), source='made')
+
+
+def test_means_over_the_dwell_only(log):
+    table = reduce_log(log)
+    # Samples at 0.5 … 0.9 s: numbers 5 … 9.
+    assert table.displacement[:, 0] - 1.0 == pytest.approx([7e-9, 17e-9, 27e-9], rel=1e-6)
+    assert table.displacement_count.tolist() == [5, 5, 5]
+    assert table.displacement_rows.tolist() == [[5, 10], [15, 20], [25, 30]]
+    assert table.displacement_scatter[0, 0] == pytest.approx(1e-9 / np.sqrt(2.0), rel=1e-5)
+    assert np.all(table.refractive_index == pytest.approx(1.00027))
+    assert np.all(table.intensity == 4.0)
+    assert table.time_s == pytest.approx([0.25, 1.25, 2.25])
+    assert not table.warnings
+
+
+def test_the_end_of_a_dwell_is_left_out(log):
+    """[DWELL, DONE): a sample stamped DONE belongs to the move."""
+    steps = log.steps
+    time = steps.time_ns.copy()
+    time[2] = 9 * SECOND // 10
+    table = reduce_log(replace(log, steps=replace(steps, time_ns=time)))
+    assert table.displacement_count[0] == 4
+
+
+def test_no_signal_and_no_number_are_left_out_and_told(log):
+    health, values = log.displacement.health.copy(), log.displacement.values.copy()
+    health[6], values[7] = 0, np.nan
+    health[15:20] = 0
+    table = reduce_log(replace(log, displacement=replace(log.displacement, health=health, values=values)))
+    assert table.displacement_count.tolist() == [3, 0, 5]
+    assert np.isnan(table.displacement[1, 0])
+    assert np.isfinite(table.spot).all()
+    assert any('7 dwell samples without signal' in w for w in table.warnings)
+    assert any('1 of 3 dwells hold no usable sample' in w for w in table.warnings)
+
+
+def test_samples_of_another_setup_do_not_count(log):
+    samples = replace(log.displacement, setup_names=('ppp', 'npp'),
+                      setup=np.where(np.arange(30) < 15, 0, 1))
+    table = reduce_log(replace(log, displacement=samples))
+    assert table.displacement_count.tolist() == [5, 0, 0]
+
+
+def test_unfinished_dwells_and_second_visits(log):
+    steps = log.steps
+    cut = StepEvents(**{key: value[:-1] if isinstance(value, np.ndarray) else value
+                        for key, value in vars(steps).items()})
+    table = reduce_log(replace(log, steps=cut))
+    assert len(table) == 2
+    assert any('1 dwells never ended' in w for w in table.warnings)
+    again = replace(steps, index=np.array([0, 0, 0, 1, 1, 1, 1, 1, 1]))
+    table = reduce_log(replace(log, steps=again))
+    assert len(table) == 2
+    assert table.displacement[1, 0] - 1.0 == pytest.approx(27e-9, rel=1e-6)
+    assert any('came twice' in w for w in table.warnings)
+
+
+def test_a_dwell_without_its_move_is_a_stop_all_the_same(log):
+    steps = log.steps
+    late = StepEvents(**{key: value[1:] if isinstance(value, np.ndarray) else value
+                         for key, value in vars(steps).items()})
+    table = reduce_log(replace(log, steps=late))
+    assert table.move_ns.tolist()[0] == -1
+    assert len(table) == 3
+
+
+def test_nothing_to_evaluate_is_said(log):
+    none = StepEvents(**{key: value[:0] if isinstance(value, np.ndarray) else value
+                         for key, value in vars(log.steps).items()})
+    with pytest.raises(StepdiagError, match='holds no dwell'):
+        reduce_log(replace(log, steps=none))
+    with pytest.raises(StepdiagError, match='check the stamps of both'):
+        reduce_log(replace(log, displacement=Samples.empty(1), spot=Samples.empty(2)))
+
+
+def test_select_keeps_all_columns_together(log):
+    table = reduce_log(log)
+    part = table.select(np.array([True, False, True]))
+    assert len(part) == 2
+    assert part.index.tolist() == [0, 2]
+    assert part.run_ids == table.run_ids
