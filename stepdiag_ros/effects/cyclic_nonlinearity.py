@@ -56,7 +56,7 @@ class CyclicNonlinearity(Effect):
     def _of_length(self, view: StopView, label: str, length: np.ndarray,
                    wavelength: float) -> list[Form]:
         def form(kind: str, columns: np.ndarray, names: tuple[str, ...]) -> Form:
-            return Form(f'{label}, {kind}', columns, names, np.full(len(names), 1e-8),
+            return Form(f'{label}, {kind}', columns, names, np.full(len(names), 3e-9),
                         shape={'wavelength_m': wavelength})
 
         once = self._swing(view, 4.0 * np.pi * length / wavelength)

@@ -50,7 +50,7 @@ class ScaleThermalExpansion(Effect):
         both = np.concatenate([growth, view.by_shift])
         named = axes + tuple(f'{axis} shift' for axis in axes)
         forms += [follow(view, course, both, named, 1e-5, '1, m', 'held elsewhere than at zero')
-                  for course in courses(view.time, flexible=False)
+                  for course in courses(view.time)
                   if course.label == 'linear' or course.shape.get('tau_s', 0.0) > 0.2 * np.ptp(view.time)]
         return self._logged(view, growth) + forms
 

@@ -44,18 +44,18 @@ def cycle(since: np.ndarray, period: float) -> Course:
                   lambda shape: cycle(since, shape['period_s']))
 
 
-def courses(time: np.ndarray, flexible: bool = True) -> list[Course]:
-    """Courses over ``time`` (n,) [s]: linear, exponentials of several time constants, cycles,
-    and (``flexible``) a smooth polynomial of fifth degree."""
+def courses(time: np.ndarray) -> list[Course]:
+    """Courses over ``time`` (n,) [s]: linear, exponentials of several time constants, cycles, smooth
+    polynomials of fifth and twelfth degree."""
     span = max(float(np.ptp(time)), 1e-9)
     since = time - time.min()
     result = [Course('linear', (since / span)[None], np.full((1, len(time)), 1.0 / span), {})]
     result += [exponential(since, fraction * span) for fraction in TAU_FRACTIONS]
     result += [cycle(since, fraction * span) for fraction in PERIOD_FRACTIONS]
-    if flexible:
-        scaled = 2.0 * since / span - 1.0
-        basis = [np.polynomial.legendre.Legendre.basis(d) for d in range(1, 6)]
-        result.append(Course('smooth', np.stack([p(scaled) / d for d, p in enumerate(basis, 1)]),
+    scaled = 2.0 * since / span - 1.0
+    for label, degree in (('smooth', 5), ('winding', 12)):
+        basis = [np.polynomial.legendre.Legendre.basis(d) for d in range(1, degree + 1)]
+        result.append(Course(label, np.stack([p(scaled) / d for d, p in enumerate(basis, 1)]),
                              np.stack([p.deriv()(scaled) * 2.0 / span / d
                                        for d, p in enumerate(basis, 1)]), {}))
     return result

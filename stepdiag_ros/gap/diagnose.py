@@ -12,21 +12,23 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stepdiag_ros.effects.base import Effect, Form
+from stepdiag_ros.effects.tuning import tune
 from stepdiag_ros.estimate.noise import estimate_noise
-from stepdiag_ros.estimate.enhanced import readings_of
+from stepdiag_ros.estimate.solution import Solution
 from stepdiag_ros.gap.closing import Closing, closing
 from stepdiag_ros.gap.evidence import SIZES
 from stepdiag_ros.gap.inside import Timing, Vibration, steps, timing, vibration
-from stepdiag_ros.estimate.solution import Solution
 from stepdiag_ros.gap.joint import Joint, fit_jointly, freed_solution, unexplained
 from stepdiag_ros.gap.next_measurement import advise
 from stepdiag_ros.gap.observe import Observation, observe
+from stepdiag_ros.gap.scatter import excess_scatter
 from stepdiag_ros.gap.search import Candidate, EffectSet, Screen, probabilities, search
 from stepdiag_ros.gap.thresholds import (
     ALARM,
     CLOCK_SIGMAS,
     CONFUSED,
     LEAST_CLOCK_S,
+    SCATTER_ALARM,
     TEMPER,
     VIBRATION_ALARM,
 )
@@ -36,6 +38,8 @@ from stepdiag_ros.gap.where import Share, shares
 from stepdiag_ros.model.log import CalibrationLog, Samples
 
 ROUNDS = 4
+TUNED = 4
+"""Leading effects whose shape parameters are tuned before sets are formed."""
 
 
 @dataclass(frozen=True)
@@ -136,6 +140,9 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
         if member.effect == UNKNOWN:
             leftover = screen.candidates[member.candidate].form.label
     leftover = leftover or _coarse(joint)
+    if not leftover and not (shaking and shaking.log_bayes > VIBRATION_ALARM):
+        evidence, words = excess_scatter(joint)
+        leftover = words if evidence > SCATTER_ALARM else ''
     verdict = _verdict(found, leftover)
     groups = _confused(sets, best)
     forms = {m.effect: screen.candidates[m.candidate].form for s in sets for m in s.members}
@@ -159,6 +166,7 @@ def _settle(observation: Observation,
     previous: tuple = ()
     for _ in range(ROUNDS):
         screen = _screen(joint, effects)
+        screen = _sharpened(screen)
         sets = search(screen)
         best = sets[0] if sets[0].log_bayes > ALARM else EffectSet((), 0.0)
         chosen: list[tuple[Effect, Form]] = []
@@ -191,7 +199,33 @@ def _screen(joint: Joint, effects: Mapping[str, Effect]) -> Screen:
         candidates += [Candidate(UNKNOWN, 'inconsistent', form)
                        for form in inconsistent_forms(view, [a.form for a in named])]
     repeatable = frozenset(e.name for e in effects.values() if e.repeatable)
-    return Screen(joint.parity, candidates, float(sum(joint.noise.dof)), repeatable)
+    in_dwells = frozenset(e.name for e in effects.values() if e.needs_dwells)
+    return Screen(joint.parity, candidates, float(sum(joint.noise.dof)), repeatable, in_dwells)
+
+
+def _sharpened(screen: Screen) -> Screen:
+    """The screen with the best forms of the leading effects tuned: a coarse net of time constants must not
+    make a mixture of two look better than the right one."""
+    first = screen.by_effect()
+    if not first:
+        return screen
+    leading = sorted(first.values(), key=lambda m: -m.log_bayes)[:TUNED]
+    data, added = screen.parity.data, []
+    for member in leading:
+        candidate = screen.candidates[member.candidate]
+        if member.log_bayes < ALARM or candidate.form.retune is None:
+            continue
+
+        def explained(form: Form) -> float:
+            columns = screen.parity.project(form)
+            along = columns.T @ data
+            normal = columns.T @ columns + np.eye(columns.shape[1]) / SIZES[-1] ** 2
+            return float(along @ np.linalg.solve(normal, along))
+
+        form = tune(candidate.form, explained, close=0.01)
+        if form is not candidate.form:
+            added.append(Candidate(candidate.effect, candidate.family, form))
+    return screen.extended(added) if added else screen
 
 
 # ---- the clocks -----------------------------------------------------------------------------------

@@ -19,6 +19,8 @@ CREEP = np.array([0.08, 0.2, 0.5, 1.2])
 LEAST_SAMPLES = 20
 PADDING = 4
 NEIGHBOURS = 5
+HELD = 12.0
+"""Powers of single dwells are held to this many medians."""
 
 
 @dataclass(frozen=True)
@@ -75,8 +77,8 @@ def vibration(log: CalibrationLog, table: StopTable) -> Vibration | None:
     frequency = np.fft.rfftfreq(PADDING * count, period)
     usable = (passed > 0.3) & (frequency > 0.0)
     frequency, spectrum = frequency[usable], spectrum[:, usable] / passed[usable]
-    # A few dwells that jump must not look like a line: the median over dwells, made a mean.
-    typical = np.median(spectrum, axis=0) / np.log(2.0)
+    # A few dwells that jump must not look like a line: powers are held to a multiple of the median.
+    typical = np.minimum(spectrum, HELD * np.median(spectrum, axis=0)).mean(axis=0)
     background = np.array([np.median(np.delete(
         typical[max(0, i - NEIGHBOURS * PADDING):i + NEIGHBOURS * PADDING + 1],
         slice(max(0, min(i, NEIGHBOURS * PADDING) - PADDING),
@@ -84,8 +86,8 @@ def vibration(log: CalibrationLog, table: StopTable) -> Vibration | None:
     ratio = typical / background
     best = int(np.argmax(ratio))
     excess = float(max(ratio[best], 1.0))
-    # Twice a sum of n exponentials each way; a median is worth about half as many.
-    effective = len(dwells) / 2.0
+    effective = float(len(dwells))
+    # A mean of n exponentials: its likelihood ratio against the neighbours' level.
     log_bayes = effective * (excess - 1.0 - np.log(excess)) - np.log(len(ratio) / PADDING) - 3.0
     power = max(typical[best] - background[best], 0.0)
     amplitude = float(np.sqrt(4.0 * power / count))

@@ -17,6 +17,10 @@ from stepdiag_ros.estimate.noise import NoiseModel, whiteners
 from stepdiag_ros.gap.observe import Observation
 
 RANK = 1e-9
+DISCREPANCY = 0.3
+"""What happens inside the dwells is seen to nanometres; no form describes it to better than this share."""
+CLIP = 6.0
+"""Robust standard deviations to which contrasts of bins are held."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +65,7 @@ class Parity:
     def bin_part(self, inside: np.ndarray) -> np.ndarray:
         """White contrasts of bins: (k, n, b, c) → (N − stops, k)."""
         contrasts = np.einsum('hb,knbc->knhc', self._contrast, inside)
-        white = contrasts / (self.bin_scale * self._bin_sigma[:, None, :])
+        white = contrasts / (self.bin_scale * self._bin_sigma)
         return white[:, self._bin_present].T
 
     def project(self, form: Form) -> np.ndarray:
@@ -89,9 +93,14 @@ def parity(observation: Observation, result: Fit, noise: NoiseModel,
     data = np.concatenate([w(residual) for w in white])
     data = data - basis @ (basis.T @ data)
 
-    n, bins, channels = observation.bins.shape
-    contrast = linalg.helmert(bins)
+    channels = observation.bins.shape[2]
+    contrast = _contrasts(observation.bins.shape[1])
     values = np.einsum('hb,nbc->nhc', contrast, observation.bins) / observation.bin_sigma[:, None, :]
+    rough = np.ones(values.shape[1:])
+    rough[0] = _roughness(values[:, 0], observation)
+    typical = np.nan_to_num(np.nanmedian(np.abs(values), axis=0) / 0.6745) if len(values) else rough
+    rough = np.hypot(rough, DISCREPANCY * typical)
+    values = _clipped(values / rough)
     bin_present = np.isfinite(values)
     inside = values[bin_present]
     if bin_scale is None:
@@ -103,4 +112,45 @@ def parity(observation: Observation, result: Fit, noise: NoiseModel,
                   (len(data) - basis.shape[1], len(inside)),
                   np.concatenate([rows % channels, channel]),
                   np.concatenate([rows // channels, stop]), bin_scale,
-                  white, basis, contrast, observation.bin_sigma, bin_present)
+                  white, basis, contrast,
+                  observation.bin_sigma[:, None, :] * rough, bin_present)
+
+
+def _contrasts(bins: int) -> np.ndarray:
+    """Orthonormal contrasts (b − 1, b) of a dwell's bins by rising degree: slope, bend, …"""
+    place = np.linspace(-1.0, 1.0, bins)
+    basis, _ = np.linalg.qr(np.vander(place, increasing=True))
+    return basis[:, 1:].T
+
+
+def _roughness(slope: np.ndarray, observation: Observation) -> np.ndarray:
+    """Factor (c,) by which the dwells' slopes (n, c) scatter above the sensors' noise.
+
+    A drift that wanders changes its rate from stop to stop: a form with a smooth course foretells the
+    slopes only so well, whatever the sensor could see.  Taken from second differences between stops
+    that the same axis led to, in which smooth courses and settling cancel.
+    """
+    table = observation.table
+    parts = []
+    for run in np.unique(table.run):
+        for axis in range(3):
+            mine = slope[(table.run == run) & (table.axis == axis)]
+            if len(mine) >= 4:
+                parts.append(np.diff(mine, n=2, axis=0) / np.sqrt(6.0))
+    if not parts:
+        return np.ones(slope.shape[1])
+    second = np.abs(np.concatenate(parts))
+    result = np.ones(slope.shape[1])
+    for c in range(slope.shape[1]):
+        own = second[np.isfinite(second[:, c]), c]
+        if len(own) > 8:
+            result[c] = max(1.0, float(np.median(own)) / 0.6745)
+    return result
+
+
+def _clipped(values: np.ndarray) -> np.ndarray:
+    """White contrasts (n, h, c), each channel's held to some of its own typical sizes: one dwell in
+    which something happened must not speak for all."""
+    typical = np.nanmedian(np.abs(values), axis=(0, 1)) / 0.6745 if values.size else np.ones(0)
+    limit = CLIP * np.maximum(np.nan_to_num(typical, nan=1.0), 1.0)
+    return np.clip(values, -limit, limit)

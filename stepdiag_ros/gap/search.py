@@ -14,7 +14,13 @@ import numpy as np
 from stepdiag_ros.effects.base import Form
 from stepdiag_ros.gap.evidence import Judged, judge, log_mean
 from stepdiag_ros.gap.parity import Parity
-from stepdiag_ros.gap.thresholds import MEMBER_ALARM, MISFIT, UNKNOWN_DOUBT
+from stepdiag_ros.gap.thresholds import (
+    MEMBER_ALARM,
+    MISFIT,
+    MISFIT_MOST,
+    STOP_SUPPORT,
+    UNKNOWN_DOUBT,
+)
 from stepdiag_ros.gap.unknown import NAME as UNKNOWN
 
 BEAM = 4
@@ -70,13 +76,15 @@ class EffectSet:
 class Screen:
     """All candidates of a log in one parity space, ready to be judged given a set.
 
-    ``repeatable``: effects that may enter a set more than once.
+    ``repeatable``: effects that may enter a set more than once; ``in_dwells``: those that only the
+    dwells' insides tell from their neighbours.
     """
 
     parity: Parity
     candidates: Sequence[Candidate]
     noise_dof: float
     repeatable: frozenset = frozenset()
+    in_dwells: frozenset = frozenset()
     _white: np.ndarray = field(init=False)
     _bins: dict = field(init=False)
     _slices: list = field(init=False)
@@ -112,6 +120,20 @@ class Screen:
             self._by_width.setdefault(len(projected), []).append(number)
         self._grams = {k: np.stack([grams[i] for i in n]) for k, n in self._by_width.items()}
         self._alongs = {k: np.stack([alongs[i] for i in n]) for k, n in self._by_width.items()}
+
+    def extended(self, more: Sequence[Candidate]) -> 'Screen':
+        """The screen with further candidates; those it has are not worked out again."""
+        other = Screen(self.parity, more, self.noise_dof, self.repeatable, self.in_dwells)
+        count, width = len(self.candidates), self._white.shape[1]
+        self.candidates = [*self.candidates, *more]
+        self._white = np.concatenate([self._white, other._white], axis=1)
+        self._slices += [slice(s.start + width, s.stop + width) for s in other._slices]
+        self._bins |= {number + count: inside for number, inside in other._bins.items()}
+        for size, numbers in other._by_width.items():
+            self._by_width.setdefault(size, []).extend(n + count for n in numbers)
+            for mine, its in ((self._grams, other._grams), (self._alongs, other._alongs)):
+                mine[size] = np.concatenate([mine[size], its[size]]) if size in mine else its[size]
+        return self
 
     def columns_of(self, number: int) -> np.ndarray:
         """Columns (N, k) of one candidate, per unit of its scale."""
@@ -151,6 +173,20 @@ class Screen:
                 judged[i] = result
         return judged
 
+    def stop_support(self, members: Sequence[int], number: int) -> float:
+        """Log evidence for one candidate given a set from the stops' means alone."""
+        stops, data = self.parity.stops, self.parity.data[:self.parity.stops]
+        columns = self.columns_of(number)[:stops]
+        if members:
+            given = np.concatenate([self.columns_of(m)[:stops] for m in members], axis=1)
+            given = given / np.maximum(np.linalg.norm(given, axis=0), 1e-300)
+            vector, value, _ = np.linalg.svd(given, full_matrices=False)
+            vector = vector[:, value > 1e-6 * value.max()]
+            columns = columns - vector @ (vector.T @ columns)
+            data = data - vector @ (vector.T @ data)
+        return judge((columns.T @ columns)[None], (columns.T @ data)[None], float(data @ data),
+                     self.parity.dof[0], self.noise_dof)[0].log_bayes
+
     def by_effect(self, members: Sequence[int] = ()) -> dict[str, Member]:
         """The evidence of every effect given ``members``, averaged over its forms; the best form."""
         judged = self.judge_all(members)
@@ -185,15 +221,18 @@ def search(screen: Screen) -> list[EffectSet]:
         front = [s for s in front if s.log_bayes > max(GAIN, front[0].log_bayes - HOPELESS)]
         grown = []
         for found in front:
-            if UNKNOWN in found.names:
-                continue
             for member in screen.by_effect([m.candidate for m in found.members]).values():
                 larger = EffectSet((*found.members, member), found.log_bayes + member.log_bayes)
                 again = member.effect in found.names
+                if UNKNOWN in found.names and member.effect != UNKNOWN:
+                    continue  # names are sought first: what has none is what they leave
                 if len(larger.key) > LARGEST or (not again and len(found.members) > MOST_FORMS):
                     continue
-                if again and (member.log_bayes < GAIN or not _may_repeat(screen, found, member)):
+                if again and (member.log_bayes < least_growth(found)
+                              or not _may_repeat(screen, found, member)):
                     continue
+                if not again and member.log_bayes > GAIN and not _supported(screen, found, member):
+                    member = Member(member.effect, member.candidate, 0.0)
                 if not again and member.log_bayes < least_growth(found):
                     # Too weak to be claimed beside the others: a thought, not a way on.
                     member = Member(member.effect, member.candidate, min(member.log_bayes, 0.0))
@@ -211,22 +250,34 @@ def search(screen: Screen) -> list[EffectSet]:
     return sorted(best.values(), key=lambda s: -(s.log_bayes + log_prior(s, len(first))))
 
 
+def _supported(screen: Screen, found: EffectSet, member: Member) -> bool:
+    """Whether a further slow effect shows in the stops' means too.
+
+    The slopes inside the dwells are seen to nanometres, far better than any course in time is known:
+    what one drift's form leaves of them is not yet another drift.
+    """
+    candidate = screen.candidates[member.candidate]
+    if candidate.form.inside is None or not np.any(candidate.form.columns):
+        return True
+    if candidate.effect in screen.in_dwells:
+        return True
+    return screen.stop_support([m.candidate for m in found.members], member.candidate) > STOP_SUPPORT
+
+
 def least_growth(found: EffectSet) -> float:
     """Log evidence that one more effect must bring.
 
     No form fits reality to the last part: of what the set explains so far, a few percent may be left
     over by its own forms, and a further effect must bring more than that.
     """
-    return MEMBER_ALARM + MISFIT * found.log_bayes
+    return MEMBER_ALARM + min(MISFIT * found.log_bayes, MISFIT_MOST)
 
 
 def _may_repeat(screen: Screen, found: EffectSet, member: Member) -> bool:
     """Whether an effect may add one more form: two time constants, a shape parameter between two values
     of the list.  What only repeats (a slip) may do so more often."""
-    if member.effect == UNKNOWN:
-        return False
     times = sum(m.effect == member.effect for m in found.members)
-    most = MOST_REPEATS if member.effect in screen.repeatable else FORMS_OF_ONE
+    most = MOST_REPEATS if member.effect in {*screen.repeatable, UNKNOWN} else FORMS_OF_ONE
     return times < most and all(m.candidate != member.candidate for m in found.members)
 
 

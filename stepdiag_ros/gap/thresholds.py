@@ -10,6 +10,10 @@ MEMBER_ALARM = 6.0
 """Least log evidence of one more effect given those before it …"""
 MISFIT = 0.03
 """… plus this share of theirs, which forms that are not quite right may leave over."""
+MISFIT_MOST = 12.0
+"""… but not more than this."""
+STOP_SUPPORT = 2.0
+"""Least log evidence in the stops' means alone for a further slow effect."""
 UNKNOWN_DOUBT = 8.0
 """Log odds against a nameless pattern where a name explains as much."""
 TEMPER = 1.0
@@ -18,6 +22,8 @@ CONFUSED = 3.0
 """Sets closer than this in log evidence (odds of 20) cannot be told apart."""
 VIBRATION_ALARM = 8.0
 """Least log evidence of a spectral line."""
+SCATTER_ALARM = 12.0
+"""Least log evidence of scatter beyond the noise in any group of readings."""
 CLOCK_SIGMAS = 6.0
 """An offset of stamps must exceed this many of its standard deviations …"""
 LEAST_CLOCK_S = 2.5e-3
