@@ -38,7 +38,7 @@ def message_class(name: str) -> type:
 class Ears:
     """Hears ``topics`` (relative name -> type) below ``node``'s namespace.
 
-    ``callback`` is called with each :class:`Heard`, in the thread of the ears, topics
+    From :meth:`start` on ``callback`` is called with each :class:`Heard`, in the thread of the ears, topics
     as given, messages of a topic in order.  ``latched`` names the topics whose last
     message is wanted although it was sent before.  The subscriptions belong to a
     second node, ``<name>_ears``, which no executor sees; parameters
@@ -64,6 +64,9 @@ class Ears:
         self._lost = dict.fromkeys(topics, 0)
         self.failure: Exception | None = None
         self._thread = threading.Thread(target=self._listen, name='ears', daemon=True)
+
+    def start(self) -> None:
+        """Begin to hand on what is heard; it is kept since the ears were made."""
         self._thread.start()
 
     @property
@@ -91,7 +94,8 @@ class Ears:
         if self._stop.is_set():
             return
         self._stop.set()
-        self._thread.join()
+        if self._thread.is_alive():
+            self._thread.join()
         if drain and self.failure is None:
             self._take_all()
         self._node.destroy_node()

@@ -12,6 +12,7 @@ import os
 import sys
 import threading
 import time
+import traceback
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -129,13 +130,20 @@ class GapMonitor(ListenerNode):
             try:
                 diagnosis = diagnose(self.whole_log(), self._effects)
             except StepdiagError as error:
-                self._fault_of_work = str(error)
-                self.get_logger().error(str(error))
-                return False, str(error)
+                return self._failed(str(error))
+            except Exception as error:
+                # The measuring goes on whatever the diagnosis stumbles over; say it and keep it.
+                self.get_logger().error(traceback.format_exc())
+                return self._failed(f'the diagnosis failed: {type(error).__name__}: {error}')
             report = report_message(diagnosis, time.time_ns())
             self._publisher.publish(report)
             self._fault_of_work, self._verdict = '', diagnosis.verdict
             return True, report.json
+
+    def _failed(self, why: str) -> tuple[bool, str]:
+        self._fault_of_work = why
+        self.get_logger().error(why)
+        return False, why
 
     def health(self) -> Health:
         hearing = self.health_of_listening()

@@ -40,6 +40,7 @@ class ListenerNode(StepdiagNode):
         self._assembler = LogAssembler(self.get_namespace())
         self._running.clear()
         self._ears = Ears(self, TOPICS, self._keep, latched=(DESCRIPTION,))
+        self._ears.start()
 
     def deactivate(self) -> None:
         if self._ears is not None:

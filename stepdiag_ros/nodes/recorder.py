@@ -52,6 +52,7 @@ class Recorder(StepdiagNode):
         self._bag = str(path)
         self._ears = Ears(self, TOPICS, self._write, latched=(DESCRIPTION,),
                           depth=self.value('queue_depth'))
+        self._ears.start()
         self.get_logger().info(f'recording {path}')
 
     def deactivate(self) -> None:
@@ -109,7 +110,7 @@ class Recorder(StepdiagNode):
 
     def _trouble(self) -> str:
         failure = self._ears.failure if self._ears is not None else None
-        return str(failure) if failure is not None else ''
+        return f'{type(failure).__name__}: {failure}' if failure is not None else ''
 
     def health(self) -> Health:
         ears = self._ears

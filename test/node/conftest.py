@@ -77,11 +77,12 @@ def cell(module_domain, tmp_path_factory):
         yield running
 
 
-def eventually(condition: Callable[[], object], timeout_s: float = 60.0) -> object:
-    """Wait until ``condition()`` is true; its value."""
+def eventually(condition: Callable[[], object], timeout_s: float = 60.0,
+               why: Callable[[], object] = lambda: '') -> object:
+    """Wait until ``condition()`` is true; its value.  ``why()`` goes into the complaint."""
     end = time.monotonic() + timeout_s
     while not (value := condition()):
-        assert time.monotonic() < end, f'{condition} did not come true'
+        assert time.monotonic() < end, f'did not come true within {timeout_s:g} s: {why()}'
         time.sleep(0.05)
     return value
 

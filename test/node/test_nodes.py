@@ -65,7 +65,8 @@ def test_a_node_goes_down_and_up_again(cell, node, eventually):
     for state in ('inactive', 'unconfigured', 'inactive', 'active'):
         operator.bring(node, state)
         assert operator.state(node) == state
-    eventually(lambda: cell.operator.health(node).level != DiagnosticStatus.ERROR)
+    eventually(lambda: cell.operator.health(node).level != DiagnosticStatus.ERROR,
+               why=lambda: cell.operator.health(node).message)
 
 
 def test_drivers_deliver_at_their_rate(cell, eventually):
@@ -97,7 +98,8 @@ def test_the_recorder_confirms_what_it_hears(cell, eventually):
     wanted = {f'/tiny/{t}' for t in (
         'interferometer/displacement', 'psd/spot', 'cell_description', 'environment/air_temperature',
         'environment/air_pressure', 'environment/humidity')}
-    assert eventually(lambda: cell.operator.recorder and wanted <= set(cell.operator.recorder.hears))
+    assert eventually(lambda: cell.operator.recorder and wanted <= set(cell.operator.recorder.hears),
+                      why=lambda: cell.operator.recorder)
     assert sum(cell.operator.recorder.lost) == 0
 
 
@@ -109,3 +111,32 @@ def test_unknown_parameters_of_the_psd_are_refused_in_one_line(cell, eventually)
         operator.bring('psd_driver', 'inactive')
     operator.set_parameters('psd_driver', {'channels': [0, 1, 2, 3]})
     operator.bring('psd_driver', 'active')
+
+
+def test_ears_hand_on_nothing_before_they_are_told_to(ros_domain, eventually):
+    import rclpy
+    from std_msgs.msg import String
+
+    from stepdiag_ros.nodes.base import reliable
+    from stepdiag_ros.nodes.ears import Ears
+    context = rclpy.Context()
+    rclpy.init(context=context)
+    node = rclpy.create_node('speaker', namespace='/ears', context=context)
+    publisher = node.create_publisher(String, 'cell_description', reliable(5))
+    heard = []
+    ears = Ears(node, {'cell_description': 'std_msgs/msg/String'}, heard.append)
+    try:
+        eventually(publisher.get_subscription_count)
+        for text in ('one', 'two', 'three'):
+            publisher.publish(String(data=text))
+        assert heard == []
+        ears.start()
+        eventually(lambda: len(heard) == 3)
+        assert [message.sequence for message in heard] == [1, 2, 3]
+        assert all(message.cdr[8:11] in (b'one', b'two', b'thr') for message in heard)
+        assert all(0 < m.published_ns <= m.received_ns for m in heard)
+        assert ears.lost == {'cell_description': 0} and ears.received == {'cell_description': 3}
+    finally:
+        ears.close()
+        node.destroy_node()
+        context.try_shutdown()
