@@ -16,9 +16,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
 
 from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.estimate.budget import Contributor
 from stepdiag_ros.estimate.enhanced import Fit
 from stepdiag_ros.estimate.gauge import reporting_matrix
 from stepdiag_ros.estimate.noise import arrivals
@@ -33,7 +33,7 @@ from stepdiag_ros.model.sensor import Misalignment
 BLOCK = 500
 """Draws worked on together."""
 PASSES = 12
-BY_ARRIVAL = ('position_repeatability', 'angle_repeatability')
+STANDARD_NORMAL = Contributor('normal contributors together', 'scale', 'B', 'normal', 1.0)
 
 
 @dataclass(frozen=True)
@@ -79,15 +79,45 @@ def blocks(draws: int, size: int = BLOCK) -> Iterator[slice]:
 def linear(uncertainty: Uncertainty, draws: int, rng: np.random.Generator) -> Drawn:
     """Draws through the linear map of :func:`~stepdiag_ros.estimate.propagate.propagate`.
 
-    The open directions (``held by width``) are no contributor and are not drawn.
+    Normal contributors with one common size need no variate for each cause: a square root of their
+    covariance gives the same distribution from fewer (:func:`_roots`).  The open directions
+    (``held by width``) are no contributor and are not drawn.
     """
     solution = uncertainty.solution
     values = np.empty((draws, len(solution.value)))
+    roots = _roots(uncertainty)
     for rows in blocks(draws):
         values[rows] = solution.value
-        for cause, effect in zip(uncertainty.causes, uncertainty.effects, strict=True):
-            values[rows] += cause.contributor.draw(rng, (rows.stop - rows.start, cause.variates)) @ effect.T
+        for contributor, effect in roots:
+            values[rows] += contributor.draw(rng, (rows.stop - rows.start, effect.shape[1])) @ effect.T
     return Drawn(solution.names, values)
+
+
+def _roots(uncertainty: Uncertainty) -> list[tuple[Contributor, np.ndarray]]:
+    """Contributors with effects (p, k) to draw from: normals of one size put together, k at most p."""
+    out, merged = [], []
+    for cause, effect in zip(uncertainty.causes, uncertainty.effects, strict=True):
+        c = cause.contributor
+        if c.distribution != 'normal' or c.kind == 'cosine':
+            out.append((c, effect))
+        elif np.isinf(c.dof):
+            merged.append(effect)
+        else:
+            # Finite degrees of freedom scale all variates of this contributor together in a trial.
+            out.append((c, _root(effect)))
+    if merged:
+        out.append((STANDARD_NORMAL, _root(np.hstack(merged))))
+    return out
+
+
+def _root(effect: np.ndarray) -> np.ndarray:
+    """A root (p, k') with ``root rootᵀ = effect effectᵀ`` and k' no greater than p or k."""
+    if effect.shape[1] <= effect.shape[0]:
+        return effect
+    scale = np.sqrt(np.sum(effect**2, axis=1))
+    scale[scale == 0.0] = 1.0
+    triangle = np.linalg.qr((effect / scale[:, None]).T, mode='r')
+    return scale[:, None] * triangle.T
 
 
 @dataclass(frozen=True)
@@ -190,8 +220,3 @@ def agreement(drawn: Drawn, sigma: np.ndarray) -> tuple[float, float]:
     live = sigma > 1e-9 * sigma.max()
     ratio = drawn.sigma[live] / sigma[live]
     return float(ratio.min()), float(ratio.max())
-
-
-def quantile_of_spread(draws: int, probability: float = 0.999) -> float:
-    """How far the ratio of a drawn to a true standard deviation strays by chance."""
-    return float(np.sqrt(stats.chi2.ppf(probability, draws - 1) / (draws - 1)) - 1.0)
