@@ -55,6 +55,8 @@ def _features(parameters: Parameters, names: list[tuple[str, int]],
     for name in CURVES:
         block = reporting[[i for i, (n, k) in enumerate(names) if n == name and k > 0]]
         position = parameters.knots[name][1:]
+        if not len(position):
+            continue   # an axis that did not move: a log that was cut short
         slope = position @ block / (position @ position)
         labels.append(f'{name} slope')
         rows.append(slope * position[-1])

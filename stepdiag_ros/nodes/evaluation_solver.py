@@ -10,6 +10,7 @@ import json
 import sys
 import threading
 import time
+import traceback
 from dataclasses import replace
 
 from std_msgs.msg import Header
@@ -69,13 +70,20 @@ class EvaluationSolver(ListenerNode):
             try:
                 solution = evaluate(self.whole_log())
             except StepdiagError as error:
-                self._last, self._failed = str(error), True
-                self.get_logger().error(str(error))
-                return False, str(error)
+                return self._refuse(str(error))
+            except Exception as error:
+                # The solver lives on, and keeps what it hears, whatever a log does to the evaluation.
+                self.get_logger().error(traceback.format_exc())
+                return self._refuse(f'the evaluation failed: {type(error).__name__}: {error}')
             message = errors_message(solution, time.time_ns())
             self._publisher.publish(message)
             self._last, self._failed = f'{solution.status}, reduced chi2 {solution.reduced_chi2}', False
             return True, message.json
+
+    def _refuse(self, why: str) -> tuple[bool, str]:
+        self._last, self._failed = why, True
+        self.get_logger().error(why)
+        return False, why
 
     def health(self) -> Health:
         hearing = self.health_of_listening()

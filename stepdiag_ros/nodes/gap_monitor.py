@@ -112,6 +112,10 @@ class GapMonitor(ListenerNode):
                     self._leaving = leaving(evaluate(self.log_so_far()))
                 except StepdiagError:
                     continue   # not enough has been measured yet
+                except Exception as error:
+                    self.get_logger().error(traceback.format_exc())
+                    self._failed(f'the residuals cannot be judged: {type(error).__name__}: {error}')
+                    continue
             wait_s = max(wait_s, (time.process_time() - began) / SHARE)
 
     def calibration_done(self) -> None:

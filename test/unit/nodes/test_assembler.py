@@ -101,3 +101,19 @@ def test_a_bag_without_spots_is_assembled_too(log, tmp_path):
     spots = type(log.spot).empty(2)
     write_log(replace(log, spot=spots), tmp_path / 'lengths')
     assert len(assemble(tmp_path / 'lengths').build().spot) == 0
+
+
+def test_a_log_cut_short_anywhere_is_evaluated_or_refused_in_one_line(log):
+    """What a cancelled calibration leaves must not end the solver."""
+    from stepdiag_ros.estimate import evaluate
+    from stepdiag_ros.model.log import StepEvents
+    evaluated = 0
+    for length in range(1, len(log.steps) + 1, 2):
+        steps = StepEvents(**{name: value[:length] if isinstance(value, np.ndarray) else value
+                              for name, value in vars(log.steps).items()})
+        try:
+            evaluate(replace(log, steps=steps)).to_json_dict()
+            evaluated += 1
+        except StepdiagError as error:
+            assert '\n' not in str(error)
+    assert evaluated > len(log.steps) // 3
