@@ -261,8 +261,8 @@ def _keep_legible(ax, after: Solution, before: Solution, name: str) -> None:
     _, value, sigma = after.curve(name)
     low, high = np.min(value - K * sigma) * 1e6, np.max(value + K * sigma) * 1e6
     wide = max(high - low, 1e-3)
-    astray = before.curve(name)[1] * 1e6
-    if astray.max() - astray.min() > ASTRAY * wide:
+    _, astray, unsure = before.curve(name)
+    if np.max(astray + K * unsure) - np.min(astray - K * unsure) > ASTRAY * wide * 1e-6:
         ax.set_ylim(low - 0.6 * wide, high + 0.6 * wide)
         ax.annotate('without: off scale', (0.97, 0.04), xycoords='axes fraction', ha='right', fontsize=6.5,
                     color=BEFORE)

@@ -26,6 +26,8 @@ from stepdiag_ros.report.words import (
 BADGES = {'no_gap': ('good', 'nothing wrong'), 'explained': ('warn', 'cause found'),
           'partly_explained': ('bad', 'partly explained'), 'unexplained': ('bad', 'cause not known')}
 SHOWN_PROBABILITY = 0.01
+FAR = 100.0
+"""Standard deviations beyond which no number is said."""
 LEAST_INSIDE = 0.15
 """Share of the gap inside the stops from which a picture of it is shown."""
 
@@ -78,18 +80,18 @@ def budget_svg(rows: list[tuple[str, float]], floor: float) -> str:
 
     def place(value: float) -> float:
         if wide:
-            return 620.0 * max(0.0, np.log(value / low)) / np.log(1.08 * widest / low)
-        return 620.0 * value / (1.08 * widest)
+            return 560.0 * max(0.0, np.log(value / low)) / np.log(1.08 * widest / low)
+        return 560.0 * value / (1.08 * widest)
 
     height, out = 34 * len(rows) + 40, []
     for i, (label, value) in enumerate(rows):
         y = 8 + 34 * i
         colour = '#c2572f' if i == 0 and len(rows) > 1 else '#17688a' if i == len(rows) - 1 else '#8a9aa5'
-        out.append(f'<text x="330" y="{y + 16}" text-anchor="end" font-size="13.5">{escape(label)}</text>'
-                   f'<rect x="340" y="{y}" width="{place(value):.1f}" height="23" rx="2" fill="{colour}"/>'
-                   f'<text x="{348 + place(value):.1f}" y="{y + 16}" font-size="13.5" font-weight="600">'
+        out.append(f'<text x="410" y="{y + 16}" text-anchor="end" font-size="13.5">{escape(label)}</text>'
+                   f'<rect x="420" y="{y}" width="{place(value):.1f}" height="23" rx="2" fill="{colour}"/>'
+                   f'<text x="{428 + place(value):.1f}" y="{y + 16}" font-size="13.5" font-weight="600">'
                    f'{micrometres(value)}</text>')
-    x, bottom = 340 + place(floor), 34 * len(rows) + 6
+    x, bottom = 420 + place(floor), 34 * len(rows) + 6
     out.append(f'<line x1="{x:.1f}" x2="{x:.1f}" y1="2" y2="{bottom}" stroke="#22282e" stroke-width="1.4" '
                f'stroke-dasharray="4 3"/><text x="{x:.1f}" y="{bottom + 16}" font-size="12.5" fill="#6b747c" '
                f'text-anchor="middle">noise floor {micrometres(floor)}'
@@ -130,7 +132,7 @@ def _cause_row(diagnosis: Diagnosis, found: Found) -> list[str]:
     what = (f'<b>{escape(title(found.name))}</b><br>{escape(found.title)}<br>'
             f'<small>{escape(found.name)}; form: {escape(found.form)}</small>')
     sure = (f'<b>{certainty(found.probability)}</b><br>{percent(found.probability)}<br>'
-            f'<small>closes {closed_percent(found.closes)} of the gap</small>')
+            f'<small>{escape(gap_words.closes_words(diagnosis, found))}</small>')
     return [what, sure, numbers, escape(found.remedy) or '–']
 
 
@@ -240,7 +242,8 @@ def _errors(diagnosis: Diagnosis) -> str:
         text += ('<p>A plain evaluation would have put part of the trouble into the machine\'s errors. With '
                  f'{taken} taken out these change most:</p>')
         text += table(['error', '>changes by', '>in standard deviations'],
-                      [[n, quantity(c, 'm' if len(n) == 3 and n[1] in 'XYZ' else 'rad'), plain(s)]
+                      [[n, quantity(c, 'm' if len(n) == 3 and n[1] in 'XYZ' else 'rad'),
+                        plain(s) if s < FAR else f'more than {FAR:.0f}']
                        for n, c, s in moved[:6]])
     else:
         text += ('<p>No error changes by more than twice its standard deviation when the causes are taken '

@@ -131,15 +131,24 @@ def how_far(diagnosis: Diagnosis) -> str:
         return (f'The mean readings at the stops differ by {micrometres(gap.before_m)}; '
                 f'noise alone makes {micrometres(gap.floor_m)}.')
     if gap.before < HARDLY:
-        return (f'In the means of the stops it hardly shows: {micrometres(gap.before_m)} where noise alone makes '
-                f'{micrometres(gap.floor_m)}. It shows in how the readings move while the machine stands still, and '
-                'over the whole log.')
+        overall = share_map(diagnosis)
+        still = overall is not None and list(overall.state.values())[1] > 0.5
+        return (f'In the means of single stops it hardly shows: {micrometres(gap.before_m)} where noise alone makes '
+                f'{micrometres(gap.floor_m)}. ' + (
+                    'It shows in how the readings move while the machine stands still.' if still else
+                    'It shows in what many stops have in common.'))
     share = closed_share(diagnosis)
     rest = 'what is left is noise' if gap.after < NOISE_LIKE else \
         f'what is left is still {np.sqrt(gap.after):.1f} times the noise'
     return (f'With {"it" if len(diagnosis.effects) == 1 else "them"} in the simulator the gap falls from '
             f'{micrometres(gap.before_m)} to {micrometres(gap.after_m)} (noise alone: '
             f'{micrometres(gap.floor_m)}): {closed_percent(share or 0.0)} of it is gone, {rest}.')
+
+
+def closes_words(diagnosis: Diagnosis, found: Found) -> str:
+    """How much of the gap a cause closes; among several, of what the others leave open."""
+    rest = 'the gap' if len(diagnosis.effects) < 2 else 'what the others leave of the gap'
+    return f'closes {closed_percent(found.closes)} of {rest}'
 
 
 def steps(diagnosis: Diagnosis) -> list[tuple[str, float]]:
@@ -215,7 +224,7 @@ def summary(diagnosis: Diagnosis, name: str, adoption: tuple[str, ...] = ()) -> 
     for found in diagnosis.effects:
         lines.append('')
         lines.append(f'  {title(found.name)} [{found.name}]: {certainty(found.probability)} '
-                     f'({percent(found.probability)}), closes {closed_percent(found.closes)} of the gap')
+                     f'({percent(found.probability)}), {closes_words(diagnosis, found)}')
         rows = sizes(found)
         width = max(len(n) for n, _ in rows) if rows else 0
         lines += [f'      {n:<{width}}  {text}' for n, text in rows[:8]]

@@ -67,7 +67,7 @@ class Inside:
     """What moves while the machine stands still; channels as in :class:`Series`.
 
     ``rate``, ``simulated_rate`` (n, 3) [m/s]; by axis moved: ``time`` (b,) [s] after the stop began,
-    ``course`` and ``simulated_course`` (3 axes, b, 3) [m] about their mean, turned by the axis's motion.
+    ``course`` and ``simulated_course`` (3 axes, b, 3) [m] about their mean, backward runs turned round.
     """
 
     rate: np.ndarray
@@ -89,7 +89,8 @@ def inside(diagnosis: Diagnosis) -> Inside:
     courses = np.full((2, 3, real.shape[1], 3), np.nan)
     for axis in range(3):
         rows = (table.axis == axis) & np.isfinite(real).all(axis=(1, 2))
-        sign = view.approach[rows, axis][:, None, None]
+        # Forward is away from the laser for every axis and setup: turned so, creep points one way.
+        sign = table.direction[rows][:, None, None]
         if rows.any():
             courses[0, axis] = np.mean(real[rows] * sign, axis=0)
             courses[1, axis] = np.mean(modelled[rows] * sign, axis=0)

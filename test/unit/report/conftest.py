@@ -15,24 +15,26 @@ from stepdiag_ros.virtual.offline import simulate_log
 DEMO = Path(__file__).resolve().parents[3] / 'cells' / 'demo.yaml'
 
 
-def small_cell(effects: dict) -> Cell:
-    """The demo's machine, sampled slowly and at rest only."""
+def small_cell(effects: dict, dwell: float = 0.1) -> Cell:
+    """The demo's machine, at rest only, twenty samples a stop of ``dwell`` seconds."""
     text = yaml.safe_load(DEMO.read_text(encoding='utf-8'))
-    text['sampling'] |= {'interferometer': 200.0, 'psd': 200.0, 'in_motion': False}
-    text['motion'] |= {'dwell': 0.1, 'mount': 20.0}
+    text['sampling'] |= {'interferometer': 20.0 / dwell, 'psd': 20.0 / dwell, 'in_motion': False}
+    text['motion'] |= {'dwell': dwell, 'mount': 20.0}
     text['effects'] = effects
-    return parse_cell(yaml.safe_dump(text), str(DEMO))
+    return parse_cell(yaml.safe_dump(text, sort_keys=False), str(DEMO))
 
 
 @lru_cache(maxsize=16)
-def _diagnosed(name: str, values: str, looked_for: tuple[str, ...]) -> Diagnosis:
-    log = simulate_log(small_cell({name: yaml.safe_load(values)} if name else {}))
+def _diagnosed(name: str, values: str, looked_for: tuple[str, ...], dwell: float) -> Diagnosis:
+    log = simulate_log(small_cell({name: yaml.safe_load(values)} if name else {}, dwell))
     return diagnose(log, [effect_class(n)() for n in looked_for])
 
 
 @pytest.fixture(scope='session')
 def diagnosed() -> Callable[..., Diagnosis]:
-    """``diagnosed(name, values, looked_for)``: an effect acts (none: ``''``), some are looked for."""
-    def run(name: str, values: dict | None = None, looked_for: tuple[str, ...] | None = None) -> Diagnosis:
-        return _diagnosed(name, yaml.safe_dump(values or {}), looked_for or ((name,) if name else ('backlash',)))
+    """``diagnosed(name, values, looked_for, dwell)``: an effect acts (none: ``''``), some are looked for."""
+    def run(name: str, values: dict | None = None, looked_for: tuple[str, ...] | None = None,
+            dwell: float = 0.1) -> Diagnosis:
+        looked_for = looked_for or ((name,) if name else ('backlash',))
+        return _diagnosed(name, yaml.safe_dump(values or {}), looked_for, dwell)
     return run

@@ -134,7 +134,7 @@ def test_budget_bars_are_in_proportion():
     widths = [float(w) for w in re.findall(r'<rect [^>]*?width="([\d.]+)"', drawn)]
     assert widths[0] == pytest.approx(4 * widths[1], rel=1e-2)
     line = float(re.search(r'<line x1="([\d.]+)"', drawn)[1])
-    assert line == pytest.approx(340 + widths[1], abs=0.2)
+    assert line == pytest.approx(420 + widths[1], abs=0.2)
     gross = budget_svg([('before', 4e-4), ('after', 1e-6)], 1e-6)
     assert 'logarithmic' in gross
 
