@@ -57,6 +57,8 @@ def along_stops(parts: Series, table: StopTable, overlay: bool) -> Figure:
     ``overlay``: log and simulator over each other, causes left in; else the residuals before and after.
     """
     names = table.setup_names
+    # Where nothing was added there is no before and after.
+    alone = not overlay and np.array_equal(parts.before, parts.after, equal_nan=True)
     counts = [int(table.index[table.setup == s].max()) + 1 for s in range(len(names))]
     figure = Figure(figsize=(11.5, 5.6), layout='constrained')
     axes = figure.subplots(3, len(names), sharey='row', squeeze=False,
@@ -68,16 +70,14 @@ def along_stops(parts: Series, table: StopTable, overlay: bool) -> Figure:
             ax = axes[row, s]
             mine = table.setup == s
             if not overlay:
-                noise = K * np.nanmean(parts.sigma[mine, row]) * factor
-                if np.isfinite(noise):
-                    ax.axhspan(-noise, noise, color=NOISE, linewidth=0, zorder=0.5)
+                _noise_band(ax, table.index[mine], parts.sigma[mine, row] * K * factor)
             for run in np.unique(table.run[mine]):
                 for repeat, way in sorted({(int(r), int(d)) for r, d in zip(
                         table.repeat[table.run == run], table.direction[table.run == run], strict=True)}):
                     rows = np.flatnonzero((table.run == run) & (table.repeat == repeat)
                                           & (table.direction == way))
                     _panel_lines(ax, table.index[rows], [part[rows, row] * factor for part in shown],
-                                 way, overlay)
+                                 way, overlay, alone)
             ax.tick_params(labelsize=7)
             if counts[s] < 9:
                 ax.set_xticks(range(0, counts[s], max(1, counts[s] - 1)))
@@ -90,6 +90,9 @@ def along_stops(parts: Series, table: StopTable, overlay: bool) -> Figure:
     if overlay:
         handles = [_mark(REAL, 'o'), _line(AFTER)]
         labels = ['machine (log, rigid-body machine taken off)', 'simulator with what was found']
+    elif alone:
+        handles = [_mark(AFTER, '>'), _mark(AFTER, '<'), matplotlib.patches.Patch(color=NOISE)]
+        labels = ['forward', 'backward', 'noise, ± 2σ']
     else:
         handles = [_mark(BEFORE, '>'), _mark(BEFORE, '<'), _mark(AFTER, 'o'),
                    matplotlib.patches.Patch(color=NOISE)]
@@ -107,12 +110,26 @@ def _line(colour: str):
     return matplotlib.lines.Line2D([], [], color=colour, linewidth=1.6)
 
 
-def _panel_lines(ax, stop: np.ndarray, values: list[np.ndarray], way: int, overlay: bool) -> None:
+def _noise_band(ax, stop: np.ndarray, half: np.ndarray) -> None:
+    """The noise at each stop: the spot's grows with the distance."""
+    places = np.unique(stop[np.isfinite(half)])
+    if not len(places):
+        return
+    size = np.array([np.nanmean(half[stop == p]) for p in places])
+    if len(places) == 1:
+        places, size = places[0] + np.array([-0.5, 0.5]), np.repeat(size, 2)
+    ax.fill_between(places, -size, size, color=NOISE, linewidth=0, zorder=0.5)
+
+
+def _panel_lines(ax, stop: np.ndarray, values: list[np.ndarray], way: int, overlay: bool,
+                 alone: bool) -> None:
     order = np.argsort(stop)
     stop, (first, second) = stop[order], [v[order] for v in values]
     if overlay:
         ax.plot(stop, first, 'o', color=REAL, markersize=1.7, alpha=0.75, markeredgewidth=0)
         ax.plot(stop, second, '-', color=AFTER, linewidth=1.0, alpha=0.9)
+    elif alone:
+        ax.plot(stop, second, '>' if way > 0 else '<', color=AFTER, markersize=2.4, alpha=0.9, markeredgewidth=0)
     else:
         ax.plot(stop, first, '-', color=BEFORE, linewidth=0.5, alpha=0.45)
         ax.plot(stop, first, '>' if way > 0 else '<', color=BEFORE, markersize=2.2, alpha=0.85,
