@@ -9,7 +9,7 @@ scatter inside the dwell divided by the root of the number of samples.
 ``position`` and ``angle`` are estimated from contrasts between repeats of the same
 run: what repeats cancels, errors of the machine and backlash included.  Of each
 contrast a parabola in time is taken off first, so that a slow drift does not
-count as noise; the squares are winsorised at three standard deviations, so that
+count as noise; the squares are winsorised at two standard deviations, so that
 a single jump does not either.  A log without repeats falls back on what its maker
 believes, and says so.
 """
@@ -26,9 +26,10 @@ from stepdiag_ros.model.log import NONE
 FLOOR_M = 1e-11
 """Nothing is believed to be quieter than ten picometres: it keeps noise-free data solvable.  The rounding
 of metres in doubles comes to no more than 1e-4 of this, while the widths of the unknowns stay visible."""
-WINSOR = 3.0
-WINSOR_MEAN = 0.9950072780
-"""Mean of min(z², 9) of a standard normal z: 1 − P − 6 φ(3) + 9 P with P = P(|z| > 3)."""
+WINSOR = 2.0
+WINSOR_MEAN = 0.9205369
+"""Mean of min(z², 4) of a standard normal z: 1 − P − 4 φ(2) + 4 P with P = P(|z| > 2).
+Up to a fifth of the contrasts may be outliers before the estimate follows them."""
 MAX_SWEEPS = 12
 LEAST_SHARE = 0.02
 """Share of the variance below which a source's size is only felt for with short steps."""

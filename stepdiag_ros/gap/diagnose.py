@@ -28,6 +28,8 @@ from stepdiag_ros.gap.thresholds import (
     CLOCK_SIGMAS,
     CONFUSED,
     LEAST_CLOCK_S,
+    MISFIT,
+    MISFIT_MOST,
     SCATTER_ALARM,
     TEMPER,
     VIBRATION_ALARM,
@@ -142,7 +144,8 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
     leftover = leftover or _coarse(joint)
     if not leftover and not (shaking and shaking.log_bayes > VIBRATION_ALARM):
         evidence, words = excess_scatter(joint)
-        leftover = words if evidence > SCATTER_ALARM else ''
+        allowed = SCATTER_ALARM + min(MISFIT * best.log_bayes, MISFIT_MOST)
+        leftover = words if evidence > allowed else ''
     verdict = _verdict(found, leftover)
     groups = _confused(sets, best)
     forms = {m.effect: screen.candidates[m.candidate].form for s in sets for m in s.members}

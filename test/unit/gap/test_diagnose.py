@@ -1,0 +1,78 @@
+"""The diagnosis on logs of a small cell and, where they are at hand, on logs by others."""
+
+import json
+
+import numpy as np
+import pytest
+
+from stepdiag_ros.bag.reader import read_log
+from stepdiag_ros.effects import all_effects, effect_class
+from stepdiag_ros.gap import diagnose
+
+KEYS = {'verdict', 'gap', 'where', 'effects', 'indistinguishable', 'next_measurement'}
+
+
+def test_a_null_log_is_left_alone(case):
+    found = case.diagnose()
+    assert found.verdict == 'no_gap' and not found.effects and not found.shares
+    assert 0.8 < found.closing.after < 1.2
+
+
+@pytest.mark.parametrize(('name', 'values', 'size'), [
+    ('backlash', {'B': [4e-6, 0.0, 3e-6]}, ('X', 4e-6)),
+    ('psd_zero_offset', {'x': 2e-4, 'y': -1e-4}, ('x', 2e-4)),
+    ('mirror_curvature', {'radius': 2000.0, 'astigmatism': 0.0}, None),
+    ('servo_settling', {'amp': 5e-6, 'tau': 0.15}, None),
+    ('psd_rotation', {'angle': 0.05}, None),
+])
+def test_a_single_effect_is_named_and_its_gap_closed(case, name, values, size):
+    found = case.diagnose(effect_class(name)(**values))
+    assert [e.name for e in found.effects] == [name], found.to_json_dict()['sets'][:3]
+    assert found.verdict == 'explained'
+    assert found.effects[0].probability > 0.8
+    assert found.closing.after < 1.25
+    if size:
+        parameter, value = size
+        assert found.effects[0].parameters[parameter] == pytest.approx(value, rel=0.25)
+
+
+def test_two_at_once(case):
+    found = case.diagnose(effect_class('backlash')(B=[5e-6, 4e-6, 3e-6]),
+                          effect_class('psd_zero_offset')(x=3e-4, y=2e-4))
+    assert {e.name for e in found.effects} == {'backlash', 'psd_zero_offset'}
+
+
+def test_the_answer_has_the_contracts_form(case):
+    answer = case.diagnose(effect_class('backlash')(B=[5e-6, 0.0, 0.0])).to_json_dict()
+    json.dumps(answer)
+    assert set(answer) >= KEYS
+    assert set(answer['gap']) >= {'before_m', 'after_m', 'noise_floor_m', 'held_out'}
+    assert sum(cell['share'] for cell in answer['where']) <= 1.0 + 1e-9
+    assert answer['gap']['after_m'] < answer['gap']['before_m']
+
+
+def test_scatter_without_a_pattern_is_called_unknown(case):
+    from dataclasses import replace
+    log = case.log()
+    rng = np.random.default_rng(8)
+    table_rng = rng.random(len(log.steps))
+    values = log.displacement.values.copy()
+    # Now and then a stop is off by some µm, with no rule to it.
+    dwell = np.flatnonzero(log.steps.phase == 1)
+    for event in dwell[table_rng[dwell] < 0.06]:
+        lo, hi = np.searchsorted(log.displacement.time_ns,
+                                 [log.steps.time_ns[event], log.steps.time_ns[event + 1]])
+        values[lo:hi] += rng.normal() * 6e-6
+    found = diagnose(replace(log, displacement=replace(log.displacement, values=values)),
+                     [kind() for kind in all_effects().values()])
+    assert found.leftover
+    assert found.verdict in ('unexplained', 'partly_explained')
+
+
+def test_open_field_logs(shared):
+    """Logs by an independent maker: the reading of the contract is right."""
+    folder = shared / 'field_logs' / 'open'
+    truth = json.loads((folder / 'truth.json').read_text())
+    for name in ('log_01', 'log_04', 'log_05'):
+        found = diagnose(read_log(folder / name), [kind() for kind in all_effects().values()])
+        assert {e.name for e in found.effects} == set(truth[name]['effects']), name
