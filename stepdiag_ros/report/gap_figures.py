@@ -145,8 +145,9 @@ def over_time(parts: Series, table: StopTable) -> Figure:
     minutes = _pauses_cut(table.time_s) / 60.0
     for row, (ax, channel) in enumerate(zip(axes, CHANNEL_NAMES, strict=True)):
         factor, unit = _scale(np.stack([parts.before[:, row], parts.after[:, row]]))
-        noise = K * np.nanmean(parts.sigma[:, row]) * factor
-        if np.isfinite(noise):
+        known = parts.sigma[np.isfinite(parts.sigma[:, row]), row]
+        if len(known):
+            noise = K * float(known.mean()) * factor
             ax.axhspan(-noise, noise, color=NOISE, linewidth=0, zorder=0.5)
         ax.plot(minutes, parts.before[:, row] * factor, '.', color=BEFORE, markersize=3.2, markeredgewidth=0,
                 label='before')
@@ -182,15 +183,16 @@ def _pauses_cut(time_s: np.ndarray) -> np.ndarray:
 def inside_stops(parts: Inside, table: StopTable) -> Figure:
     """How readings move while the machine stands still: mean course by axis moved where that shows what was
     found, else the rate over the log; the channels in which it shows."""
-    misfit = np.nanmax(np.abs(parts.course - parts.simulated_course), axis=(0, 1))
-    if np.any(np.nanmax(np.abs(parts.simulated_course), axis=(0, 1)) > 3.0 * misfit):
+    size = np.abs(np.nan_to_num(parts.simulated_course)).max(axis=(0, 1))
+    misfit = np.abs(np.nan_to_num(parts.course - parts.simulated_course)).max(axis=(0, 1))
+    if np.any(size > 3.0 * misfit):
         return _courses(parts)
     return _rates(parts, table)
 
 
 def _courses(parts: Inside) -> Figure:
     figure = Figure(figsize=(11.5, 2.6), layout='constrained')
-    channel = int(np.nanargmax(np.nanmax(np.abs(parts.simulated_course), axis=(0, 1))))
+    channel = int(np.argmax(np.abs(np.nan_to_num(parts.simulated_course)).max(axis=(0, 1))))
     factor, unit = _scale(np.stack([parts.course, parts.simulated_course])[..., channel])
     for k, (ax, letter) in enumerate(zip(figure.subplots(1, 3, sharey=True), 'XYZ', strict=True)):
         ax.plot(parts.time * 1e3, parts.course[k, :, channel] * factor, 'o', color=REAL, markersize=5,
@@ -202,8 +204,8 @@ def _courses(parts: Inside) -> Figure:
 
 
 def _rates(parts: Inside, table: StopTable) -> Figure:
-    noise = np.nanstd(parts.rate - parts.simulated_rate, axis=0)
-    shown = np.flatnonzero(np.nanstd(parts.simulated_rate, axis=0) > 0.1 * noise)
+    noise = np.nan_to_num(parts.rate - parts.simulated_rate).std(axis=0)
+    shown = np.flatnonzero(np.nan_to_num(parts.simulated_rate).std(axis=0) > 0.1 * noise)
     shown = shown if len(shown) else np.array([0])
     figure = Figure(figsize=(11.5, 1.0 + 1.7 * len(shown)), layout='constrained')
     minutes = _pauses_cut(table.time_s) / 60.0

@@ -54,7 +54,7 @@ def sizes(found: Found) -> list[tuple[str, str]]:
 def size_words(found: Found) -> str:
     """The largest sizes that count: ``X 5.71 µm, Y 5.15 µm``."""
     counted = [(abs(value), name) for name, value in found.parameters.items()
-               if name in found.sigma and 'at the start' not in name
+               if name in found.sigma and _speaks(name)
                and abs(value) > SIGNIFICANT * found.sigma[name] > 0.0]
     counted.sort(reverse=True)
     chosen = [name for _, name in counted[:NAMED]]
@@ -62,16 +62,15 @@ def size_words(found: Found) -> str:
                      for n, v in found.parameters.items() if n in chosen)
 
 
+def _speaks(name: str) -> bool:
+    """Whether a sentence can take a parameter's name as it is: an axis, a unit in it, a plain word."""
+    return len(name) < 3 or name.endswith(('_s', '_Hz', '_m')) or name in SPEAKING
+
+
 def cause(diagnosis: Diagnosis, found: Found) -> str:
     """One cause in a clause, with its size: its parameters where they speak for themselves, else what
     it does to the readings."""
-    size = ''
-    speaking = all(len(parameter_name(n)) < 3 or n.endswith(('_s', '_Hz', '_m')) or n in SPEAKING
-                   or 'at the start' in n for n in found.parameters)
-    if speaking:
-        size = size_words(found)
-    if not size:
-        size = reach_words(diagnosis, found.name)
+    size = size_words(found) or reach_words(diagnosis, found.name)
     return (found.title.rstrip('.') or title(found.name)) + (f' ({size})' if size else '')
 
 

@@ -95,7 +95,7 @@ def inside(diagnosis: Diagnosis) -> Inside:
             courses[0, axis] = np.mean(real[rows] * sign, axis=0)
             courses[1, axis] = np.mean(modelled[rows] * sign, axis=0)
     return Inside(np.einsum('nb,nbc->nc', weight, real), np.einsum('nb,nbc->nc', weight, modelled),
-                  np.nanmedian(view.bin_time, axis=0), *courses)
+                  np.median(view.bin_time, axis=0), *courses)
 
 
 @dataclass(frozen=True)
