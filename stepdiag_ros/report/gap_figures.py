@@ -24,6 +24,8 @@ STYLE = {'font.family': 'sans-serif', 'font.size': 8.5, 'text.color': INK, 'axes
 CHANNEL_NAMES = ('length', 'spot x', 'spot y')
 K = 2.0
 MEAN_OF = 8
+UNKNOWN_SIGMA = 3e-4
+"""A standard deviation [m, rad] near the width that a curve is held to: the log does not tell it."""
 ASTRAY = 6.0
 """A curve this much wider than the right one is let out of its panel."""
 
@@ -60,14 +62,16 @@ def along_stops(parts: Series, table: StopTable, overlay: bool) -> Figure:
     # Where nothing was added there is no before and after.
     alone = not overlay and np.array_equal(parts.before, parts.after, equal_nan=True)
     counts = [int(table.index[table.setup == s].max()) + 1 for s in range(len(names))]
-    figure = Figure(figsize=(11.5, 5.6), layout='constrained')
-    axes = figure.subplots(3, len(names), sharey='row', squeeze=False,
+    present = _present(parts)
+    figure = Figure(figsize=(11.5, 0.8 + 1.6 * len(present)), layout='constrained')
+    axes = figure.subplots(len(present), len(names), sharey='row', squeeze=False,
                            gridspec_kw={'width_ratios': [max(c, 9) for c in counts]})
-    for row, channel in enumerate(CHANNEL_NAMES):
+    for place, row in enumerate(present):
+        channel = CHANNEL_NAMES[row]
         shown = (parts.real, parts.simulated) if overlay else (parts.before, parts.after)
         factor, unit = _scale(np.stack(shown)[:, :, row])
         for s in range(len(names)):
-            ax = axes[row, s]
+            ax = axes[place, s]
             mine = table.setup == s
             if not overlay:
                 _noise_band(ax, table.index[mine], parts.sigma[mine, row] * K * factor)
@@ -82,11 +86,11 @@ def along_stops(parts: Series, table: StopTable, overlay: bool) -> Figure:
             if counts[s] < 9:
                 ax.set_xticks(range(0, counts[s], max(1, counts[s] - 1)))
                 ax.set_xlim(-0.4 - (9 - counts[s]) / 8, counts[s] - 0.6 + (9 - counts[s]) / 8)
-            if row == 0:
+            if place == 0:
                 ax.set_title(names[s], fontsize=8.5)
-            if row == 2:
+            if row == present[-1]:
                 ax.set_xlabel('stop' if counts[s] >= 9 else '', fontsize=7.5)
-        axes[row, 0].set_ylabel(f'{channel}  [{unit}]')
+        axes[place, 0].set_ylabel(f'{channel}  [{unit}]')
     if overlay:
         handles = [_mark(REAL, 'o'), _line(AFTER)]
         labels = ['machine (log, rigid-body machine taken off)', 'simulator with what was found']
@@ -100,6 +104,11 @@ def along_stops(parts: Series, table: StopTable, overlay: bool) -> Figure:
                   'noise, ± 2σ']
     figure.legend(handles, labels, loc='outside upper left', ncols=4, fontsize=8.5)
     return figure
+
+
+def _present(parts: Series) -> list[int]:
+    """Channels that were measured."""
+    return [c for c in range(3) if np.isfinite(parts.before[:, c]).any()]
 
 
 def _mark(colour: str, shape: str):
@@ -140,10 +149,12 @@ def _panel_lines(ax, stop: np.ndarray, values: list[np.ndarray], way: int, overl
 @styled
 def over_time(parts: Series, table: StopTable) -> Figure:
     """Residuals before and after over the log's time; setups marked."""
-    figure = Figure(figsize=(11.5, 4.2), layout='constrained')
-    axes = figure.subplots(3, 1, sharex=True)
+    present = _present(parts)
+    figure = Figure(figsize=(11.5, 0.6 + 1.2 * len(present)), layout='constrained')
+    axes = figure.subplots(len(present), 1, sharex=True, squeeze=False)[:, 0]
     minutes = _pauses_cut(table.time_s) / 60.0
-    for row, (ax, channel) in enumerate(zip(axes, CHANNEL_NAMES, strict=True)):
+    for ax, row in zip(axes, present, strict=True):
+        channel = CHANNEL_NAMES[row]
         factor, unit = _scale(np.stack([parts.before[:, row], parts.after[:, row]]))
         known = parts.sigma[np.isfinite(parts.sigma[:, row]), row]
         if len(known):
@@ -159,7 +170,7 @@ def over_time(parts: Series, table: StopTable) -> Figure:
             first = int(np.flatnonzero(table.setup == s)[0])
             begin = minutes[first]
             ax.axvline(begin, color='#c4cbd0', linewidth=0.7)
-            if row == 0:
+            if row == present[0]:
                 said = f' {table.setup_names[s]}'
                 if np.ptp(minutes[table.setup == s]) > 0.09 * np.ptp(minutes):
                     said += f', after {table.time_s[first] / 60:.0f} min'
@@ -246,6 +257,10 @@ def errors_before_after(before: Solution, after: Solution | None) -> Figure:
     for place, name in enumerate(CURVES):
         ax = axes[place // 6, place % 6]
         for solution, colour, _ in both:
+            if solution.has(name) and np.max(solution.curve(name)[2]) > UNKNOWN_SIGMA:
+                ax.annotate('not known from this log', (0.5, 0.5), xycoords='axes fraction', ha='center',
+                            fontsize=7, color=SOFT)
+                break
             if solution.has(name):
                 position, value, sigma = solution.curve(name)
                 ax.fill_between(position * 1e3, (value - K * sigma) * 1e6, (value + K * sigma) * 1e6,

@@ -64,9 +64,10 @@ def _budget(diagnosis: Diagnosis) -> str:
             '+ a pattern without a name' if name == UNKNOWN else f'+ {title(name)}'
         labels.append((said, value))
     text = ('<h2>How big is the gap?</h2><p>How far a stop lies from where the simulator foretells it, '
-            f'on {escape(diagnosis.closing.held_out)}'
-            + (' — a part of the log that took no part in the fit.' if 'none' not in
-               diagnosis.closing.held_out else '.') + '</p>')
+            + ('on the log itself: it is one run, nothing could be held out.' if
+               diagnosis.closing.held_out.startswith('none') else
+               f'on {escape(diagnosis.closing.held_out)} — a part of the log that took no part in the fit.')
+            + '</p>')
     return text + budget_svg(labels, floor)
 
 
@@ -125,7 +126,7 @@ def _cause_row(diagnosis: Diagnosis, found: Found) -> list[str]:
     shown = ''.join(f'<tr><td>{escape(n)}</td><td>{escape(v)}</td></tr>' for n, v in rows[:6])
     numbers = f'<table class="nums">{shown}</table>'
     if len(rows) > 6:
-        numbers += f'<small>and {len(rows) - 6} more in gap.json</small>'
+        numbers += f'<small>and {len(rows) - 6} more in gap.json</small><br>'
     moved = gap_words.reach_words(diagnosis, found.name)
     if moved:
         numbers += f'<small>moves {escape(moved)}</small>'
@@ -154,7 +155,7 @@ def _ranking(diagnosis: Diagnosis) -> str:
 
 
 def _sets(diagnosis: Diagnosis) -> str:
-    rows = [[escape(' + '.join(title(n) for n in names) or 'nothing'), percent(p)]
+    rows = [[escape(' + '.join(title(n) for n in dict.fromkeys(names)) or 'nothing'), percent(p)]
             for names, p in diagnosis.sets[:5]]
     return table(['acting together', '>probability'], rows)
 
