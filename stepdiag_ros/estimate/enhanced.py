@@ -7,9 +7,10 @@ Minimises, over the unknowns θ of :mod:`stepdiag_ros.estimate.parameters`,
 with the full kinematic model f (:mod:`stepdiag_ros.estimate.forward`), the noise W of the
 log itself (:mod:`stepdiag_ros.estimate.noise`), and widths s so wide (a millimetre, a
 milliradian and more) that they only decide what the data leave open.  Gauss–Newton steps
-solve the normal equations by Cholesky: they lose digits of a step, not of the answer, for
-each residual is computed from the full model; QR would cost four times as much for the
-same fixed point.  Steps go on until they no longer matter against the standard deviations.
+solve the normal equations by Cholesky, as a band (:mod:`stepdiag_ros.estimate.banded`): they
+lose digits of a step, not of the answer, for each residual is computed from the full model.
+The last step and the covariance come from the dense equations.  Steps go on until they no
+longer matter against the standard deviations.
 
 A direction that the data do not narrow down against its width is unidentifiable and is
 reported by name (:mod:`stepdiag_ros.estimate.identifiability`).
@@ -21,6 +22,7 @@ import numpy as np
 from scipy import linalg, sparse
 
 from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.estimate.banded import BandedNormal
 from stepdiag_ros.estimate.forward import ForwardModel
 from stepdiag_ros.estimate.gauge import GAUGE, slope_weights
 from stepdiag_ros.estimate.noise import NoiseModel, Whitener, estimate_noise, whiteners
@@ -80,6 +82,12 @@ def readings_of(table: StopTable) -> np.ndarray:
 
 def prior_precision(parameters: Parameters, linear_laser: float = WIDTH_LASER_RAD) -> np.ndarray:
     """Inverse covariance (size, size) of the widths; ``linear_laser`` [rad] in linear setups."""
+    rows = frame_rows(parameters)
+    return np.diag(widths(parameters, linear_laser)**-2.0) + rows.T @ rows / WIDTH_FRAME_RAD**2
+
+
+def widths(parameters: Parameters, linear_laser: float = WIDTH_LASER_RAD) -> np.ndarray:
+    """Width (size,) of each unknown on its own."""
     width = np.empty(parameters.size)
     for name in CURVES:
         width[parameters.slice(name)] = WIDTH_SHIFT_M if name[1] in 'XYZ' else WIDTH_TURN_RAD
@@ -88,13 +96,15 @@ def prior_precision(parameters: Parameters, linear_laser: float = WIDTH_LASER_RA
         laser = linear_laser if setup in LINEAR else WIDTH_LASER_RAD
         width[first:first + 2], width[first + 2:first + 4] = laser, WIDTH_MIRROR_RAD
     width[parameters.offset_first:] = WIDTH_OFFSET_M
-    precision = np.diag(width**-2.0)
-    for name in FRAME_SLOPES:
-        position = parameters.knots[name]
-        weights = slope_weights(position)[1:]
-        columns = parameters.slice(name)
-        precision[columns, columns] += np.outer(weights, weights) / WIDTH_FRAME_RAD**2
-    return precision
+    return width
+
+
+def frame_rows(parameters: Parameters) -> np.ndarray:
+    """The slopes (3, size) that turn machine and setups together."""
+    rows = np.zeros((len(FRAME_SLOPES), parameters.size))
+    for row, name in zip(rows, FRAME_SLOPES, strict=True):
+        row[parameters.slice(name)] = slope_weights(parameters.knots[name])[1:]
+    return rows
 
 
 def start(parameters: Parameters, model: ForwardModel, table: StopTable,
@@ -141,56 +151,78 @@ def fit(description: Description, table: StopTable, noise: NoiseModel | None = N
         residual = np.where(present, readings - predicted, 0.0).ravel()
         return sum(np.sum(w(residual)**2) for w in white) + theta @ precision @ theta
 
+    banded: BandedNormal | None = BandedNormal(
+        table, noise, arrival, present, widths(parameters, linear_laser), frame_rows(parameters),
+        WIDTH_FRAME_RAD, min(parameters.setup_first.values()))
     value = objective(theta, predicted)
-    converged = False
-    for iteration in range(1, MAX_ITERATIONS + 1):  # noqa: B007 - it is reported below
-        residual = np.where(present, readings - predicted, 0.0)
-        normal, right = normal_equations(jacobian, residual.ravel(), white)
-        factor, scale = _factor(normal + precision)
-        right = right - precision @ theta
-        step = _solve(factor, scale, right)
+    converged, iterations = False, 0
+    while iterations < MAX_ITERATIONS:
+        iterations += 1
+        residual = np.where(present, readings - predicted, 0.0).ravel()
+        pull = precision @ theta
+        right = jacobian.T @ weighted(residual, white) - pull
+        if banded is not None:
+            try:
+                step = banded.solve(jacobian, residual, pull)
+            except linalg.LinAlgError:
+                banded = None
+        if banded is None:
+            normal = normal_equations(jacobian, white)
+            factor, scale = _factor(normal + precision)
+            step = _solve(factor, scale, right)
         promised = float(step @ right)
         # Misalignments act to second order along flat valleys: a whole step may overshoot.
         part = 1.0
         while part >= SHORTEST:
             trial = theta + part * step
-            trial_value = objective(trial, model.predict(trial))
+            trial_predicted = model.predict(trial)
+            trial_value = objective(trial, trial_predicted)
             if trial_value <= value:
-                theta, value = trial, trial_value
+                theta, value, predicted = trial, trial_value, trial_predicted
                 break
             part /= 2.0
-        predicted, jacobian, arrival = model.jacobian(theta)
         if promised < settled * max(1.0, 1e-6 * value) or part < SHORTEST:
-            converged = True
-            break
+            if banded is None:
+                converged = True
+                break
+            # The band loses more digits on nearly noise-free data: the dense equations have the last word.
+            banded = None
+        predicted, jacobian, arrival = model.jacobian(theta)
+    predicted, jacobian, arrival = model.jacobian(theta)
     residual = readings - predicted
-    normal, _ = normal_equations(jacobian, np.where(present, residual, 0.0).ravel(), white)
-    factor, scale = _factor(normal + precision)
+    if not converged:
+        normal = normal_equations(jacobian, white)
+        factor, scale = _factor(normal + precision)
     covariance = _inverse(factor, scale)
     filled = np.where(present, residual, 0.0).ravel()
     chi2 = float(sum(np.sum(w(filled)**2) for w in white))
     # Each direction counts as fitted by the share in which data and not the width decide it.
     dof = int(round(flat.sum() - np.sum(covariance * normal)))
     return Fit(parameters, model, theta, covariance, jacobian, arrival, residual, present, white,
-               precision, noise, chi2, dof, iteration, converged)
+               precision, noise, chi2, dof, iterations, converged)
 
 
-def normal_equations(jacobian: sparse.csr_array, residual: np.ndarray,
-                     white: list[Whitener]) -> tuple[np.ndarray, np.ndarray]:
-    """``JᵀWᵀWJ`` and ``JᵀWᵀWr``, one run after the other, only on the columns a run meets."""
+def weighted(residual: np.ndarray, white: list[Whitener]) -> np.ndarray:
+    """``WᵀW r`` (n·c,)."""
+    out = np.zeros_like(residual)
+    for whitener in white:
+        out[whitener.rows] = linalg.cho_solve((whitener.factor, True), residual[whitener.rows],
+                                              check_finite=False)
+    return out
+
+
+def normal_equations(jacobian: sparse.csr_array, white: list[Whitener]) -> np.ndarray:
+    """``JᵀWᵀWJ`` (size, size), one run after the other, only on the columns a run meets."""
     size = jacobian.shape[1]
-    normal, right = np.zeros((size, size)), np.zeros(size)
+    normal = np.zeros((size, size))
     for whitener in white:
         block = jacobian[whitener.rows]
         columns = np.unique(block.indices)
-        dense = block[:, columns].toarray()
-        both = linalg.solve_triangular(
-            whitener.factor, np.column_stack([dense, residual[whitener.rows]]), lower=True,
-            check_finite=False)
-        part, rest = both[:, :-1], both[:, -1]
+        dense = np.asfortranarray(block[:, columns].toarray())
+        part = linalg.solve_triangular(whitener.factor, dense, lower=True, overwrite_b=True,
+                                       check_finite=False)
         normal[np.ix_(columns, columns)] += part.T @ part
-        right[columns] += part.T @ rest
-    return normal, right
+    return normal
 
 
 def _factor(matrix: np.ndarray):
