@@ -290,9 +290,10 @@ def _coarse(joint: Joint) -> str:
     variance = np.full(joint.fit.residual.size, np.nan)
     for white in space._white:
         variance[white.rows] = np.sum(white.factor**2, axis=1)
-    variance = np.nanmedian(variance.reshape(joint.fit.residual.shape), axis=0)
+    variance = variance.reshape(joint.fit.residual.shape)
     for k, width in enumerate(widths):
-        share = width**2 / 12.0 / variance[k] if width else 0.0
+        own = variance[np.isfinite(variance[:, k]), k]
+        share = width**2 / 12.0 / np.median(own) if width and len(own) else 0.0
         if len(table) / 4.0 * share**2 > ALARM:
             channel = 'displacement' if k < beams else ('spot_x', 'spot_y')[k - beams]
             return f'{channel}: readings move in steps of {width * 1e6:.3g} µm'

@@ -98,7 +98,7 @@ def parity(observation: Observation, result: Fit, noise: NoiseModel,
     values = np.einsum('hb,nbc->nhc', contrast, observation.bins) / observation.bin_sigma[:, None, :]
     rough = np.ones(values.shape[1:])
     rough[0] = _roughness(values[:, 0], observation)
-    typical = np.nan_to_num(np.nanmedian(np.abs(values), axis=0) / 0.6745) if len(values) else rough
+    typical = _median(np.abs(values), axis=0) / 0.6745
     rough = np.hypot(rough, DISCREPANCY * typical)
     values = _clipped(values / rough)
     bin_present = np.isfinite(values)
@@ -114,6 +114,13 @@ def parity(observation: Observation, result: Fit, noise: NoiseModel,
                   np.concatenate([rows // channels, stop]), bin_scale,
                   white, basis, contrast,
                   observation.bin_sigma[:, None, :] * rough, bin_present)
+
+
+def _median(values: np.ndarray, axis: int | tuple[int, ...]) -> np.ndarray:
+    """Median over what is there; 0 where nothing is (a channel that was not measured)."""
+    absent = np.isnan(values).all(axis=axis)
+    filled = np.where(np.isnan(values).all(axis=axis, keepdims=True), 0.0, values)
+    return np.where(absent, 0.0, np.nanmedian(filled, axis=axis))
 
 
 def _contrasts(bins: int) -> np.ndarray:
@@ -151,6 +158,5 @@ def _roughness(slope: np.ndarray, observation: Observation) -> np.ndarray:
 def _clipped(values: np.ndarray) -> np.ndarray:
     """White contrasts (n, h, c), each channel's held to some of its own typical sizes: one dwell in
     which something happened must not speak for all."""
-    typical = np.nanmedian(np.abs(values), axis=(0, 1)) / 0.6745 if values.size else np.ones(0)
-    limit = CLIP * np.maximum(np.nan_to_num(typical, nan=1.0), 1.0)
+    limit = CLIP * np.maximum(_median(np.abs(values), axis=(0, 1)) / 0.6745, 1.0)
     return np.clip(values, -limit, limit)
