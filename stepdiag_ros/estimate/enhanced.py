@@ -44,6 +44,8 @@ FRAME_SLOPES = ('EYX', 'EZX', 'EZY')
 MAX_ITERATIONS = 50
 SETTLED = 1e-8
 """The iteration ends where a step promises less than this fall of the objective (χ² units)."""
+STALLED, STALLED_OVER = 1e-3, 6
+"""… or where that many steps together made it fall by less than this: a hundredth of a σ is left …"""
 SHORTEST = 2.0**-12
 """… or where no part of a step down to this fraction makes it fall: rounding is reached."""
 
@@ -155,7 +157,7 @@ def fit(description: Description, table: StopTable, noise: NoiseModel | None = N
         table, noise, arrival, present, widths(parameters, linear_laser), frame_rows(parameters),
         WIDTH_FRAME_RAD, min(parameters.setup_first.values()))
     value = objective(theta, predicted)
-    converged, iterations = False, 0
+    converged, iterations, course = False, 0, [value]
     while iterations < MAX_ITERATIONS:
         iterations += 1
         residual = np.where(present, readings - predicted, 0.0).ravel()
@@ -181,7 +183,10 @@ def fit(description: Description, table: StopTable, noise: NoiseModel | None = N
                 theta, value, predicted = trial, trial_value, trial_predicted
                 break
             part /= 2.0
-        if promised < settled * max(1.0, 1e-6 * value) or part < SHORTEST:
+        course.append(value)
+        unit = max(1.0, 1e-6 * value)
+        stalled = len(course) > STALLED_OVER and course[-1 - STALLED_OVER] - value < STALLED * unit
+        if promised < settled * unit or part < SHORTEST or stalled:
             if banded is None:
                 converged = True
                 break

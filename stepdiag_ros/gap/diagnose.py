@@ -350,7 +350,7 @@ def _confused(sets: list[EffectSet], best: EffectSet) -> tuple[tuple[str, ...], 
     """Groups of effects that may stand for each other: sets nearly as good with one member exchanged."""
     groups = []
     for other in sets:
-        if len(other.members) != len(best.members) or other.key == best.key:
+        if len(other.key) != len(best.key) or other.key == best.key or UNKNOWN in other.key:
             continue
         away, instead = best.key - other.key, other.key - best.key
         if len(away) == len(instead) == 1 and best.log_bayes - other.log_bayes < CONFUSED:

@@ -12,6 +12,8 @@ import numpy as np
 from stepdiag_ros.effects.base import Form, StopView
 
 NAME = 'unknown'
+MOST_JUMPS = 500
+"""Places at which something may jump that are tried in a log; a longer log is tried at every second, third …"""
 
 
 def unknown_families(view: StopView) -> dict[str, list[Form]]:
@@ -106,9 +108,15 @@ def _in_time(view: StopView) -> Iterator[Form]:
                        tuple(str(i) for i in range(len(columns))), np.full(len(columns), scale))
 
 
+def _beginnings(view: StopView) -> np.ndarray:
+    """Stops, in order of time, at which a jump is tried."""
+    order = np.argsort(view.time, kind='stable')
+    return order[::max(1, -(-len(order) // MOST_JUMPS))]
+
+
 def _jumps(view: StopView) -> Iterator[Form]:
     """One stop off, or a spot that jumps and stays for the rest of the setup."""
-    order = np.argsort(view.time, kind='stable')
+    order = _beginnings(view)
     for name, columns, scale in _channels(view):
         for i in order:
             single = np.zeros((1, len(view.time)))
@@ -125,7 +133,7 @@ def _jumps(view: StopView) -> Iterator[Form]:
 
 def _mirror_jumps(view: StopView) -> Iterator[Form]:
     """The mirror, the beam or the tool point jumps and stays for the rest of the setup."""
-    for i in np.argsort(view.time, kind='stable'):
+    for i in _beginnings(view):
         after = (view.setup == view.setup[i]) & (view.time >= view.time[i])
         where = f'{view.run_ids[view.run[i]]} stop {view.index[i]}'
         for label, derivative, scale in (('mirror', view.by_mirror, 1e-5),
