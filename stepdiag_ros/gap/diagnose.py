@@ -318,6 +318,7 @@ def _found(name: str, effect: Effect, probability: float, joint: Joint) -> Found
             if s < wide:
                 parameters[n + suffix], spread[n + suffix] = float(value), float(s)
         parameters |= {k + suffix: float(v) for k, v in active.form.shape.items()}
+        spread |= {k + suffix: float(v) for k, v in active.shape_sigma.items()}
     rest = unexplained(joint.parity, joint.active)
     without, left = float(np.sum((rest + sum(parts)) ** 2)), float(np.sum(rest**2))
     dof = float(sum(joint.parity.dof))

@@ -5,7 +5,8 @@ are freed of them, machine and misalignments are fitted anew, and the forms are 
 fit: a few rounds, for misalignments act to second order and a gross effect moves them far.
 """
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -20,18 +21,24 @@ from stepdiag_ros.gap.observe import Observation, sane_fit, view_of
 from stepdiag_ros.gap.parity import Parity, parity
 
 ROUNDS = 4
+SHAPE_STEP = 1e-3
+"""Relative step in a shape parameter for its derivative."""
 SETTLED = 0.02
 """Rounds end when no coefficient moves by more than this many standard deviations … or percent."""
 
 
 @dataclass(frozen=True)
 class Active:
-    """An effect in one form with its coefficients (k,) and their covariance (k, k), in the form's units."""
+    """An effect in one form with its coefficients (k,) and their covariance (k, k), in the form's units.
+
+    ``shape_sigma``: standard deviations of the form's tuned shape parameters.
+    """
 
     effect: Effect
     form: Form
     coefficients: np.ndarray
     covariance: np.ndarray
+    shape_sigma: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def contribution(self) -> np.ndarray:
@@ -92,7 +99,7 @@ def fit_jointly(observation: Observation, chosen: list[tuple[Effect, Form]],
         active = updated
         if moved < 1.0:
             break
-    return Joint(observation, noise, space, active)
+    return Joint(observation, noise, space, with_shapes(space, active))
 
 
 def _bin_scale(bins: np.ndarray, sigma: np.ndarray) -> float:
@@ -133,6 +140,39 @@ def solve(space: Parity, chosen: list[tuple[Effect, Form]]) -> tuple[Active, ...
         start = part.stop
         result.append(Active(effect, form, values[part] * form.scale,
                              covariance[part, part] * np.outer(form.scale, form.scale)))
+    return tuple(result)
+
+
+def with_shapes(space: Parity, active: tuple[Active, ...]) -> tuple[Active, ...]:
+    """The same with the uncertainty of tuned shape parameters: their own, and what it adds to the coefficients'.
+
+    Each shape parameter is one more unknown, on a logarithmic scale and held to a factor of ten; its column
+    is the change of the effect's contribution.
+    """
+    blocks = [space.project(a.form) for a in active]
+    columns, places = [], []
+    for k, a in enumerate(active):
+        if a.form.retune is None:
+            continue
+        for name, value in a.form.shape.items():
+            other = a.form.at({**a.form.shape, name: value * (1.0 + SHAPE_STEP)})
+            size = a.coefficients / a.form.scale
+            columns.append((space.project(other) - blocks[k]) @ size / SHAPE_STEP)
+            places.append((k, name, value))
+    if not columns:
+        return active
+    linear = np.concatenate(blocks, axis=1)
+    whole = np.column_stack([linear, *columns])
+    width = np.concatenate([np.full(linear.shape[1], SIZES[-1]), np.full(len(columns), np.log(10.0))])
+    covariance = np.linalg.inv(whole.T @ whole + np.diag(width**-2.0))
+    result, start = [], 0
+    for k, (a, block) in enumerate(zip(active, blocks, strict=True)):
+        part = slice(start, start + block.shape[1])
+        start = part.stop
+        own = {name: float(value * np.sqrt(covariance[linear.shape[1] + i, linear.shape[1] + i]))
+               for i, (of, name, value) in enumerate(places) if of == k}
+        result.append(replace(a, covariance=covariance[part, part] * np.outer(a.form.scale, a.form.scale),
+                              shape_sigma=own))
     return tuple(result)
 
 
