@@ -28,5 +28,5 @@ CLOCK_SIGMAS = 6.0
 """An offset of stamps must exceed this many of its standard deviations …"""
 LEAST_CLOCK_S = 2.5e-3
 """… and this, what controls take to report in position."""
-LEAST_SHARE = 0.05
+LEAST_SHARE = 0.01
 """Cells with less of the excess than this are not named."""
