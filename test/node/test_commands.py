@@ -45,12 +45,18 @@ def test_calibrate_brings_a_cell_up_and_writes_a_bag(ros_domain, cell_file, tmp_
     assert log.description.plan.steps == 2 and log.steps.index.max() == 6
 
 
+def _hears_ctrl_c() -> None:
+    """Tests that run in the background of a shell are started deaf to SIGINT, and so would be their children."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 def test_ctrl_c_cancels_a_calibration_and_leaves_a_whole_bag(ros_domain, cell_file, tmp_path):
     bag = tmp_path / 'log'
     # Long dwells: however late the first line comes through on a busy machine, stops are left to cancel.
     said = []
     with subprocess.Popen([*STEPDIAG, 'calibrate', str(cell_file), '--bag', str(bag), '--dwell', '6.0'],
-                          stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
+                          stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+                          preexec_fn=_hears_ctrl_c) as running:
         reader = threading.Thread(target=lambda: said.extend(running.stderr), daemon=True)
         reader.start()
         end = time.monotonic() + 120
