@@ -15,13 +15,12 @@ os.environ.update({'OMP_NUM_THREADS': '1', 'OPENBLAS_NUM_THREADS': '1'})
 import argparse
 import platform
 import time
-import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import scipy
-from estimate_case import make_case
+from estimate_case import make_case, peak_mb
 
 from stepdiag_ros.estimate import enhanced
 from stepdiag_ros.estimate.banded import BandedNormal
@@ -39,14 +38,6 @@ def spent(work: Callable[[], object], best_of: int = 3) -> float:
         work()
         times.append(time.process_time() - begin)
     return min(times)
-
-
-def peak_mb(work: Callable[[], object]) -> float:
-    tracemalloc.start()
-    work()
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    return peak / 1e6
 
 
 def measure(steps: int) -> tuple[str, float | None, float]:

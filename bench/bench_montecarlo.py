@@ -14,14 +14,13 @@ os.environ.update({'OMP_NUM_THREADS': '1', 'OPENBLAS_NUM_THREADS': '1'})
 import argparse
 import platform
 import time
-import tracemalloc
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import scipy
-from estimate_case import Case, make_case
+from estimate_case import Case, make_case, peak_mb
 from scipy import linalg, optimize
 
 from stepdiag_ros.cli.uncertainty import default_budget
@@ -45,14 +44,6 @@ def timed(work: Callable[[], object], best_of: int = 3) -> float:
         work()
         times.append(time.perf_counter() - begin)
     return min(times)
-
-
-def peak_mb(work: Callable[[], object]) -> float:
-    tracemalloc.start()
-    work()
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    return peak / 1e6
 
 
 def solved(case: Case, budget: Budget):

@@ -1,6 +1,7 @@
 """The log that the benches of estimation solve: four diagonals and three lines of a machine of 0.8 × 0.6 × 0.5 m."""
 
-from collections.abc import Mapping
+import tracemalloc
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -55,3 +56,12 @@ def make_case(steps: int, repeats: int = 1, both_ways: bool = False, seed: int =
     table = filled(table, readings.reshape(clean.shape))
     return Case(description, replace(table, displacement_scatter=sensor[:, :-2] * 10.0,
                                      spot_scatter=sensor[:, -2:] * 10.0), noise, truth, misalignments)
+
+
+def peak_mb(work: Callable[[], object]) -> float:
+    """Greatest memory that Python held for ``work`` [MB]."""
+    tracemalloc.start()
+    work()
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    return peak / 1e6

@@ -149,9 +149,7 @@ class Screen:
         if not members:
             return np.zeros((self.parity.size, 0))
         columns = np.concatenate([self.columns_of(m) for m in members], axis=1)
-        columns = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
-        vector, value, _ = np.linalg.svd(columns, full_matrices=False)
-        return vector[:, value > 1e-6 * value.max()]
+        return _orthonormal(columns)
 
     def judge_all(self, members: Sequence[int] = ()) -> list[Judged]:
         """Every candidate given the set ``members``."""
@@ -179,9 +177,7 @@ class Screen:
         columns = self.columns_of(number)[:stops]
         if members:
             given = np.concatenate([self.columns_of(m)[:stops] for m in members], axis=1)
-            given = given / np.maximum(np.linalg.norm(given, axis=0), 1e-300)
-            vector, value, _ = np.linalg.svd(given, full_matrices=False)
-            vector = vector[:, value > 1e-6 * value.max()]
+            vector = _orthonormal(given)
             columns = columns - vector @ (vector.T @ columns)
             data = data - vector @ (vector.T @ data)
         return judge((columns.T @ columns)[None], (columns.T @ data)[None], float(data @ data),
@@ -205,6 +201,13 @@ class Screen:
         """What the set leaves of the data (N,)."""
         basis = self.basis(members)
         return self.parity.data - basis @ (basis.T @ self.parity.data)
+
+
+def _orthonormal(columns: np.ndarray) -> np.ndarray:
+    """Orthonormal basis (N, r) of columns (N, k) of very different lengths."""
+    columns = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+    vector, value, _ = np.linalg.svd(columns, full_matrices=False)
+    return vector[:, value > 1e-6 * value.max()]
 
 
 def search(screen: Screen) -> list[EffectSet]:
