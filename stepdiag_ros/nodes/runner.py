@@ -44,6 +44,7 @@ class Runner:
     ``announce(run, stop, phase, time_ns)`` publishes a step event; ``mount(setup)`` has
     mirror, base unit and sensors put to a setup; ``reset()`` makes the present distance
     zero; ``check(setup)`` raises :class:`StepdiagError` when a source has fallen silent;
+    ``caught_up(setup, time_ns)`` waits until all have delivered up to then, or raises so;
     ``report(progress)``; ``cancelled()``.  For ``guard_s`` after a dwell nothing moves: a
     sample that was polled a little later than its stamp says must not see the next move.
     However :meth:`execute` ends, the machine stands still.
@@ -54,6 +55,7 @@ class Runner:
     mount: Callable[[str], None]
     reset: Callable[[], None]
     check: Callable[[str], None]
+    caught_up: Callable[[str, int], None]
     report: Callable[[Progress], None]
     cancelled: Callable[[], bool]
     feed_m_s: float
@@ -112,11 +114,14 @@ class Runner:
                 self._go(stop)
             self.announce(run, stop, DWELL, time.time_ns())
             self._dwell()
-            self.announce(run, stop, DONE, time.time_ns())
+            done_ns = time.time_ns()
+            self.announce(run, stop, DONE, done_ns)
             self._done += 1
             self._spent_s += time.monotonic() - began
             self.check(run.setup)
             time.sleep(self.guard_s)
+        # The next zero or setup forgives what was lost before it.
+        self.caught_up(run.setup, done_ns)
         self._tell(run, NONE, f'{run.run_id} done')
 
     def _go(self, stop: Stop) -> None:

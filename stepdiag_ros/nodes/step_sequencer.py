@@ -248,8 +248,9 @@ class StepSequencer(StepdiagNode):
 
         dwell = goal.dwell if goal.dwell > 0.0 else self.value('dwell')
         runner = Runner(self.controller, self._announce, mount, self._zero,
-                        lambda setup: self._watch.check(bag, setup), report, cancelled,
-                        self.value('feed'), dwell, self.value('guard'))
+                        lambda setup: self._watch.check(bag, setup),
+                        lambda setup, time_ns: self._caught_up(bag, setup, time_ns, cancelled),
+                        report, cancelled, self.value('feed'), dwell, self.value('guard'))
         try:
             return runner.execute(runs)
         finally:
@@ -345,6 +346,15 @@ class StepSequencer(StepdiagNode):
     def _zero(self) -> None:
         self._call(self._reset, ResetDisplacement.Request(), 'interferometer/reset')
         self._watch.begin()
+
+    def _caught_up(self, bag: str, setup: str, time_ns: int, cancelled: Callable[[], bool]) -> None:
+        """Wait until all sources have delivered up to ``time_ns``; a silent one ends the run."""
+        while self._watch.delivered_until() < time_ns:
+            if cancelled():
+                raise Cancelled
+            self._watch.check(bag, setup)
+            time.sleep(0.01)
+        self._watch.check(bag, setup)
 
     def _call(self, client, request, name: str) -> None:
         """Call a service from the worker's thread."""

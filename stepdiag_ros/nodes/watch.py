@@ -18,7 +18,7 @@ class _Source:
     begin_ns: int = 0               # stamps of begin and end of the last block
     end_ns: int = 0
     dark_s: float | None = None     # since when there has been no signal; None: there is
-    setup: str = ''                 # which setup the last block says it belongs to
+    setups: set[str] = field(default_factory=set)   # that blocks since the last zero speak of
 
 
 @dataclass(frozen=True)
@@ -51,14 +51,18 @@ class Watch:
     def block(self, topic: str, begin_ns: int, end_ns: int, signal: bool, setup: str) -> None:
         """A block of ``topic`` came with these stamps; ``signal``: it holds light."""
         with self._lock:
-            now, before = time.monotonic(), self._sources[topic].dark_s
-            self._sources[topic] = _Source(now, begin_ns, end_ns, None if signal else before or now, setup)
+            source = self._sources[topic]
+            source.last_s, source.begin_ns, source.end_ns = time.monotonic(), begin_ns, end_ns
+            source.dark_s = None if signal else source.dark_s or source.last_s
+            if begin_ns > self._since_ns:
+                source.setups.add(setup)
 
     def begin(self) -> None:
         """A setup was mounted or a zero was set: what came before does not count any more."""
         with self._lock:
             self._since_ns = time.time_ns()
             for source in self._sources.values():
+                source.setups.clear()
                 if source.dark_s is not None:
                     source.dark_s = time.monotonic()
 
@@ -105,15 +109,14 @@ class Watch:
     def check(self, bag: str, setup: str) -> None:
         """Raise :class:`StepdiagError` if a run of ``setup`` into ``bag`` has lost something.
 
-        A driver that was started again in the middle knows neither setup nor zero: it shows
-        by its blocks' setup or by their want of signal.
+        A driver that was started again since the last zero knows neither setup nor zero: it
+        shows by the setup of any of its blocks or by their want of signal.
         """
         wants = self.wants(light=True)
         said = self.recording
         with self._lock:
-            wants += [f'{topic} speaks of setup {source.setup!r} in a run of {setup!r}'
-                      for topic, source in self._sources.items()
-                      if source.setup != setup and source.begin_ns > self._since_ns]
+            wants += [f'{topic} speaks of setup {other!r} in a run of {setup!r}'
+                      for topic, source in self._sources.items() for other in sorted(source.setups - {setup})]
         if not wants and said is not None and said.bag != bag:
             wants = [f'the recorder began another bag ({said.bag}) while a run was under way']
         if wants:

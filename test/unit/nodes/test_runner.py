@@ -41,7 +41,8 @@ class Hall:
         self.cancel_after = None
         self.runner = Runner(
             control, self._announce, self.mounted.append, self._reset,
-            changes.pop('check', lambda setup: None), self.progress.append, self._cancelled,
+            changes.pop('check', lambda setup: None), changes.pop('caught_up', lambda setup, time_ns: None),
+            self.progress.append, self._cancelled,
             feed_m_s=0.1, dwell_s=0.005, guard_s=0.001, **changes)
 
     def _announce(self, run, stop, phase, time_ns):
@@ -123,3 +124,16 @@ def test_a_silent_source_ends_the_runs():
     with pytest.raises(StepdiagError, match='silent') as caught:
         Hall(Control(), check=check).runner.execute(runs())
     assert caught.value.outcome.stops == 1
+
+
+def test_a_source_lost_at_a_runs_last_stop_ends_it_before_the_next_zero():
+    waited = []
+
+    def caught_up(setup, time_ns):
+        waited.append((setup, time_ns))
+        raise StepdiagError('/m/psd/spot has been silent for 3.0 s')
+    hall = Hall(Control(), caught_up=caught_up)
+    with pytest.raises(StepdiagError, match='silent') as caught:
+        hall.runner.execute(runs())
+    assert waited == [('lin_x', hall.events[-1][3])] and hall.events[-1][2] == DONE
+    assert caught.value.outcome.run_ids == () and hall.resets == 1

@@ -100,6 +100,18 @@ def test_blocks_of_another_setup_end_a_run():
         one.check('/bags/a', 'ppp')
 
 
+def test_a_driver_that_was_away_for_a_moment_is_not_forgiven():
+    one = watch()
+    one.recorder(recording())
+    block(one, SOURCES[0])
+    block(one, SOURCES[1], setup='')
+    block(one, SOURCES[1])           # somebody has told it the setup again
+    with pytest.raises(StepdiagError, match="/m/psd/spot speaks of setup ''"):
+        one.check('/bags/a', 'ppp')
+    one.begin()
+    one.check('/bags/a', 'ppp')
+
+
 def test_another_bag_ends_a_run():
     one = watch()
     one.recorder(recording(bag='/bags/b'))
