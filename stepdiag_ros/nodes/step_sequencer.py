@@ -348,8 +348,8 @@ class StepSequencer(StepdiagNode):
         self._watch.begin()
 
     def _caught_up(self, bag: str, setup: str, time_ns: int, cancelled: Callable[[], bool]) -> None:
-        """Wait until all sources have delivered up to ``time_ns``; a silent one ends the run."""
-        while self._watch.delivered_until() < time_ns:
+        """Wait until all sources have delivered up to ``time_ns`` and see light; or end the run."""
+        while self._watch.delivered_until() < time_ns or self._watch.dark():
             if cancelled():
                 raise Cancelled
             self._watch.check(bag, setup)

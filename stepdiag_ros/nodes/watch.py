@@ -122,6 +122,11 @@ class Watch:
         if wants:
             raise StepdiagError('; '.join(wants) + '; stopped, so that no stop goes unmeasured')
 
+    def dark(self) -> bool:
+        """A source's last block holds no light."""
+        with self._lock:
+            return any(source.dark_s is not None for source in self._sources.values())
+
     def delivered_until(self) -> int:
         """All sources have delivered up to this time [ns since the epoch]."""
         with self._lock:

@@ -87,6 +87,15 @@ def test_dark_beams_matter_in_a_run_only():
     one.check('/bags/a', 'ppp')
 
 
+def test_darkness_is_known_at_once():
+    one = watch()
+    block(one, SOURCES[0], signal=False)
+    block(one, SOURCES[1])
+    assert one.dark()
+    block(one, SOURCES[0])
+    assert not one.dark()
+
+
 def test_blocks_of_another_setup_end_a_run():
     one = watch()
     one.recorder(recording())
