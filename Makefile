@@ -30,7 +30,7 @@ bench: setup-tests
 # The whole blind check, an hour or two: SEED=... draws other logs.
 SEED ?= 20261121
 blind: setup
-	$(BIN)/stepdiag blind seal --seed $(SEED) --null 300 --single 285 --pair 60 --outside 72 --out build/blind-$(SEED)
+	$(BIN)/stepdiag blind seal --seed $(SEED) --null 300 --single 285 --pair 60 --outside 77 --out build/blind-$(SEED)
 	$(BIN)/stepdiag blind answer build/blind-$(SEED)
 	$(BIN)/stepdiag blind open --apart build/blind-$(SEED)
 

@@ -2,8 +2,9 @@
 
 Some have nothing in common with any effect of the vocabulary, some were made to look like one:
 thermal bending like squareness drift, a twist on reversal like backlash, a mirror that slips
-like one that creeps, mode hopping like a drift of the air, a missed step like a slip of the
-counter, hum on the detector like vibration.
+like one that creeps, mode hopping like a drift of the air, hum on the detector like vibration.
+What no log of this plan could tell from an effect of the vocabulary is not drawn: a step that an
+axis loses in a run shifts the distance by a constant, as a slip of the counter does.
 """
 
 from dataclasses import replace
@@ -126,27 +127,6 @@ class AirTurbulence(Outside):
             * boil[:, None] * np.maximum(path, 0.0) ** self._power
 
 
-class MissedStep(Outside):
-    """an axis loses a step and is wrong from then on until it is referenced (like a count slip)"""
-
-    name, typical, largest = 'missed_step', 3e-6, 3e-4
-
-    def __init__(self, stage: Stage, rng: np.random.Generator):
-        super().__init__(stage, rng)
-        run = int(rng.integers(len(stage.runs)))
-        begin, end = stage.runs[run]
-        self._time = float(begin + (end - begin) * rng.uniform(0.2, 0.8))
-        later = stage.runs[stage.runs[:, 0] > begin, 0]
-        self._until = float(rng.choice(later)) if len(later) else np.inf
-        self._axis, self._sign = int(rng.integers(3)), float(rng.choice([-1.0, 1.0]))
-        self.facts = {'time_s': self._time, 'until_s': self._until, 'axis': self._axis}
-
-    def before_pose(self, moment: Moment) -> None:
-        lost = (moment.seconds >= self._time) & (moment.seconds < self._until)
-        moment.position = moment.position + self.size * self._sign * (
-            lost[:, None] * np.eye(3)[self._axis])
-
-
 class ReversalTwist(Outside):
     """cables twist the head by an angle that depends on the direction of motion (like backlash)"""
 
@@ -225,4 +205,4 @@ class ModeHopping(Outside):
 
 
 OUTSIDE = (StickSlip, AmplifierSaturation, ThermalBending, MirrorSlip, SpotCrosstalk, AirTurbulence,
-           MissedStep, ReversalTwist, AdcQuantisation, MainsHum, BeamWalkOff, ModeHopping)
+           ReversalTwist, AdcQuantisation, MainsHum, BeamWalkOff, ModeHopping)
