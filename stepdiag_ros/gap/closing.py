@@ -30,6 +30,12 @@ class Closing:
     after_m: float
     floor_m: float
 
+    @property
+    def left(self) -> float:
+        """Share of the excess χ² before that is there after; 0 where chance alone may leave it (five σ)."""
+        beyond_chance = self.after > 1.0 + 5.0 * np.sqrt(2.0 / max(self.count, 1))
+        return (self.after - 1.0) / (self.before - 1.0) if beyond_chance and self.before > self.after else 0.0
+
 
 def noise_floor(joint: Joint) -> float:
     """Root mean square [m] of the noise of one stop's displacement."""

@@ -27,7 +27,9 @@ from stepdiag_ros.gap.thresholds import (
     ALARM,
     CLOCK_SIGMAS,
     CONFUSED,
+    FORM_ERROR,
     LEAST_CLOCK_S,
+    LEAST_LEFT,
     MISFIT,
     MISFIT_MOST,
     SCATTER_ALARM,
@@ -145,7 +147,9 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
     if not leftover and not (shaking and shaking.log_bayes > VIBRATION_ALARM):
         evidence, words = excess_scatter(joint)
         allowed = SCATTER_ALARM + min(MISFIT * best.log_bayes, MISFIT_MOST)
-        leftover = words if evidence > allowed else ''
+        leftover = words if evidence > allowed and not _form_error(joint) else ''
+    if found and not leftover and how_far.left > LEAST_LEFT:
+        leftover = f'{how_far.left:.0%} of the gap does not follow the forms known of what was named'
     verdict = _verdict(found, leftover)
     groups = _confused(sets, best)
     forms = {m.effect: screen.candidates[m.candidate].form for s in sets for m in s.members}
@@ -229,6 +233,13 @@ def _sharpened(screen: Screen) -> Screen:
         if form is not candidate.form:
             added.append(Candidate(candidate.effect, candidate.family, form))
     return screen.extended(added) if added else screen
+
+
+def _form_error(joint: Joint) -> bool:
+    """Whether what the effects leave is so small a part of what they explain that their forms may be to blame."""
+    data, rest = joint.parity.data, unexplained(joint.parity, joint.active)
+    left = float(rest @ rest) - sum(joint.parity.dof)
+    return left < FORM_ERROR * float(data @ data - rest @ rest) and bool(joint.active)
 
 
 # ---- the clocks -----------------------------------------------------------------------------------

@@ -7,7 +7,7 @@ its effect is in the set, are free: what is left is what nothing in the set can 
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from stepdiag_ros.effects.base import Form
 from stepdiag_ros.gap.evidence import Judged, judge, log_mean
 from stepdiag_ros.gap.parity import Parity
 from stepdiag_ros.gap.thresholds import (
+    FORM_ERROR,
     MEMBER_ALARM,
     MISFIT,
     MISFIT_MOST,
@@ -24,6 +25,7 @@ from stepdiag_ros.gap.thresholds import (
 from stepdiag_ros.gap.unknown import NAME as UNKNOWN
 
 BEAM = 4
+BEAM_OF_NAMELESS = 2
 LARGEST = 3
 PRIOR_NUMBER = (0.5, 0.32, 0.14, 0.04)
 """Prior probability that none, one, two, three effects act."""
@@ -220,8 +222,12 @@ def search(screen: Screen) -> list[EffectSet]:
         sets[found.names] = found
         front.append(found)
     while front:
-        front = sorted(front, key=lambda s: -s.log_bayes)[:BEAM]
-        front = [s for s in front if s.log_bayes > max(GAIN, front[0].log_bayes - HOPELESS)]
+        # Nameless patterns, which fit anything, must not crowd out the names.
+        front = sorted(front, key=lambda s: -s.log_bayes)
+        front = [s for s in front if UNKNOWN not in s.key][:BEAM] \
+            + [s for s in front if UNKNOWN in s.key][:BEAM_OF_NAMELESS]
+        top = max(s.log_bayes for s in front)
+        front = [s for s in front if s.log_bayes > max(GAIN, top - HOPELESS)]
         grown = []
         for found in front:
             for member in screen.by_effect([m.candidate for m in found.members]).values():
@@ -250,7 +256,32 @@ def search(screen: Screen) -> list[EffectSet]:
     for found in sets.values():
         if found.key not in best or best[found.key].log_bayes < found.log_bayes:
             best[found.key] = found
-    return sorted(best.values(), key=lambda s: -(s.log_bayes + log_prior(s, len(first))))
+    found = _held_to_names(screen, list(best.values()))
+    return sorted(found, key=lambda s: -(s.log_bayes + log_prior(s, len(first))))
+
+
+def _held_to_names(screen: Screen, sets: list[EffectSet]) -> list[EffectSet]:
+    """The sets, none with a nameless part better than a name that explains nearly as much.
+
+    No form is quite right; where an effect is gross, what its form leaves is far above the noise and
+    nameless patterns, which can take any shape, explain that too.  A name holds as long as it explains all
+    but ``FORM_ERROR`` of what they do.
+    """
+    named = max((s for s in sets if s.members and UNKNOWN not in s.key), key=lambda s: s.log_bayes,
+                default=None)
+    if named is None:
+        return sets
+    reach = _explained(screen, named) / (1.0 - FORM_ERROR)
+    return [replace(s, log_bayes=named.log_bayes)
+            if UNKNOWN in s.key and s.log_bayes > named.log_bayes and _explained(screen, s) < reach else s
+            for s in sets]
+
+
+def _explained(screen: Screen, found: EffectSet) -> float:
+    """What a set takes off zᵀz beyond what it would take off noise."""
+    members = [m.candidate for m in found.members]
+    data, left = screen.parity.data, screen.residual(members)
+    return float(data @ data - left @ left) - screen.basis(members).shape[1]
 
 
 def _supported(screen: Screen, found: EffectSet, member: Member) -> bool:

@@ -12,6 +12,11 @@ MISFIT = 0.03
 """… plus this share of theirs, which forms that are not quite right may leave over."""
 MISFIT_MOST = 12.0
 """… but not more than this."""
+FORM_ERROR = 0.1
+"""Share of the variance that nameless patterns explain which a name may leave: forms are taken to be right
+to a third (0.1 = 0.32²) of the amplitude."""
+LEAST_LEFT = 0.1
+"""Share of the gap on held-out data that must be left, and be beyond chance, before it is spoken of."""
 STOP_SUPPORT = 2.0
 """Least log evidence in the stops' means alone for a further slow effect."""
 UNKNOWN_DOUBT = 8.0
