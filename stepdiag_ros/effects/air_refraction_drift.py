@@ -10,7 +10,7 @@ import numpy as np
 
 from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
 from stepdiag_ros.effects.patterns import Drawn, drawn_size, follow, on_lengths, recorded, saturating
-from stepdiag_ros.effects.timeforms import courses
+from stepdiag_ros.effects.timeforms import ROUGHNESS, courses
 from stepdiag_ros.model.air import refractive_index
 
 TEMPERATURE, PRESSURE, HUMIDITY = 20.0, 101325.0, 0.5
@@ -55,7 +55,7 @@ class AirRefractionDrift(Effect):
         # Sources that hold or correct their own dead path, or stand elsewhere than the description says.
         both = np.concatenate([way, on_lengths(view, np.ones(len(view.time)))[None]])
         forms += [follow(view, course, both, ('index', 'dead path'), 1e-6, '1, m', 'dead path unknown')
-                  for course in courses(view.time) if course.label in ('linear', 'smooth')]
+                  for course in courses(view.time) if course.label in ('linear', *ROUGHNESS)]
         logged = self._logged(view)
         if logged is not None:
             course = recorded(view, logged[None], 'logged air, not divided out')

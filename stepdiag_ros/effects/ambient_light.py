@@ -48,7 +48,8 @@ class AmbientLight(Effect):
         one = np.ones((1, course.values.shape[1]))
         retune = None if course.retune is None else lambda shape: self._with_constant(course.retune(shape))
         return Course(course.label, np.concatenate([one, course.values]),
-                      np.concatenate([0.0 * one, course.rates]), course.shape, retune)
+                      np.concatenate([0.0 * one, course.rates]), course.shape, retune,
+                      None if course.sizes is None else np.concatenate([[1.0], course.sizes]))
 
     @staticmethod
     def _from_intensity(view: StopView, pull: np.ndarray) -> list[Form]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
 from stepdiag_ros.effects.patterns import Drawn, drawn_size, follow, recorded, saturating
-from stepdiag_ros.effects.timeforms import courses
+from stepdiag_ros.effects.timeforms import ROUGHNESS, courses, drift_form
 
 NOTICEABLE = 0.03
 """Standard deviation of a scale's temperature over the log [K] that is more than its sensor's noise."""
@@ -46,12 +46,17 @@ class ScaleThermalExpansion(Effect):
         axes = ('X', 'Y', 'Z')
         growth = view.commanded.T[:, :, None] * view.by_shift
         forms = [follow(view, course, growth, axes, 1e-5, '1') for course in courses(view.time)]
-        # A scale that is held elsewhere than at its zero also shifts the axis as a whole.
-        both = np.concatenate([growth, view.by_shift])
+        # A scale that is held elsewhere than at its zero also shifts the axis as a whole: somewhere along the
+        # travel, so that it is taken from the middle on, by at most half of it either way.
+        travel = np.maximum(np.ptp(view.commanded, axis=0), 1e-3)
+        middle = view.commanded.min(axis=0) + 0.5 * travel
+        both = np.concatenate([(view.commanded - middle).T[:, :, None] * view.by_shift, view.by_shift])
         named = axes + tuple(f'{axis} shift' for axis in axes)
-        forms += [follow(view, course, both, named, 1e-5, '1, m', 'held elsewhere than at zero')
+        size = 1e-5 * np.concatenate([np.ones(3), travel / np.sqrt(12.0)])
+        forms += [drift_form(view, course, both, named, size, 'held elsewhere than at zero', '1, m')
                   for course in courses(view.time)
-                  if course.label == 'linear' or course.shape.get('tau_s', 0.0) > 0.2 * np.ptp(view.time)]
+                  if course.label in ('linear', *ROUGHNESS)
+                  or course.shape.get('tau_s', 0.0) > 0.2 * np.ptp(view.time)]
         return self._logged(view, growth) + forms
 
     @staticmethod
