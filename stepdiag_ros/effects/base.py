@@ -154,6 +154,9 @@ class Form:
     dwell's mean, or None where nothing happens there.  ``shape``: shape parameters by name with unit
     in the name, e.g. ``{'tau_s': 400.0}``.  ``retune``: the form with other shape parameters, or None where
     there are none to tune; ``tuned_from``: label of the form that it was tuned from, empty if it was not.
+    ``process``: whether the coefficients are a random process whose standard deviations go as ``scale``, an
+    unknown course; it is held to the size that the log shows, other coefficients are free.  ``held``:
+    that size, in scales, once it is known.
     """
 
     label: str
@@ -165,6 +168,8 @@ class Form:
     shape: Mapping[str, float] = field(default_factory=dict)
     retune: Callable[[Mapping[str, float]], 'Form'] | None = None
     tuned_from: str = ''
+    process: bool = False
+    held: float | None = None
 
     def at(self, shape: Mapping[str, float]) -> 'Form':
         """The same form with other shape parameters; only where there is something to tune."""

@@ -99,4 +99,4 @@ def drift_form(view: StopView, course: Course, signature: np.ndarray, names: tup
                 (np.tile(scale, count) if course.sizes is None else np.outer(course.sizes, scale).ravel()),
                 units, inside, course.shape,
                 None if course.retune is None else lambda shape: drift_form(
-                    view, course.retune(shape), signature, names, scale, label, units))
+                    view, course.retune(shape), signature, names, scale, label, units), process=course.sizes is not None)
