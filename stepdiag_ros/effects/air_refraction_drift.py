@@ -64,11 +64,11 @@ class AirRefractionDrift(Effect):
 
     @staticmethod
     def _logged(view: StopView) -> np.ndarray | None:
-        """Logged index over the divided one, less its mean (n,); None where that says nothing."""
+        """Logged index over the divided one, less its first (n,); None where that says nothing."""
         if view.air_index is None:
             return None
         ratio = view.air_index / view.divided_index
-        ratio = ratio - np.nanmean(ratio)
+        ratio = ratio - ratio[np.argmin(view.time)]
         if not np.isfinite(ratio).all() or ratio.std() < NOTICEABLE:
             return None
         return ratio

@@ -64,7 +64,7 @@ class ScaleThermalExpansion(Effect):
         """The expansion that the logged temperatures foretell, with open coefficients."""
         if view.scale_temperature is None:
             return []
-        warm = view.scale_temperature - np.nanmean(view.scale_temperature, axis=0)
+        warm = view.scale_temperature - view.scale_temperature[np.argmin(view.time)]
         use = [a for a in range(3) if np.isfinite(warm[:, a]).all() and warm[:, a].std() > NOTICEABLE]
         if not use:
             return []

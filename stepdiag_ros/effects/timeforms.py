@@ -1,8 +1,8 @@
 """Courses in time that a slow effect may take: no drift follows one formula.
 
 Each course is one or a few functions of time, of order one over the log, that an effect
-multiplies with its signature.  Constants are left out: resets and misalignments absorb
-them or the signature's own constant stands beside.
+multiplies with its signature.  All are zero when the log begins: the errors that remain are those of
+the machine at its beginning, whatever drifted afterwards.
 """
 
 from collections.abc import Callable, Mapping
@@ -57,14 +57,14 @@ def unknown(time: np.ndarray) -> list[Course]:
     sizes fall with their number.
 
     ``cos(kπt/T)/k`` are the Karhunen-Loève functions of a walk at random (its mean left out), so their
-    free coefficients are a Gaussian process: how fine a course is taken to be costs no more evidence
-    than it needs.
+    coefficients are a Gaussian process: how fine a course is taken to be costs no more evidence than it
+    needs.  All begin at zero.
     """
     span = max(float(np.ptp(time)), 1e-9)
     share = (time - time.min()) / span
     number = np.arange(1, int(np.clip(len(time) // STOPS_A_WAVE, 5, MOST_WAVES)) + 1)
     phase = np.pi * number[:, None] * share
-    values = np.concatenate([share[None], np.cos(phase)])
+    values = np.concatenate([share[None], np.cos(phase) - 1.0])
     rates = np.concatenate([np.ones((1, len(time))), -np.pi * number[:, None] * np.sin(phase)]) / span
     return [Course(label, values, rates, {}, sizes=np.concatenate([[1.0], number**-power]))
             for label, power in ROUGHNESS.items()]
