@@ -51,11 +51,11 @@ class AirRefractionDrift(Effect):
 
     def appearance(self, view: StopView) -> list[Form]:
         way = on_lengths(view, view.distance)[None]
-        forms = [follow(view, course, way, ('index',), 1e-6, '1') for course in courses(view.time)]
+        forms = [follow(view, course, way, ('index',), 1e-6, '1') for course in courses(view.elapsed)]
         # Sources that hold or correct their own dead path, or stand elsewhere than the description says.
         both = np.concatenate([way, on_lengths(view, np.ones(len(view.time)))[None]])
         forms += [follow(view, course, both, ('index', 'dead path'), 1e-6, '1, m', 'dead path unknown')
-                  for course in courses(view.time) if course.label in ('linear', *ROUGHNESS)]
+                  for course in courses(view.elapsed) if course.label in ('linear', *ROUGHNESS)]
         logged = self._logged(view)
         if logged is not None:
             course = recorded(view, logged[None], 'logged air, not divided out')
@@ -68,7 +68,9 @@ class AirRefractionDrift(Effect):
         if view.air_index is None:
             return None
         ratio = view.air_index / view.divided_index
-        ratio = ratio - ratio[np.argmin(view.time)]
+        first = ratio[np.argmin(view.time)] if view.first_air_index is None \
+            else view.first_air_index / view.divided_index[np.argmin(view.time)]
+        ratio = ratio - first
         if not np.isfinite(ratio).all() or ratio.std() < NOTICEABLE:
             return None
         return ratio

@@ -41,7 +41,7 @@ class AmbientLight(Effect):
         pull = view.zeros(1)
         pull[0, :, view.beams:] = -view.spot_model
         forms = [follow(view, self._with_constant(course), pull, ('share',), 0.02, '1')
-                 for course in courses(view.time)]
+                 for course in courses(view.elapsed)]
         return self._from_intensity(view, pull) + forms
 
     def _with_constant(self, course: Course) -> Course:

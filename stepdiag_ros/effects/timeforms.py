@@ -53,15 +53,15 @@ def cycle(since: np.ndarray, period: float) -> Course:
 
 
 def unknown(time: np.ndarray) -> list[Course]:
-    """Courses of no known formula over ``time`` (n,) [s]: a straight line and half waves whose typical
+    """Courses of no known formula over ``time`` (n,) [s] since the log began: a straight line and half waves whose typical
     sizes fall with their number.
 
     ``cos(kπt/T)/k`` are the Karhunen-Loève functions of a walk at random (its mean left out), so their
     coefficients are a Gaussian process: how fine a course is taken to be costs no more evidence than it
     needs.  All begin at zero.
     """
-    span = max(float(np.ptp(time)), 1e-9)
-    share = (time - time.min()) / span
+    span = max(float(time.max()), 1e-9)
+    share = time / span
     number = np.arange(1, int(np.clip(len(time) // STOPS_A_WAVE, 5, MOST_WAVES)) + 1)
     phase = np.pi * number[:, None] * share
     values = np.concatenate([share[None], np.cos(phase) - 1.0])
@@ -71,12 +71,11 @@ def unknown(time: np.ndarray) -> list[Course]:
 
 
 def courses(time: np.ndarray) -> list[Course]:
-    """Courses over ``time`` (n,) [s]: linear, exponentials of several time constants, cycles, unknown ones."""
+    """Courses over ``time`` (n,) [s] since the log began: linear, exponentials of several time constants, cycles, unknown ones."""
     span = max(float(np.ptp(time)), 1e-9)
-    since = time - time.min()
-    result = [Course('linear', (since / span)[None], np.full((1, len(time)), 1.0 / span), {})]
-    result += [exponential(since, fraction * span) for fraction in TAU_FRACTIONS]
-    result += [cycle(since, fraction * span) for fraction in PERIOD_FRACTIONS]
+    result = [Course('linear', (time / span)[None], np.full((1, len(time)), 1.0 / span), {})]
+    result += [exponential(time, fraction * span) for fraction in TAU_FRACTIONS]
+    result += [cycle(time, fraction * span) for fraction in PERIOD_FRACTIONS]
     return result + unknown(time)
 
 
