@@ -36,7 +36,7 @@ def judge(gram: np.ndarray, along: np.ndarray, total: float, dof: float,
     ``zᵀz``, in data with ``dof`` free dimensions."""
     value, vector = np.linalg.eigh(gram)
     value = np.maximum(value, 0.0)
-    turned = np.einsum('fji,fj->fi', vector, along)
+    turned = (vector.transpose(0, 2, 1) @ along[:, :, None])[:, :, 0]
     variance = SIZES[:, None, None] ** 2
     gain = np.sum(turned**2 * variance / (1.0 + variance * value), axis=2)
     share = np.minimum(gain / (noise_dof + total), 1.0 - 1e-12)

@@ -167,8 +167,8 @@ class Screen:
             for place, i in enumerate(numbers):
                 if i in self._bins:
                     cross[place] += basis[stops:].T @ self._bins[i]
-            gram = self._grams[width] - np.einsum('frk,frl->fkl', cross, cross)
-            along = self._alongs[width] - np.einsum('frk,r->fk', cross, taken)
+            gram = self._grams[width] - cross.transpose(0, 2, 1) @ cross
+            along = self._alongs[width] - cross.transpose(0, 2, 1) @ taken
             for i, result in zip(numbers, judge(gram, along, total, dof, self.noise_dof),
                                  strict=True):
                 judged[i] = result
