@@ -10,7 +10,7 @@ import numpy as np
 
 from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
 from stepdiag_ros.effects.patterns import Drawn, drawn_size, follow, on_lengths, recorded, saturating
-from stepdiag_ros.effects.timeforms import courses
+from stepdiag_ros.effects.timeforms import ROUGHNESS, courses
 from stepdiag_ros.model.air import refractive_index
 
 TEMPERATURE, PRESSURE, HUMIDITY = 20.0, 101325.0, 0.5
@@ -51,11 +51,11 @@ class AirRefractionDrift(Effect):
 
     def appearance(self, view: StopView) -> list[Form]:
         way = on_lengths(view, view.distance)[None]
-        forms = [follow(view, course, way, ('index',), 1e-6, '1') for course in courses(view.time)]
+        forms = [follow(view, course, way, ('index',), 1e-6, '1') for course in courses(view.elapsed)]
         # Sources that hold or correct their own dead path, or stand elsewhere than the description says.
         both = np.concatenate([way, on_lengths(view, np.ones(len(view.time)))[None]])
         forms += [follow(view, course, both, ('index', 'dead path'), 1e-6, '1, m', 'dead path unknown')
-                  for course in courses(view.time) if course.label in ('linear', 'smooth')]
+                  for course in courses(view.elapsed) if course.label in ('linear', *ROUGHNESS)]
         logged = self._logged(view)
         if logged is not None:
             course = recorded(view, logged[None], 'logged air, not divided out')
@@ -64,11 +64,13 @@ class AirRefractionDrift(Effect):
 
     @staticmethod
     def _logged(view: StopView) -> np.ndarray | None:
-        """Logged index over the divided one, less its mean (n,); None where that says nothing."""
+        """Logged index over the divided one, less its first (n,); None where that says nothing."""
         if view.air_index is None:
             return None
         ratio = view.air_index / view.divided_index
-        ratio = ratio - np.nanmean(ratio)
+        first = ratio[np.argmin(view.time)] if view.first_air_index is None \
+            else view.first_air_index / view.divided_index[np.argmin(view.time)]
+        ratio = ratio - first
         if not np.isfinite(ratio).all() or ratio.std() < NOTICEABLE:
             return None
         return ratio

@@ -41,14 +41,15 @@ class AmbientLight(Effect):
         pull = view.zeros(1)
         pull[0, :, view.beams:] = -view.spot_model
         forms = [follow(view, self._with_constant(course), pull, ('share',), 0.02, '1')
-                 for course in courses(view.time)]
+                 for course in courses(view.elapsed)]
         return self._from_intensity(view, pull) + forms
 
     def _with_constant(self, course: Course) -> Course:
         one = np.ones((1, course.values.shape[1]))
         retune = None if course.retune is None else lambda shape: self._with_constant(course.retune(shape))
         return Course(course.label, np.concatenate([one, course.values]),
-                      np.concatenate([0.0 * one, course.rates]), course.shape, retune)
+                      np.concatenate([0.0 * one, course.rates]), course.shape, retune,
+                      None if course.sizes is None else np.concatenate([[1.0], course.sizes]))
 
     @staticmethod
     def _from_intensity(view: StopView, pull: np.ndarray) -> list[Form]:

@@ -95,7 +95,8 @@ class StopView:
     ``by_shift`` (3, n, c) by a shift of the tool (or an axis) along X, Y, Z.
     ``intensity`` (n,) [V]; ``quality`` (n,); ``divided_index`` (n,): index that the instrument took out;
     ``air_index`` (n,): index from the environment topics, or None; ``scale_temperature`` (n, 3) [°C] or None
-    (NaN for an axis without sensor).
+    (NaN for an axis without sensor).  Both as they were when the log began: ``first_air_index``,
+    ``first_scale_temperature`` (3,).  ``lead`` [s]: from there to the first dwell.
     ``bin_time`` (n, b) [s]: middle of each bin after the dwell began.
     """
 
@@ -127,6 +128,14 @@ class StopView:
     air_index: np.ndarray | None
     scale_temperature: np.ndarray | None
     bin_time: np.ndarray
+    first_air_index: float | None = None
+    first_scale_temperature: np.ndarray | None = None
+    lead: float = 0.0
+
+    @property
+    def elapsed(self) -> np.ndarray:
+        """Time (n,) [s] since the log began."""
+        return self.time - self.time.min() + self.lead
 
     @property
     def beams(self) -> int:
@@ -154,6 +163,9 @@ class Form:
     dwell's mean, or None where nothing happens there.  ``shape``: shape parameters by name with unit
     in the name, e.g. ``{'tau_s': 400.0}``.  ``retune``: the form with other shape parameters, or None where
     there are none to tune; ``tuned_from``: label of the form that it was tuned from, empty if it was not.
+    ``process``: whether the coefficients are a random process whose standard deviations go as ``scale``, an
+    unknown course; it is held to the size that the log shows, other coefficients are free.  ``held``:
+    that size, in scales, once it is known.
     """
 
     label: str
@@ -165,6 +177,8 @@ class Form:
     shape: Mapping[str, float] = field(default_factory=dict)
     retune: Callable[[Mapping[str, float]], 'Form'] | None = None
     tuned_from: str = ''
+    process: bool = False
+    held: float | None = None
 
     def at(self, shape: Mapping[str, float]) -> 'Form':
         """The same form with other shape parameters; only where there is something to tune."""

@@ -33,7 +33,7 @@ class BeamPointingDrift(Effect):
 
     def appearance(self, view: StopView) -> list[Form]:
         forms = [follow(view, course, view.by_laser, ('u', 'v'), 1e-5, 'rad')
-                 for course in courses(view.time)]
+                 for course in courses(view.elapsed)]
         if len(np.unique(view.setup)) > 1:
             own, names = by_setup(view, view.by_laser, ('u', 'v'))
             forms += [follow(view, course, own, names, 1e-5, 'rad', 'each setup on its own')

@@ -44,5 +44,5 @@ class MirrorMountCreep(Effect):
                       for course in courses]
             # A mount that stays on the tool while base unit and mirror's face are turned.
             forms += [follow(view, course, view.by_mirror, ('u', 'v'), 1e-5, 'rad', 'mounted once')
-                      for course in relaxations(view.time)]
+                      for course in relaxations(view.elapsed) if len(course.values) == 1]
         return forms

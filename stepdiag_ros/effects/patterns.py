@@ -7,6 +7,9 @@ import numpy as np
 from stepdiag_ros.effects.base import Form, StopView
 from stepdiag_ros.effects.timeforms import Course, drift_form, exponential
 
+BETWEEN_SETUPS = 0.1
+"""Standard deviation from setup to setup of what is nearly the same in all, as a share of it."""
+
 
 def follow(view: StopView, course: Course, signature: np.ndarray, names: tuple[str, ...], scale: float,
            units: str = 'm', label: str = '') -> Form:
@@ -22,6 +25,20 @@ def by_setup(view: StopView, columns: np.ndarray,
         parts.append(columns * (view.setup == number)[:, None])
         own += [f'{view.setup_names[number]} {name}' for name in names]
     return np.concatenate(parts), tuple(own)
+
+
+def nearly_alike(view: StopView, columns: np.ndarray, names: tuple[str, ...], size: float,
+                 units: str = 'm') -> list[Form]:
+    """``columns`` (k, n, c) with the same coefficients in all setups, and with coefficients that differ a
+    little from setup to setup: what is turned or taken off for a setup does not come back to the same."""
+    forms = [Form('constant', columns, names, np.full(len(names), size), units)]
+    if len(np.unique(view.setup)) > 1:
+        own, own_names = by_setup(view, columns, names)
+        forms.append(Form('nearly the same in each setup', np.concatenate([columns, own]),
+                          (*names, *own_names),
+                          size * np.concatenate([np.ones(len(names)), np.full(len(own), BETWEEN_SETUPS)]),
+                          units, process=True))
+    return forms
 
 
 def on_lengths(view: StopView, values: np.ndarray) -> np.ndarray:
@@ -54,11 +71,13 @@ def recorded(view: StopView, values: np.ndarray, label: str) -> Course:
 
 
 def relaxations(time: np.ndarray) -> list[Course]:
-    """What relaxes after a beginning at time 0: linear, exponential, logarithmic; ``time`` (n,) [s]."""
+    """What relaxes after a beginning at time 0: linear, exponential, logarithmic, as a power, two
+    exponentials; ``time`` (n,) [s]."""
     span = max(float(time.max()), 1e-9)
     result = [Course('linear', (time / span)[None], np.full((1, len(time)), 1.0 / span), {})]
     result += [exponential(time, fraction * span) for fraction in (0.03, 0.1, 0.3, 1.0)]
     result += [_logarithm(time, fraction * span, span) for fraction in (0.01, 0.1)]
+    result += [_power(time, 0.5, span), _two(time, 0.1 * span, span)]
     return result
 
 
@@ -67,6 +86,22 @@ def _logarithm(time: np.ndarray, start: float, span: float) -> Course:
     return Course(f'logarithmic from {start:.0f} s', np.log1p(time / start)[None] / size,
                   1.0 / (start + time)[None] / size, {'start_s': start},
                   lambda shape: _logarithm(time, shape['start_s'], span))
+
+
+def _power(time: np.ndarray, exponent: float, span: float) -> Course:
+    """A power law; the first second, in which its rate has no bound, is left out."""
+    since = np.maximum(time, 1.0) / span
+    return Course(f'power {exponent:.2f}', since[None] ** exponent,
+                  exponent / span * since[None] ** (exponent - 1.0), {'exponent': exponent},
+                  lambda shape: _power(time, shape['exponent'], span))
+
+
+def _two(time: np.ndarray, fast: float, slow: float) -> Course:
+    """Two exponentials at once, each with its own size."""
+    both = [exponential(time, tau) for tau in (fast, slow)]
+    return Course(f'exponentials, τ = {fast:.0f} s and {slow:.0f} s',
+                  np.concatenate([c.values for c in both]), np.concatenate([c.rates for c in both]),
+                  {'fast_s': fast, 'slow_s': slow}, lambda shape: _two(time, shape['fast_s'], shape['slow_s']))
 
 
 def drawn_size(rng: np.random.Generator, low: float, high: float, size: int | None = None

@@ -9,6 +9,11 @@ import numpy as np
 from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
 from stepdiag_ros.effects.patterns import Drawn, drawn_size
 
+SIZE = 0.02
+"""Typical error of a gain."""
+AGEING = 0.15
+"""Typical change of the error during a log, as a share of it."""
+
 
 class PsdGain(Effect):
     name = 'psd_gain'
@@ -33,6 +38,15 @@ class PsdGain(Effect):
         spot, first = view.spot_model, view.beams
         columns = view.zeros(2)
         columns[0, :, first], columns[1, :, first + 1] = spot[:, 0], spot[:, 1]
-        return [Form('alike in x and y', columns.sum(axis=0, keepdims=True), ('both',),
-                     np.full(1, 0.02), '1'),
-                Form('apart in x and y', columns, ('x', 'y'), np.full(2, 0.02), '1')]
+        both = columns.sum(axis=0, keepdims=True)
+        # Amplifiers age and warm up: a small share of the gain changes in the course of the log.
+        late = (view.time - view.time.mean()) / max(float(np.ptp(view.time)), 1e-9)
+        forms = []
+        for label, names, parts in (('alike in x and y', ('both',), both),
+                                    ('apart in x and y', ('x', 'y'), columns)):
+            count = len(names)
+            forms.append(Form(label, parts, names, np.full(count, SIZE), '1'))
+            forms.append(Form(f'{label}, ageing', np.concatenate([parts, parts * late[:, None]]),
+                              (*names, *(f'{name} ageing' for name in names)),
+                              SIZE * np.repeat([1.0, AGEING], count), '1', process=True))
+        return forms

@@ -7,7 +7,7 @@ other way about ``d`` shows.
 import numpy as np
 
 from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
-from stepdiag_ros.effects.patterns import Drawn, drawn_size
+from stepdiag_ros.effects.patterns import Drawn, drawn_size, nearly_alike
 
 
 class PsdRotation(Effect):
@@ -33,4 +33,4 @@ class PsdRotation(Effect):
         spot = view.spot_model
         column = view.zeros(1)
         column[0, :, view.beams], column[0, :, view.beams + 1] = -spot[:, 1], spot[:, 0]
-        return [Form('constant', column, ('angle',), np.full(1, 0.01), 'rad')]
+        return nearly_alike(view, column, ('angle',), 0.01, 'rad')

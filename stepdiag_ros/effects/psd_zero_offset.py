@@ -7,7 +7,7 @@ with the distance; a constant offset does not, which tells the two apart (Dahlem
 import numpy as np
 
 from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
-from stepdiag_ros.effects.patterns import by_setup
+from stepdiag_ros.effects.patterns import by_setup, nearly_alike
 
 
 class PsdZeroOffset(Effect):
@@ -26,7 +26,7 @@ class PsdZeroOffset(Effect):
     def appearance(self, view: StopView) -> list[Form]:
         columns = view.zeros(2)
         columns[0, :, view.beams] = columns[1, :, view.beams + 1] = 1.0
-        forms = [Form('constant', columns, ('x', 'y'), np.full(2, 3e-5))]
+        forms = nearly_alike(view, columns, ('x', 'y'), 3e-5)
         if len(np.unique(view.setup)) > 1:
             own, names = by_setup(view, columns, ('x', 'y'))
             forms.append(Form('another in each setup', own, names, np.full(len(names), 3e-5)))

@@ -9,7 +9,7 @@ import numpy as np
 
 from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
 from stepdiag_ros.effects.patterns import Drawn, drawn_size, follow, recorded, saturating
-from stepdiag_ros.effects.timeforms import courses
+from stepdiag_ros.effects.timeforms import ROUGHNESS, courses, drift_form
 
 NOTICEABLE = 0.03
 """Standard deviation of a scale's temperature over the log [K] that is more than its sensor's noise."""
@@ -45,31 +45,48 @@ class ScaleThermalExpansion(Effect):
     def appearance(self, view: StopView) -> list[Form]:
         axes = ('X', 'Y', 'Z')
         growth = view.commanded.T[:, :, None] * view.by_shift
-        forms = [follow(view, course, growth, axes, 1e-5, '1') for course in courses(view.time)]
-        # A scale that is held elsewhere than at its zero also shifts the axis as a whole.
-        both = np.concatenate([growth, view.by_shift])
+        forms = [follow(view, course, growth, axes, 1e-5, '1') for course in courses(view.elapsed)]
+        # A scale that is held elsewhere than at its zero also shifts the axis as a whole: somewhere along the
+        # travel, so that it is taken from the middle on, by at most half of it either way.
+        travel = np.maximum(np.ptp(view.commanded, axis=0), 1e-3)
+        middle = view.commanded.min(axis=0) + 0.5 * travel
+        both = np.concatenate([(view.commanded - middle).T[:, :, None] * view.by_shift, view.by_shift])
         named = axes + tuple(f'{axis} shift' for axis in axes)
-        forms += [follow(view, course, both, named, 1e-5, '1, m', 'held elsewhere than at zero')
-                  for course in courses(view.time)
-                  if course.label == 'linear' or course.shape.get('tau_s', 0.0) > 0.2 * np.ptp(view.time)]
-        return self._logged(view, growth) + forms
+        size = 1e-5 * np.concatenate([np.ones(3), travel / np.sqrt(12.0)])
+        forms += [drift_form(view, course, both, named, size, 'held elsewhere than at zero', '1, m')
+                  for course in courses(view.elapsed)
+                  if course.label in ('linear', *ROUGHNESS)
+                  or course.shape.get('tau_s', 0.0) > 0.2 * np.ptp(view.time)]
+        return self._logged(view, growth, both, size) + forms
 
     @staticmethod
-    def _logged(view: StopView, growth: np.ndarray) -> list[Form]:
+    def _logged(view: StopView, growth: np.ndarray, both: np.ndarray, size: np.ndarray) -> list[Form]:
         """The expansion that the logged temperatures foretell, with open coefficients."""
         if view.scale_temperature is None:
             return []
-        warm = view.scale_temperature - np.nanmean(view.scale_temperature, axis=0)
+        first = view.first_scale_temperature
+        if first is None:
+            first = view.scale_temperature[np.argmin(view.time)]
+        warm = view.scale_temperature - first
         use = [a for a in range(3) if np.isfinite(warm[:, a]).all() and warm[:, a].std() > NOTICEABLE]
         if not use:
             return []
-        letters = tuple('XYZ'[a] for a in use)
-        parts = [follow(view, recorded(view, warm[:, [a]].T, ''), growth[[a]], ('XYZ'[a],), 1e-5, '1/K')
-                 for a in use]
-        columns = np.concatenate([part.columns for part in parts])
-        inside = np.concatenate([part.inside for part in parts])
-        forms = [Form('logged temperatures', columns, letters, np.full(len(use), 1e-5), '1/K', inside)]
+        course = {a: recorded(view, warm[:, [a]].T, '') for a in use}
+
+        def together(label: str, signature: np.ndarray, names: tuple[str, ...], scale: np.ndarray,
+                     units: str) -> Form:
+            parts = [drift_form(view, course[k % 3], signature[[k]], (names[k],), scale[[k]])
+                     for k in range(len(signature)) if k % 3 in use]
+            return Form(label, np.concatenate([part.columns for part in parts]),
+                        tuple(part.names[0] for part in parts),
+                        np.concatenate([part.scale for part in parts]), units,
+                        np.concatenate([part.inside for part in parts]))
+
+        axes = ('X', 'Y', 'Z')
+        each = together('logged temperatures', growth, axes, np.full(3, 1e-5), '1/K')
+        forms = [each, together('logged temperatures, held elsewhere than at zero', both,
+                                axes + tuple(f'{axis} shift' for axis in axes), size, '1/K, m/K')]
         if len(use) > 1:
-            forms.append(Form('logged temperatures, one material', columns.sum(axis=0, keepdims=True),
-                              ('all',), np.full(1, 1e-5), '1/K', inside.sum(axis=0, keepdims=True)))
+            forms.append(Form('logged temperatures, one material', each.columns.sum(axis=0, keepdims=True),
+                              ('all',), np.full(1, 1e-5), '1/K', each.inside.sum(axis=0, keepdims=True)))
         return forms

@@ -36,7 +36,7 @@ class SquarenessDrift(Effect):
 
     def appearance(self, view: StopView) -> list[Form]:
         signature = np.stack([self._column(view, name) for name in SQUARENESS])
-        return [follow(view, course, signature, SQUARENESS, 1e-5, 'rad') for course in courses(view.time)]
+        return [follow(view, course, signature, SQUARENESS, 1e-5, 'rad') for course in courses(view.elapsed)]
 
     @staticmethod
     def _column(view: StopView, name: str) -> np.ndarray:

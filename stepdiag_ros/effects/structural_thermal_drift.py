@@ -27,4 +27,4 @@ class StructuralThermalDrift(Effect):
 
     def appearance(self, view: StopView) -> list[Form]:
         return [drift_form(view, course, view.by_shift, ('X', 'Y', 'Z'), np.full(3, 1e-5))
-                for course in courses(view.time)]
+                for course in courses(view.elapsed)]

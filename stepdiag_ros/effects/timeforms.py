@@ -1,8 +1,8 @@
 """Courses in time that a slow effect may take: no drift follows one formula.
 
 Each course is one or a few functions of time, of order one over the log, that an effect
-multiplies with its signature.  Constants are left out: resets and misalignments absorb
-them or the signature's own constant stands beside.
+multiplies with its signature.  All are zero when the log begins: the errors that remain are those of
+the machine at its beginning, whatever drifted afterwards.
 """
 
 from collections.abc import Callable, Mapping
@@ -12,6 +12,12 @@ import numpy as np
 
 from stepdiag_ros.effects.base import Form, StopView
 
+MOST_WAVES = 40
+STOPS_A_WAVE = 8
+"""Half waves of an unknown course: at most as many, and one for each so many stops."""
+ROUGHNESS = {'winding': 1.0, 'smooth': 2.0}
+"""An unknown course's half waves fall with this power of their number: a walk at random, and one whose rate
+walks at random."""
 TAU_FRACTIONS = (0.03, 0.06, 0.12, 0.25, 0.5, 1.0)
 PERIOD_FRACTIONS = (1.0, 0.7, 0.5, 0.35, 0.25)
 
@@ -19,13 +25,15 @@ PERIOD_FRACTIONS = (1.0, 0.7, 0.5, 0.35, 0.25)
 @dataclass(frozen=True)
 class Course:
     """``values`` (k, n) over the times and their ``rates`` (k, n) [1/s]; ``label``; ``shape`` parameters;
-    ``retune``: the course with other ones, None where there are none."""
+    ``retune``: the course with other ones, None where there are none; ``sizes`` (k,): typical size of each
+    function, None where all are alike."""
 
     label: str
     values: np.ndarray
     rates: np.ndarray
     shape: dict[str, float]
     retune: Callable[[Mapping[str, float]], 'Course'] | None = None
+    sizes: np.ndarray | None = None
 
 
 def exponential(since: np.ndarray, tau: float) -> Course:
@@ -44,21 +52,31 @@ def cycle(since: np.ndarray, period: float) -> Course:
                   lambda shape: cycle(since, shape['period_s']))
 
 
+def unknown(time: np.ndarray) -> list[Course]:
+    """Courses of no known formula over ``time`` (n,) [s] since the log began: a straight line and half waves whose typical
+    sizes fall with their number.
+
+    ``cos(kπt/T)/k`` are the Karhunen-Loève functions of a walk at random (its mean left out), so their
+    coefficients are a Gaussian process: how fine a course is taken to be costs no more evidence than it
+    needs.  All begin at zero.
+    """
+    span = max(float(time.max()), 1e-9)
+    share = time / span
+    number = np.arange(1, int(np.clip(len(time) // STOPS_A_WAVE, 5, MOST_WAVES)) + 1)
+    phase = np.pi * number[:, None] * share
+    values = np.concatenate([share[None], np.cos(phase) - 1.0])
+    rates = np.concatenate([np.ones((1, len(time))), -np.pi * number[:, None] * np.sin(phase)]) / span
+    return [Course(label, values, rates, {}, sizes=np.concatenate([[1.0], number**-power]))
+            for label, power in ROUGHNESS.items()]
+
+
 def courses(time: np.ndarray) -> list[Course]:
-    """Courses over ``time`` (n,) [s]: linear, exponentials of several time constants, cycles, smooth
-    polynomials of fifth and twelfth degree."""
+    """Courses over ``time`` (n,) [s] since the log began: linear, exponentials of several time constants, cycles, unknown ones."""
     span = max(float(np.ptp(time)), 1e-9)
-    since = time - time.min()
-    result = [Course('linear', (since / span)[None], np.full((1, len(time)), 1.0 / span), {})]
-    result += [exponential(since, fraction * span) for fraction in TAU_FRACTIONS]
-    result += [cycle(since, fraction * span) for fraction in PERIOD_FRACTIONS]
-    scaled = 2.0 * since / span - 1.0
-    for label, degree in (('smooth', 5), ('winding', 12)):
-        basis = [np.polynomial.legendre.Legendre.basis(d) for d in range(1, degree + 1)]
-        result.append(Course(label, np.stack([p(scaled) / d for d, p in enumerate(basis, 1)]),
-                             np.stack([p.deriv()(scaled) * 2.0 / span / d
-                                       for d, p in enumerate(basis, 1)]), {}))
-    return result
+    result = [Course('linear', (time / span)[None], np.full((1, len(time)), 1.0 / span), {})]
+    result += [exponential(time, fraction * span) for fraction in TAU_FRACTIONS]
+    result += [cycle(time, fraction * span) for fraction in PERIOD_FRACTIONS]
+    return result + unknown(time)
 
 
 def drift_form(view: StopView, course: Course, signature: np.ndarray, names: tuple[str, ...],
@@ -77,6 +95,7 @@ def drift_form(view: StopView, course: Course, signature: np.ndarray, names: tup
     inside = rates[:, :, None, :] * away[None, :, :, None]
     return Form(f'{label}{", " if label else ""}{course.label}', columns,
                 tuple(f'{name}{i or ""}' for i in range(count) for name in names),
-                np.tile(scale, count), units, inside, course.shape,
+                (np.tile(scale, count) if course.sizes is None else np.outer(course.sizes, scale).ravel()),
+                units, inside, course.shape,
                 None if course.retune is None else lambda shape: drift_form(
-                    view, course.retune(shape), signature, names, scale, label, units))
+                    view, course.retune(shape), signature, names, scale, label, units), process=course.sizes is not None)

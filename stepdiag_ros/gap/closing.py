@@ -11,8 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
-from stepdiag_ros.gap.evidence import SIZES
-from stepdiag_ros.gap.joint import Joint
+from stepdiag_ros.gap.joint import Joint, widths
 
 RESET_WIDTH_M = 1e-4
 
@@ -79,7 +78,7 @@ def closing(joint: Joint) -> Closing:
     before = _forecast(jacobian, residual, flag, precision, resets)
     if columns.shape[1]:
         both = np.concatenate([jacobian, columns], axis=1)
-        wide = linalg.block_diag(precision, np.eye(columns.shape[1]) / SIZES[-1] ** 2)
+        wide = linalg.block_diag(precision, np.diag(widths(a.form for a in joint.active) ** -2.0))
         after = _forecast(both, residual, flag, wide, resets)
     else:
         after = before

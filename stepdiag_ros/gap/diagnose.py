@@ -16,7 +16,7 @@ from stepdiag_ros.effects.tuning import tune
 from stepdiag_ros.estimate.noise import estimate_noise
 from stepdiag_ros.estimate.solution import Solution
 from stepdiag_ros.gap.closing import Closing, closing
-from stepdiag_ros.gap.evidence import SIZES
+from stepdiag_ros.gap.evidence import width_of
 from stepdiag_ros.gap.inside import Timing, Vibration, steps, timing, vibration
 from stepdiag_ros.gap.joint import Joint, fit_jointly, freed_solution, unexplained
 from stepdiag_ros.gap.next_measurement import advise
@@ -226,7 +226,7 @@ def _sharpened(screen: Screen) -> Screen:
         def explained(form: Form) -> float:
             columns = screen.parity.project(form)
             along = columns.T @ data
-            normal = columns.T @ columns + np.eye(columns.shape[1]) / SIZES[-1] ** 2
+            normal = columns.T @ columns + np.eye(columns.shape[1]) / width_of(form) ** 2
             return float(along @ np.linalg.solve(normal, along))
 
         form = tune(candidate.form, explained, close=0.01)
@@ -324,7 +324,7 @@ def _found(name: str, effect: Effect, probability: float, joint: Joint) -> Found
         active, suffix = mine[k], '' if rank == 0 else f' ({rank + 1})'
         sigma = np.sqrt(np.diag(active.covariance))
         # A coefficient as wide as it was before the log is not of this log: an axis that never moved.
-        widest = 0.99 * SIZES[-1] * active.form.scale
+        widest = 0.99 * width_of(active.form) * active.form.scale
         for n, value, s, wide in zip(active.form.names, active.coefficients, sigma, widest, strict=True):
             if s < wide:
                 parameters[n + suffix], spread[n + suffix] = float(value), float(s)

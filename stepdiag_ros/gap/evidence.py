@@ -15,15 +15,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from stepdiag_ros.effects.base import Form
+
 SIZES = np.logspace(-1.5, 1.5, 9)
 
 
 @dataclass(frozen=True)
 class Judged:
-    """``log_bayes`` of a form against nothing; ``fall``: what of zᵀz its best fit takes away."""
+    """``log_bayes`` of a form against nothing; ``fall``: what of zᵀz its best fit takes away; ``size``, in
+    typical ones, that speaks best for it."""
 
     log_bayes: float
     fall: float
+    size: float = float(SIZES[-1])
 
 
 def judge(gram: np.ndarray, along: np.ndarray, total: float, dof: float,
@@ -32,7 +36,7 @@ def judge(gram: np.ndarray, along: np.ndarray, total: float, dof: float,
     ``zᵀz``, in data with ``dof`` free dimensions."""
     value, vector = np.linalg.eigh(gram)
     value = np.maximum(value, 0.0)
-    turned = np.einsum('fji,fj->fi', vector, along)
+    turned = (vector.transpose(0, 2, 1) @ along[:, :, None])[:, :, 0]
     variance = SIZES[:, None, None] ** 2
     gain = np.sum(turned**2 * variance / (1.0 + variance * value), axis=2)
     share = np.minimum(gain / (noise_dof + total), 1.0 - 1e-12)
@@ -42,7 +46,14 @@ def judge(gram: np.ndarray, along: np.ndarray, total: float, dof: float,
     mean = top + np.log(np.mean(np.exp(logs - top), axis=0))
     shrink = 1.0 / (value + SIZES[-1] ** -2.0)
     fall = np.sum(turned**2 * shrink * (2.0 - value * shrink), axis=1)
-    return [Judged(float(m), max(float(f), 0.0)) for m, f in zip(mean, fall, strict=True)]
+    return [Judged(float(m), max(float(f), 0.0), float(SIZES[k]))
+            for m, f, k in zip(mean, fall, logs.argmax(axis=0), strict=True)]
+
+
+def width_of(form: Form) -> float:
+    """Standard deviation of a form's coefficients, in its scales, in a fit: wide enough to be free, but
+    for a process."""
+    return float(SIZES[-1]) if form.held is None else form.held
 
 
 def log_mean(values: list[float]) -> float:

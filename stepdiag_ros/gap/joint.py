@@ -5,7 +5,7 @@ are freed of them, machine and misalignments are fitted anew, and the forms are 
 fit: a few rounds, for misalignments act to second order and a gross effect moves them far.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -16,7 +16,7 @@ from stepdiag_ros.estimate.enhanced import Fit, readings_of
 from stepdiag_ros.estimate.evaluate import solution_of
 from stepdiag_ros.estimate.noise import NoiseModel, estimate_noise
 from stepdiag_ros.estimate.solution import Solution
-from stepdiag_ros.gap.evidence import SIZES
+from stepdiag_ros.gap.evidence import judge, width_of
 from stepdiag_ros.gap.observe import Observation, sane_fit, view_of
 from stepdiag_ros.gap.parity import Parity, parity
 
@@ -117,12 +117,20 @@ def tuned(space: Parity, chosen: list[tuple[Effect, Form]]) -> list[tuple[Effect
 
         def explained(tried: Form, rest: np.ndarray = rest) -> float:
             columns = space.project(tried)
-            normal = columns.T @ columns + np.eye(columns.shape[1]) / SIZES[-1] ** 2
+            normal = columns.T @ columns + np.eye(columns.shape[1]) / width_of(tried) ** 2
             along = columns.T @ rest
             return float(along @ np.linalg.solve(normal, along))
 
-        result.append((effect, tune(form, explained)))
+        result.append((effect, _held(space, form, rest) if form.process else tune(form, explained)))
     return result
+
+
+def _held(space: Parity, form: Form, rest: np.ndarray) -> Form:
+    """An unknown course held to the size that speaks best for it in what the others leave."""
+    columns = space.project(form)
+    judged = judge((columns.T @ columns)[None], (columns.T @ rest)[None], float(rest @ rest),
+                   sum(space.dof), float(sum(space.dof)))
+    return replace(form, held=judged[0].size)
 
 
 def solve(space: Parity, chosen: list[tuple[Effect, Form]]) -> tuple[Active, ...]:
@@ -131,7 +139,7 @@ def solve(space: Parity, chosen: list[tuple[Effect, Form]]) -> tuple[Active, ...
         return ()
     blocks = [space.project(form) for _, form in chosen]
     columns = np.concatenate(blocks, axis=1)
-    normal = columns.T @ columns + np.eye(columns.shape[1]) / SIZES[-1] ** 2
+    normal = columns.T @ columns + np.diag(widths([form for _, form in chosen]) ** -2.0)
     covariance = np.linalg.inv(normal)
     values = covariance @ (columns.T @ space.data)
     result, start = [], 0
@@ -141,6 +149,11 @@ def solve(space: Parity, chosen: list[tuple[Effect, Form]]) -> tuple[Active, ...
         result.append(Active(effect, form, values[part] * form.scale,
                              covariance[part, part] * np.outer(form.scale, form.scale)))
     return tuple(result)
+
+
+def widths(forms: Iterable[Form]) -> np.ndarray:
+    """Standard deviations of all coefficients of some forms, in their scales."""
+    return np.concatenate([np.full(len(form.columns), width_of(form)) for form in forms])
 
 
 def with_shapes(space: Parity, active: tuple[Active, ...]) -> tuple[Active, ...]:
@@ -163,7 +176,7 @@ def with_shapes(space: Parity, active: tuple[Active, ...]) -> tuple[Active, ...]
         return active
     linear = np.concatenate(blocks, axis=1)
     whole = np.column_stack([linear, *columns])
-    width = np.concatenate([np.full(linear.shape[1], SIZES[-1]), np.full(len(columns), np.log(10.0))])
+    width = np.concatenate([widths(a.form for a in active), np.full(len(columns), np.log(10.0))])
     covariance = np.linalg.inv(whole.T @ whole + np.diag(width**-2.0))
     result, start = [], 0
     for k, (a, block) in enumerate(zip(active, blocks, strict=True)):
@@ -195,7 +208,7 @@ def freed_solution(joint: Joint) -> Solution:
         normal = jacobian.T @ jacobian + result.precision
         follow = np.linalg.solve(normal, jacobian.T @ white)
         left = white.T @ white - white.T @ jacobian @ follow
-        spread = np.linalg.inv(left + np.eye(len(left)) / SIZES[-1] ** 2)
+        spread = np.linalg.inv(left + np.diag(widths(a.form for a in joint.active) ** -2.0))
         result = replace(result, covariance=np.linalg.inv(normal) + follow @ spread @ follow.T)
     rest = unexplained(joint.parity, joint.active)[:joint.parity.stops]
     result = replace(result, chi2=float(rest @ rest), dof=joint.parity.dof[0])

@@ -18,6 +18,8 @@ from stepdiag_ros.model.log import CalibrationLog, ScalarSeries
 BINS = 5
 SETTLED = 1e-2
 """The diagnosis needs a fit to a hundredth of a standard deviation, not to the last digit [χ²]."""
+FIRST = 5
+"""Readings of an environment sensor that are averaged where the log begins."""
 GROSS = 4.0
 """Reduced χ² above which the noise is scaled up for the fit, so that a gross effect bends it less."""
 
@@ -72,6 +74,7 @@ def view_of(log: CalibrationLog, table: StopTable, nominal: Fit,
     readings, local, arrival = model.local_derivatives(nominal.theta)
     setups = np.array(table.setup_names, dtype=object)[table.setup]
     beams = model.beams
+    (air, first_air), (scales, first_scales) = _air(log, table), _scales(log, table)
     offsets = nominal.theta[model._offset_column]
     return StopView(
         log.description, table.run_ids, table.setup_names, table.time_s,
@@ -80,7 +83,7 @@ def view_of(log: CalibrationLog, table: StopTable, nominal: Fit,
         _approach(table), table.commanded, readings[:, :beams] - offsets, readings_of(table),
         readings, _strikes(log, table, nominal, setups), local[:18], local[18:20], local[20:22],
         arrival[2:5], table.intensity, _quality(log, table), table.refractive_index,
-        _air(log, table), _scales(log, table), bin_time)
+        air, scales, bin_time, first_air, first_scales, _lead(log, table))
 
 
 def _since(time: np.ndarray, group: np.ndarray) -> np.ndarray:
@@ -137,23 +140,39 @@ def _interpolate(series: ScalarSeries, table: StopTable) -> np.ndarray:
     return np.interp(table.time_s, time, value)
 
 
-def _air(log: CalibrationLog, table: StopTable) -> np.ndarray | None:
-    """Index of air at the stops from temperature, pressure and humidity; None without the first two."""
+def _air(log: CalibrationLog, table: StopTable) -> tuple[np.ndarray | None, float | None]:
+    """Index of air at the stops and when the log began, from temperature, pressure and humidity; None
+    without the first two."""
     environment = log.environment
     if 'air_temperature' not in environment or 'air_pressure' not in environment:
-        return None
-    humidity = (_interpolate(environment['humidity'], table) if 'humidity' in environment
-                else np.full(len(table), 0.45))
-    return refractive_index(_interpolate(environment['air_temperature'], table),
-                            _interpolate(environment['air_pressure'], table), humidity)
+        return None, None
+    quantities = [np.append(_interpolate(environment[name], table), _first(environment[name]))
+                  if name in environment else np.full(len(table) + 1, 0.45)
+                  for name in ('air_temperature', 'air_pressure', 'humidity')]
+    index = refractive_index(*quantities)
+    return index[:-1], float(index[-1])
 
 
-def _scales(log: CalibrationLog, table: StopTable) -> np.ndarray | None:
+def _scales(log: CalibrationLog, table: StopTable) -> tuple[np.ndarray | None, np.ndarray | None]:
+    """Temperatures of the scales at the stops (n, 3) and when the log began (3,); None without sensors."""
     found = [log.environment.get(f'scale_temperature/{axis}') for axis in 'xyz']
     if all(series is None for series in found):
-        return None
-    return np.stack([np.full(len(table), np.nan) if series is None else _interpolate(series, table)
-                     for series in found], axis=1)
+        return None, None
+    return (np.stack([np.full(len(table), np.nan) if series is None else _interpolate(series, table)
+                      for series in found], axis=1),
+            np.array([np.nan if series is None else _first(series) for series in found]))
+
+
+def _first(series: ScalarSeries) -> float:
+    """A quantity when the log began, from its first few readings."""
+    return float(np.mean(series.value[:FIRST]))
+
+
+def _lead(log: CalibrationLog, table: StopTable) -> float:
+    """Time [s] from the log's first message to the first dwell: what drifts has begun by then."""
+    stamps = [series.time_ns for series in (*log.environment.values(), log.displacement, log.spot)]
+    first = min((int(stamp[0]) for stamp in stamps if len(stamp)), default=int(table.dwell_ns.min()))
+    return max(float(table.dwell_ns.min() - first) * 1e-9, 0.0)
 
 
 def _bins(log: CalibrationLog, table: StopTable) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

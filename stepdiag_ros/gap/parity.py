@@ -64,7 +64,7 @@ class Parity:
 
     def bin_part(self, inside: np.ndarray) -> np.ndarray:
         """White contrasts of bins: (k, n, b, c) → (N − stops, k)."""
-        contrasts = np.einsum('hb,knbc->knhc', self._contrast, inside)
+        contrasts = self._contrast @ inside
         white = contrasts / (self.bin_scale * self._bin_sigma)
         return white[:, self._bin_present].T
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from stepdiag_ros.effects.base import Form
-from stepdiag_ros.gap.evidence import Judged, judge, log_mean
+from stepdiag_ros.gap.evidence import SIZES, Judged, judge, log_mean
 from stepdiag_ros.gap.parity import Parity
 from stepdiag_ros.gap.thresholds import (
     FORM_ERROR,
@@ -33,6 +33,8 @@ FORMS_OF_ONE = 3
 MOST_REPEATS = 4
 MOST_FORMS = 6
 """Most forms of one effect, of one that repeats, and of a set."""
+LEAST_EXPLAINED = 0.02
+"""Directions of a set with less variance than this against the noise's are left out."""
 HOPELESS = 60.0
 """Sets this far behind in log evidence are not carried on."""
 GAIN = 3.0
@@ -50,11 +52,13 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Member:
-    """An effect in a set, in the form that suits best, and its evidence given those before it."""
+    """An effect in a set, in the form that suits best, and its evidence given those before it; ``size`` of
+    its coefficients, in the form's scales, that is allowed for."""
 
     effect: str
     candidate: int
     log_bayes: float
+    size: float = float(SIZES[-1])
 
 
 @dataclass(frozen=True)
@@ -146,19 +150,18 @@ class Screen:
             full[self.parity.stops:] = self._bins[number]
         return full
 
-    def basis(self, members: Sequence[int]) -> np.ndarray:
-        """Orthonormal basis (N, r) of the columns of several candidates."""
+    def basis(self, members: Sequence[Member]) -> np.ndarray:
+        """Directions ``B`` (N, r) that several members explain: given them, products are taken with 1 − BBᵀ."""
         if not members:
             return np.zeros((self.parity.size, 0))
-        columns = np.concatenate([self.columns_of(m) for m in members], axis=1)
-        return _orthonormal(columns)
+        return _explained(np.concatenate([self.columns_of(m.candidate) * m.size for m in members], axis=1))
 
-    def judge_all(self, members: Sequence[int] = ()) -> list[Judged]:
+    def judge_all(self, members: Sequence[Member] = ()) -> list[Judged]:
         """Every candidate given the set ``members``."""
         basis, data, stops = self.basis(members), self.parity.data, self.parity.stops
         taken = basis.T @ data
         total = float(data @ data - taken @ taken)
-        dof = sum(self.parity.dof) - basis.shape[1]
+        dof = sum(self.parity.dof) - float(np.sum(basis**2))
         overlap = basis[:stops].T @ self._white
         judged: list[Judged | None] = [None] * len(self._slices)
         for width, numbers in self._by_width.items():
@@ -166,26 +169,28 @@ class Screen:
             for place, i in enumerate(numbers):
                 if i in self._bins:
                     cross[place] += basis[stops:].T @ self._bins[i]
-            gram = self._grams[width] - np.einsum('frk,frl->fkl', cross, cross)
-            along = self._alongs[width] - np.einsum('frk,r->fk', cross, taken)
+            gram = self._grams[width] - cross.transpose(0, 2, 1) @ cross
+            along = self._alongs[width] - cross.transpose(0, 2, 1) @ taken
             for i, result in zip(numbers, judge(gram, along, total, dof, self.noise_dof),
                                  strict=True):
                 judged[i] = result
         return judged
 
-    def stop_support(self, members: Sequence[int], number: int) -> float:
+    def stop_support(self, members: Sequence[Member], number: int) -> float:
         """Log evidence for one candidate given a set from the stops' means alone."""
         stops, data = self.parity.stops, self.parity.data[:self.parity.stops]
         columns = self.columns_of(number)[:stops]
         if members:
-            given = np.concatenate([self.columns_of(m)[:stops] for m in members], axis=1)
-            vector = _orthonormal(given)
-            columns = columns - vector @ (vector.T @ columns)
-            data = data - vector @ (vector.T @ data)
-        return judge((columns.T @ columns)[None], (columns.T @ data)[None], float(data @ data),
+            given = _explained(np.concatenate(
+                [self.columns_of(m.candidate)[:stops] * m.size for m in members], axis=1))
+            seen, taken = given.T @ columns, given.T @ data
+        else:
+            seen, taken = np.zeros((0, columns.shape[1])), np.zeros(0)
+        return judge((columns.T @ columns - seen.T @ seen)[None],
+                     (columns.T @ data - seen.T @ taken)[None], float(data @ data - taken @ taken),
                      self.parity.dof[0], self.noise_dof)[0].log_bayes
 
-    def by_effect(self, members: Sequence[int] = ()) -> dict[str, Member]:
+    def by_effect(self, members: Sequence[Member] = ()) -> dict[str, Member]:
         """The evidence of every effect given ``members``, averaged over its forms; the best form."""
         judged = self.judge_all(members)
         groups: dict[str, dict[str, list[int]]] = {}
@@ -196,20 +201,22 @@ class Screen:
             logs = [log_mean([judged[i].log_bayes for i in numbers]) for numbers in families.values()]
             best = max((i for numbers in families.values() for i in numbers),
                        key=lambda i: judged[i].log_bayes)
-            result[effect] = Member(effect, best, log_mean(logs))
+            size = judged[best].size if self.candidates[best].form.process else float(SIZES[-1])
+            result[effect] = Member(effect, best, log_mean(logs), size)
         return result
 
-    def residual(self, members: Sequence[int]) -> np.ndarray:
+    def residual(self, members: Sequence[Member]) -> np.ndarray:
         """What the set leaves of the data (N,)."""
         basis = self.basis(members)
         return self.parity.data - basis @ (basis.T @ self.parity.data)
 
 
-def _orthonormal(columns: np.ndarray) -> np.ndarray:
-    """Orthonormal basis (N, r) of columns (N, k) of very different lengths."""
-    columns = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
-    vector, value, _ = np.linalg.svd(columns, full_matrices=False)
-    return vector[:, value > 1e-6 * value.max()]
+def _explained(columns: np.ndarray) -> np.ndarray:
+    """Directions ``B`` (N, r), ``1 − BBᵀ = (1 + ZZᵀ)⁻¹``, for columns ``Z`` (N, k) in units of the sizes
+    that are allowed for: what is as large as allowed is taken away, what is far below the noise left."""
+    value, vector = np.linalg.eigh(columns.T @ columns)
+    keep = value > LEAST_EXPLAINED
+    return columns @ (vector[:, keep] / np.sqrt(1.0 + value[keep]))
 
 
 def search(screen: Screen) -> list[EffectSet]:
@@ -230,7 +237,7 @@ def search(screen: Screen) -> list[EffectSet]:
         front = [s for s in front if s.log_bayes > max(GAIN, top - HOPELESS)]
         grown = []
         for found in front:
-            for member in screen.by_effect([m.candidate for m in found.members]).values():
+            for member in screen.by_effect(found.members).values():
                 larger = EffectSet((*found.members, member), found.log_bayes + member.log_bayes)
                 again = member.effect in found.names
                 if UNKNOWN in found.names and member.effect != UNKNOWN:
@@ -241,10 +248,10 @@ def search(screen: Screen) -> list[EffectSet]:
                               or not _may_repeat(screen, found, member)):
                     continue
                 if not again and member.log_bayes > GAIN and not _supported(screen, found, member):
-                    member = Member(member.effect, member.candidate, 0.0)
+                    member = replace(member, log_bayes=0.0)
                 if not again and member.log_bayes < least_growth(found):
                     # Too weak to be claimed beside the others: a thought, not a way on.
-                    member = Member(member.effect, member.candidate, min(member.log_bayes, 0.0))
+                    member = replace(member, log_bayes=min(member.log_bayes, 0.0))
                     larger = EffectSet((*found.members, member), found.log_bayes + member.log_bayes)
                 if larger.names not in sets or sets[larger.names].log_bayes < larger.log_bayes:
                     sets[larger.names] = larger
@@ -295,7 +302,7 @@ def _supported(screen: Screen, found: EffectSet, member: Member) -> bool:
         return True
     if candidate.effect in screen.in_dwells:
         return True
-    return screen.stop_support([m.candidate for m in found.members], member.candidate) > STOP_SUPPORT
+    return screen.stop_support(found.members, member.candidate) > STOP_SUPPORT
 
 
 def least_growth(found: EffectSet) -> float:

@@ -14,8 +14,8 @@ def drift_tau(view: StopView) -> float:
 
 
 def beginning(view: StopView, tau: float) -> float:
-    """Share of an exponential drift that is left after the time before the first dwell's middle."""
-    return float(np.exp(-(30.0 + view.bin_time[0].mean()) / tau))
+    """Share of an exponential drift, counted from the log's beginning to a dwell's, that its middle shows."""
+    return float(np.exp(-view.bin_time[0].mean() / tau))
 
 
 def pick(forms: list[Form], *words: str) -> Form:
