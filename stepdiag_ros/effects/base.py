@@ -165,6 +165,7 @@ class Form:
     shape: Mapping[str, float] = field(default_factory=dict)
     retune: Callable[[Mapping[str, float]], 'Form'] | None = None
     tuned_from: str = ''
+    by_reading: np.ndarray | None = None
 
     def at(self, shape: Mapping[str, float]) -> 'Form':
         """The same form with other shape parameters; only where there is something to tune."""
@@ -235,4 +236,11 @@ class Effect:
 
     def appearance(self, view: StopView) -> list[Form]:
         """The forms in which the effect may appear in this log; none where it cannot be seen."""
+        return []
+
+    def decoys(self, view: StopView) -> list[Form]:
+        """Forms as rich as the effect's that it cannot take: what they explain as well is not its doing.
+
+        Only effects with forms so rich that they may follow anything need some.
+        """
         return []

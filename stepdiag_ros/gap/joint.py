@@ -132,8 +132,17 @@ def solve(space: Parity, chosen: list[tuple[Effect, Form]]) -> tuple[Active, ...
     blocks = [space.project(form) for _, form in chosen]
     columns = np.concatenate(blocks, axis=1)
     normal = columns.T @ columns + np.eye(columns.shape[1]) / SIZES[-1] ** 2
+    along = columns.T @ space.data
+    start = 0
+    for (_, form), block in zip(chosen, blocks, strict=True):
+        part = slice(start, start + block.shape[1])
+        start = part.stop
+        if form.by_reading is not None:
+            owed, width = space.own_noise(form)
+            along[part] -= owed
+            normal[part, part] += width
     covariance = np.linalg.inv(normal)
-    values = covariance @ (columns.T @ space.data)
+    values = covariance @ along
     result, start = [], 0
     for (effect, form), block in zip(chosen, blocks, strict=True):
         part = slice(start, start + block.shape[1])

@@ -7,7 +7,7 @@ its effect is in the set, are free: what is left is what nothing in the set can 
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -19,7 +19,6 @@ from stepdiag_ros.gap.thresholds import (
     MISFIT,
     MISFIT_MOST,
     STOP_SUPPORT,
-    UNKNOWN_DOUBT,
 )
 from stepdiag_ros.gap.unknown import NAME as UNKNOWN
 
@@ -39,11 +38,16 @@ GAIN = 3.0
 
 @dataclass(frozen=True)
 class Candidate:
-    """One form of one effect: ``family`` splits an effect's forms into groups of equal weight."""
+    """One form of one effect: ``family`` splits an effect's forms into groups of equal weight.
+
+    ``doubt``: log odds against the family where a name explains as much.  The family of an effect's decoys
+    bears the effect's name.
+    """
 
     effect: str
     family: str
     form: Form
+    doubt: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -53,6 +57,7 @@ class Member:
     effect: str
     candidate: int
     log_bayes: float
+    doubt: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -115,6 +120,9 @@ class Screen:
                 self._bins[number] = inside
                 gram = gram + inside.T @ inside
                 projected += inside.T @ data[stops:]
+            if candidate.form.by_reading is not None:
+                owed, width = self.parity.own_noise(candidate.form)
+                gram, projected = gram + width, projected - owed
             grams.append(gram)
             alongs.append(projected)
             self._by_width.setdefault(len(projected), []).append(number)
@@ -191,10 +199,12 @@ class Screen:
             groups.setdefault(candidate.effect, {}).setdefault(candidate.family, []).append(number)
         result = {}
         for effect, families in groups.items():
-            logs = [log_mean([judged[i].log_bayes for i in numbers]) for numbers in families.values()]
+            logs = [log_mean([judged[i].log_bayes for i in numbers]) - self.candidates[numbers[0]].doubt
+                    for numbers in families.values()]
             best = max((i for numbers in families.values() for i in numbers),
-                       key=lambda i: judged[i].log_bayes)
-            result[effect] = Member(effect, best, log_mean(logs))
+                       key=lambda i: judged[i].log_bayes - self.candidates[i].doubt)
+            doubt = self.candidates[best].doubt
+            result[effect] = Member(effect, best, log_mean(logs) + doubt, doubt)
         return result
 
     def residual(self, members: Sequence[int]) -> np.ndarray:
@@ -225,6 +235,8 @@ def search(screen: Screen) -> list[EffectSet]:
         grown = []
         for found in front:
             for member in screen.by_effect([m.candidate for m in found.members]).values():
+                if screen.candidates[member.candidate].family in found.key:
+                    member = replace(member, doubt=0.0)  # beside the name its decoys are not its rivals
                 larger = EffectSet((*found.members, member), found.log_bayes + member.log_bayes)
                 again = member.effect in found.names
                 if UNKNOWN in found.names and member.effect != UNKNOWN:
@@ -235,10 +247,10 @@ def search(screen: Screen) -> list[EffectSet]:
                               or not _may_repeat(screen, found, member)):
                     continue
                 if not again and member.log_bayes > GAIN and not _supported(screen, found, member):
-                    member = Member(member.effect, member.candidate, 0.0)
+                    member = replace(member, log_bayes=0.0)
                 if not again and member.log_bayes < least_growth(found):
                     # Too weak to be claimed beside the others: a thought, not a way on.
-                    member = Member(member.effect, member.candidate, min(member.log_bayes, 0.0))
+                    member = replace(member, log_bayes=min(member.log_bayes, 0.0))
                     larger = EffectSet((*found.members, member), found.log_bayes + member.log_bayes)
                 if larger.names not in sets or sets[larger.names].log_bayes < larger.log_bayes:
                     sets[larger.names] = larger
@@ -287,7 +299,7 @@ def _may_repeat(screen: Screen, found: EffectSet, member: Member) -> bool:
 def log_prior(found: EffectSet, effects: int) -> float:
     """Logarithm of the prior probability of a set among ``effects`` possible ones."""
     number = len(found.key)
-    doubt = UNKNOWN_DOUBT if UNKNOWN in found.key else 0.0
+    doubt = next((m.doubt for m in found.members if m.effect == UNKNOWN), 0.0)
     ways = 1.0
     for i in range(number):
         ways *= (effects - i) / (i + 1)
