@@ -179,6 +179,7 @@ class Form:
     tuned_from: str = ''
     process: bool = False
     held: float | None = None
+    by_reading: np.ndarray | None = None
 
     def at(self, shape: Mapping[str, float]) -> 'Form':
         """The same form with other shape parameters; only where there is something to tune."""
@@ -249,4 +250,11 @@ class Effect:
 
     def appearance(self, view: StopView) -> list[Form]:
         """The forms in which the effect may appear in this log; none where it cannot be seen."""
+        return []
+
+    def decoys(self, view: StopView) -> list[Form]:
+        """Forms as rich as the effect's that it cannot take: what they explain as well is not its doing.
+
+        Only effects with forms so rich that they may follow anything need some.
+        """
         return []

@@ -13,6 +13,8 @@ from stepdiag_ros.effects.patterns import Drawn
 
 WAVELENGTHS = (632.8e-9, 632.991e-9, 1530e-9, 1550e-9)
 """Vacuum wavelengths [m] of common sources: He-Ne (rounded, exact), diode lasers of the IDS3010 kind."""
+DECOYS = (5.1e-7, 5.7e-7, 7.03e-7, 8.11e-7, 9.47e-7, 1.083e-6, 1.237e-6, 1.417e-6, 1.703e-6, 1.97e-6)
+"""Wavelengths [m] beside those, their halves and doubles: a swing that shows at these too is no fringe's."""
 MIN_STOPS = 6
 """A run with fewer stops has none to spare for a phase of its own."""
 
@@ -43,36 +45,54 @@ class CyclicNonlinearity(Effect):
         moment.length = moment.length + self.amp * np.sin(phase) + self.amp2 * np.sin(2.0 * phase)
 
     def appearance(self, view: StopView) -> list[Form]:
-        measured = view.reading[:, :view.beams]
-        reading = np.where(np.isfinite(measured), measured, view.model[:, :view.beams])
-        forms = []
+        forms, reading = [], self._reading(view)
         for wavelength in WAVELENGTHS:
-            for kind, length in (('optical', reading * view.divided_index[:, None]),
-                                 ('geometric', reading)):
+            for kind, rise in (('optical', view.divided_index[:, None]),
+                               ('geometric', np.ones((len(reading), 1)))):
                 forms += self._of_length(view, f'λ = {wavelength * 1e9:.3f} nm, {kind} length',
-                                         length, wavelength)
+                                         reading * rise, rise, wavelength)
         return forms
 
-    def _of_length(self, view: StopView, label: str, length: np.ndarray,
-                   wavelength: float) -> list[Form]:
-        def form(kind: str, columns: np.ndarray, names: tuple[str, ...]) -> Form:
-            return Form(f'{label}, {kind}', columns, names, np.full(len(names), 3e-9),
-                        shape={'wavelength_m': wavelength})
-
-        once = self._swing(view, 4.0 * np.pi * length / wavelength)
-        twice = self._swing(view, 8.0 * np.pi * length / wavelength)
-        names = ('cos', 'sin')
-        forms = [form('one phase', np.concatenate([once, twice]), (*names, 'cos 2', 'sin 2'))]
-        columns, own = self._by_run(view, once)
-        if own:
-            forms.append(form('phase by run', columns, own))
+    def decoys(self, view: StopView) -> list[Form]:
+        reading, forms = self._reading(view), []
+        for wavelength in DECOYS:
+            forms += self._of_length(view, f'displacement: swings as no laser does, λ = {wavelength * 1e9:.0f} nm',
+                                     reading, np.ones((len(reading), 1)), wavelength)[-1:]
         return forms
 
     @staticmethod
-    def _swing(view: StopView, phase: np.ndarray) -> np.ndarray:
-        columns = view.zeros(2)
+    def _reading(view: StopView) -> np.ndarray:
+        measured = view.reading[:, :view.beams]
+        return np.where(np.isfinite(measured), measured, view.model[:, :view.beams])
+
+    def _of_length(self, view: StopView, label: str, length: np.ndarray, rise: np.ndarray,
+                   wavelength: float) -> list[Form]:
+        # The phase is that of the reading itself, noise and all: it is to be known to nanometres, which no
+        # fitted length is.  What a column then owes to the noise that it holds goes with the form.
+        slope = 4.0 * np.pi / wavelength * rise
+
+        def form(kind: str, columns: np.ndarray, slopes: np.ndarray, names: tuple[str, ...]) -> Form:
+            return Form(f'{label}, {kind}', columns, names, np.full(len(names), 3e-9),
+                        shape={'wavelength_m': wavelength}, by_reading=slopes)
+
+        once, by_once = self._swing(view, 4.0 * np.pi * length / wavelength, slope)
+        twice, by_twice = self._swing(view, 8.0 * np.pi * length / wavelength, 2.0 * slope)
+        names = ('cos', 'sin')
+        forms = [form('one phase', np.concatenate([once, twice]), np.concatenate([by_once, by_twice]),
+                      (*names, 'cos 2', 'sin 2'))]
+        columns, own = self._by_run(view, once)
+        if own:
+            forms.append(form('phase by run', columns, self._by_run(view, by_once)[0], own))
+        return forms
+
+    @staticmethod
+    def _swing(view: StopView, phase: np.ndarray, slope: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Cosine and sine of ``phase`` (n, beams) as columns, and their derivatives by the reading,
+        ``slope`` (n, 1) [rad/m] times as fast as the phase."""
+        columns, derivatives = view.zeros(2), view.zeros(2)
         columns[0, :, :view.beams], columns[1, :, :view.beams] = np.cos(phase), np.sin(phase)
-        return columns
+        derivatives[0], derivatives[1] = -slope * columns[1], slope * columns[0]
+        return columns, derivatives
 
     @staticmethod
     def _by_run(view: StopView, once: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:

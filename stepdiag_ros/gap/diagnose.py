@@ -15,6 +15,7 @@ from stepdiag_ros.effects.base import Effect, Form
 from stepdiag_ros.effects.tuning import tune
 from stepdiag_ros.estimate.noise import estimate_noise
 from stepdiag_ros.estimate.solution import Solution
+from stepdiag_ros.gap.beyond import beyond_families
 from stepdiag_ros.gap.closing import Closing, closing
 from stepdiag_ros.gap.evidence import width_of
 from stepdiag_ros.gap.inside import Timing, Vibration, steps, timing, vibration
@@ -25,8 +26,10 @@ from stepdiag_ros.gap.scatter import excess_scatter
 from stepdiag_ros.gap.search import Candidate, EffectSet, Screen, probabilities, search
 from stepdiag_ros.gap.thresholds import (
     ALARM,
+    BEYOND_DOUBT,
     CLOCK_SIGMAS,
     CONFUSED,
+    DECOY_DOUBT,
     FORM_ERROR,
     LEAST_CLOCK_S,
     LEAST_LEFT,
@@ -34,6 +37,7 @@ from stepdiag_ros.gap.thresholds import (
     MISFIT_MOST,
     SCATTER_ALARM,
     TEMPER,
+    UNKNOWN_DOUBT,
     VIBRATION_ALARM,
 )
 from stepdiag_ros.gap.unknown import NAME as UNKNOWN
@@ -175,6 +179,12 @@ def _settle(observation: Observation,
         screen = _screen(joint, effects)
         screen = _sharpened(screen)
         sets = search(screen)
+        decoys = [Candidate(UNKNOWN, name, form, DECOY_DOUBT)
+                  for name in sorted(sets[0].key & set(effects))
+                  for form in effects[name].decoys(joint.observation.view)]
+        if decoys:
+            screen = screen.extended(decoys)
+            sets = search(screen)
         best = sets[0] if sets[0].log_bayes > ALARM else EffectSet((), 0.0)
         chosen: list[tuple[Effect, Form]] = []
         for member in best.members:
@@ -198,12 +208,16 @@ def _screen(joint: Joint, effects: Mapping[str, Effect]) -> Screen:
         if effect.needs_dwells and not joint.parity.dof[1]:
             continue
         candidates += [Candidate(effect.name, '', form) for form in effect.appearance(view)]
-    candidates += [Candidate(a.effect.name, '', a.form) for a in joint.active if a.form.tuned_from]
-    for family, forms in unknown_families(view).items():
-        candidates += [Candidate(UNKNOWN, family, form) for form in forms]
+    for a in joint.active:
+        if a.form.tuned_from:
+            candidates.append(Candidate(a.effect.name, '', a.form) if a.effect.name
+                              else Candidate(UNKNOWN, 'tuned', a.form, BEYOND_DOUBT))
+    for families, doubt in ((unknown_families(view), UNKNOWN_DOUBT), (beyond_families(view), BEYOND_DOUBT)):
+        for family, forms in families.items():
+            candidates += [Candidate(UNKNOWN, family, form, doubt) for form in forms]
     named = [a for a in joint.active if a.effect.name]
     if named:
-        candidates += [Candidate(UNKNOWN, 'inconsistent', form)
+        candidates += [Candidate(UNKNOWN, 'inconsistent', form, UNKNOWN_DOUBT)
                        for form in inconsistent_forms(view, [a.form for a in named])]
     repeatable = frozenset(e.name for e in effects.values() if e.repeatable)
     in_dwells = frozenset(e.name for e in effects.values() if e.needs_dwells)

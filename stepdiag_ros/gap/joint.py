@@ -140,8 +140,17 @@ def solve(space: Parity, chosen: list[tuple[Effect, Form]]) -> tuple[Active, ...
     blocks = [space.project(form) for _, form in chosen]
     columns = np.concatenate(blocks, axis=1)
     normal = columns.T @ columns + np.diag(widths([form for _, form in chosen]) ** -2.0)
+    along = columns.T @ space.data
+    start = 0
+    for (_, form), block in zip(chosen, blocks, strict=True):
+        part = slice(start, start + block.shape[1])
+        start = part.stop
+        if form.by_reading is not None:
+            owed, width = space.own_noise(form)
+            along[part] -= owed
+            normal[part, part] += width
     covariance = np.linalg.inv(normal)
-    values = covariance @ (columns.T @ space.data)
+    values = covariance @ along
     result, start = [], 0
     for (effect, form), block in zip(chosen, blocks, strict=True):
         part = slice(start, start + block.shape[1])

@@ -7,6 +7,7 @@ The bins of the dwells, which the rigid-body model does not touch, are appended 
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy import linalg
@@ -67,6 +68,28 @@ class Parity:
         contrasts = self._contrast @ inside
         white = contrasts / (self.bin_scale * self._bin_sigma)
         return white[:, self._bin_present].T
+
+    @cached_property
+    def own_share(self) -> np.ndarray:
+        """Share (n·c,) of each reading's own noise that is left here after the fit; 0 for what is absent."""
+        channels = self._bin_present.shape[2]
+        share, start = np.zeros(len(self._bin_present) * channels), 0
+        for white in self._white:
+            basis = self._basis[start:start + len(white.rows)]
+            start += len(white.rows)
+            back = linalg.solve_triangular(white.factor, basis, lower=True, trans='T', check_finite=False)
+            share[white.rows] = 1.0 - np.sum((white.factor @ basis) * back, axis=1)
+        return share
+
+    def own_noise(self, form: Form) -> tuple[np.ndarray, np.ndarray]:
+        """What columns made of readings owe to the readings' noise: what to take off their products with
+        the data (k,) and to add to those with themselves (k, k), per unit of the form's ``scale``.
+
+        Data z = r − model − a·c(r) have the density of the noise times |∂z/∂r| = Π(1 − a·c′(r)); the
+        logarithm of that, −a Σc′ − ½ a² Σc′², is part of the likelihood.
+        """
+        slopes = form.by_reading.reshape(len(form.columns), -1) * form.scale[:, None]
+        return slopes @ self.own_share, (slopes * self.own_share) @ slopes.T
 
     def project(self, form: Form) -> np.ndarray:
         """What a form looks like here, per unit of its ``scale``: (N, k)."""

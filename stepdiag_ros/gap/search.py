@@ -20,7 +20,6 @@ from stepdiag_ros.gap.thresholds import (
     MISFIT,
     MISFIT_MOST,
     STOP_SUPPORT,
-    UNKNOWN_DOUBT,
 )
 from stepdiag_ros.gap.unknown import NAME as UNKNOWN
 
@@ -43,11 +42,16 @@ GAIN = 3.0
 
 @dataclass(frozen=True)
 class Candidate:
-    """One form of one effect: ``family`` splits an effect's forms into groups of equal weight."""
+    """One form of one effect: ``family`` splits an effect's forms into groups of equal weight.
+
+    ``doubt``: log odds against the family where a name explains as much.  The family of an effect's decoys
+    bears the effect's name.
+    """
 
     effect: str
     family: str
     form: Form
+    doubt: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -59,6 +63,7 @@ class Member:
     candidate: int
     log_bayes: float
     size: float = float(SIZES[-1])
+    doubt: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -121,6 +126,9 @@ class Screen:
                 self._bins[number] = inside
                 gram = gram + inside.T @ inside
                 projected += inside.T @ data[stops:]
+            if candidate.form.by_reading is not None:
+                owed, width = self.parity.own_noise(candidate.form)
+                gram, projected = gram + width, projected - owed
             grams.append(gram)
             alongs.append(projected)
             self._by_width.setdefault(len(projected), []).append(number)
@@ -198,11 +206,13 @@ class Screen:
             groups.setdefault(candidate.effect, {}).setdefault(candidate.family, []).append(number)
         result = {}
         for effect, families in groups.items():
-            logs = [log_mean([judged[i].log_bayes for i in numbers]) for numbers in families.values()]
+            logs = [log_mean([judged[i].log_bayes for i in numbers]) - self.candidates[numbers[0]].doubt
+                    for numbers in families.values()]
             best = max((i for numbers in families.values() for i in numbers),
-                       key=lambda i: judged[i].log_bayes)
+                       key=lambda i: judged[i].log_bayes - self.candidates[i].doubt)
+            doubt = self.candidates[best].doubt
             size = judged[best].size if self.candidates[best].form.process else float(SIZES[-1])
-            result[effect] = Member(effect, best, log_mean(logs), size)
+            result[effect] = Member(effect, best, log_mean(logs) + doubt, size, doubt)
         return result
 
     def residual(self, members: Sequence[Member]) -> np.ndarray:
@@ -230,14 +240,13 @@ def search(screen: Screen) -> list[EffectSet]:
         front.append(found)
     while front:
         # Nameless patterns, which fit anything, must not crowd out the names.
-        front = sorted(front, key=lambda s: -s.log_bayes)
-        front = [s for s in front if UNKNOWN not in s.key][:BEAM] \
-            + [s for s in front if UNKNOWN in s.key][:BEAM_OF_NAMELESS]
-        top = max(s.log_bayes for s in front)
-        front = [s for s in front if s.log_bayes > max(GAIN, top - HOPELESS)]
+        front = _leading([s for s in front if UNKNOWN not in s.key], BEAM) \
+            + _leading([s for s in front if UNKNOWN in s.key], BEAM_OF_NAMELESS)
         grown = []
         for found in front:
             for member in screen.by_effect(found.members).values():
+                if screen.candidates[member.candidate].family in found.key:
+                    member = replace(member, doubt=0.0)  # beside the name its decoys are not its rivals
                 larger = EffectSet((*found.members, member), found.log_bayes + member.log_bayes)
                 again = member.effect in found.names
                 if UNKNOWN in found.names and member.effect != UNKNOWN:
@@ -267,6 +276,11 @@ def search(screen: Screen) -> list[EffectSet]:
     return sorted(found, key=lambda s: -(s.log_bayes + log_prior(s, len(first))))
 
 
+def _leading(sets: list[EffectSet], most: int) -> list[EffectSet]:
+    sets = sorted(sets, key=lambda s: -s.log_bayes)[:most]
+    return [s for s in sets if s.log_bayes > max(GAIN, sets[0].log_bayes - HOPELESS)]
+
+
 def _held_to_names(screen: Screen, sets: list[EffectSet]) -> list[EffectSet]:
     """The sets, none with a nameless part better than a name that explains nearly as much.
 
@@ -278,17 +292,16 @@ def _held_to_names(screen: Screen, sets: list[EffectSet]) -> list[EffectSet]:
                 default=None)
     if named is None:
         return sets
-    reach = _explained(screen, named) / (1.0 - FORM_ERROR)
+    most = _reach(screen, named) / (1.0 - FORM_ERROR)
     return [replace(s, log_bayes=named.log_bayes)
-            if UNKNOWN in s.key and s.log_bayes > named.log_bayes and _explained(screen, s) < reach else s
+            if UNKNOWN in s.key and s.log_bayes > named.log_bayes and _reach(screen, s) < most else s
             for s in sets]
 
 
-def _explained(screen: Screen, found: EffectSet) -> float:
+def _reach(screen: Screen, found: EffectSet) -> float:
     """What a set takes off zᵀz beyond what it would take off noise."""
-    members = [m.candidate for m in found.members]
-    data, left = screen.parity.data, screen.residual(members)
-    return float(data @ data - left @ left) - screen.basis(members).shape[1]
+    data, left = screen.parity.data, screen.residual(found.members)
+    return float(data @ data - left @ left) - float(np.sum(screen.basis(found.members) ** 2))
 
 
 def _supported(screen: Screen, found: EffectSet, member: Member) -> bool:
@@ -325,7 +338,7 @@ def _may_repeat(screen: Screen, found: EffectSet, member: Member) -> bool:
 def log_prior(found: EffectSet, effects: int) -> float:
     """Logarithm of the prior probability of a set among ``effects`` possible ones."""
     number = len(found.key)
-    doubt = UNKNOWN_DOUBT if UNKNOWN in found.key else 0.0
+    doubt = next((m.doubt for m in found.members if m.effect == UNKNOWN), 0.0)
     ways = 1.0
     for i in range(number):
         ways *= (effects - i) / (i + 1)
