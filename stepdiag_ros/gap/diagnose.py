@@ -45,6 +45,9 @@ from stepdiag_ros.model.log import CalibrationLog, Samples
 ROUNDS = 4
 ALONE = 0.25
 """Share of the difference of two clocks below which the nearer one is taken for right."""
+AIR_IN_MEANS = 4.0
+"""Variance of a dwell's mean by moving air over that inside the dwell: of noise as 1/f all octaves are alike, and
+between the length of a dwell and that of a run lie four times as many as a dwell resolves."""
 TUNED = 4
 """Leading effects whose shape parameters are tuned before sets are formed."""
 
@@ -126,6 +129,8 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
     observation = observe(log)
     log, observation, clocks, late = _set_clocks(log, observation)
     samples = unrest(log, observation.table, observation.view.distance.mean(axis=1))
+    if samples.boils:
+        observation = _with_air(observation, samples)
     joint, sets, screen = _settle(observation, effects)
     best = sets[0] if sets[0].log_bayes > ALARM else EffectSet((), 0.0)
     names, nothing, weights = probabilities(sets, len(effects) + 1, TEMPER)
@@ -165,6 +170,17 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
 def _noise(observation: Observation):
     return estimate_noise(observation.table, observation.log.description.noise,
                           observation.fit.arrival)
+
+
+def _with_air(observation: Observation, samples: Unrest) -> Observation:
+    """The observation with moving air as noise of the displacement: else effects would be fitted to it."""
+    table, beams = observation.table, observation.fit.model.beams
+    air = samples.variance[:, None]
+    sigma = observation.bin_sigma.copy()
+    sigma[:, :beams] = np.sqrt(sigma[:, :beams] ** 2 + air)
+    scatter = np.sqrt(table.displacement_scatter**2
+                      + AIR_IN_MEANS * air * np.maximum(table.displacement_count, 1)[:, None])
+    return replace(observation, bin_sigma=sigma, table=replace(table, displacement_scatter=scatter))
 
 
 def _settle(observation: Observation,

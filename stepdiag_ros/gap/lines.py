@@ -69,7 +69,8 @@ class Unrest:
 
     ``displacement`` and ``spot``: lines of each, None where dwells are too short to tell; ``slow``: log
     evidence for a smooth background in the displacement, ``slow_spot`` in the spot; ``growth``: exponent
-    with which the displacement's unrest grows with the path, and ``growth_sigma`` (infinite: not seen).
+    with which the displacement's unrest grows with the path, and ``growth_sigma`` (infinite: not seen);
+    ``variance`` (n,) [m²]: that unrest in one sample at each stop.
     """
 
     displacement: Vibration | None
@@ -78,6 +79,7 @@ class Unrest:
     slow_spot: float
     growth: float
     growth_sigma: float
+    variance: np.ndarray
 
     @property
     def shakes(self) -> bool:
@@ -122,14 +124,15 @@ def unrest(log: CalibrationLog, table: StopTable, distance: np.ndarray) -> Unres
     beams = dwells_of(log.displacement.values.mean(axis=1), log.displacement.time_ns,
                       table.displacement_rows, kind)
     lines, slow = find_lines(beams) if beams else (None, 0.0)
-    growth, sigma = growth_with(beams, distance) if beams else (0.0, np.inf)
+    growth, sigma, variance = growth_with(beams, distance) if beams else \
+        (0.0, np.inf, np.zeros(len(table)))
     spots = [(None, 0.0)]
     for column in log.spot.values.T:
         dwells = dwells_of(column, log.spot.time_ns, table.spot_rows, kind)
         if dwells is not None:
             spots.append(find_lines(dwells))
     spot, slow_spot = max(spots, key=lambda s: s[0].log_bayes - MISFIT * s[1] if s[0] else -np.inf)
-    return Unrest(lines, spot, slow, slow_spot, growth, sigma)
+    return Unrest(lines, spot, slow, slow_spot, growth, sigma, variance)
 
 
 def dwells_of(values: np.ndarray, time_ns: np.ndarray, rows: np.ndarray,
@@ -299,8 +302,9 @@ def _next_line(base: np.ndarray, moment: np.ndarray, waves: np.ndarray,
     return int(f), float(SIZES[s])
 
 
-def growth_with(dwells: Dwells, distance: np.ndarray) -> tuple[float, float]:
-    """Exponent with which the dwells' unrest grows with ``distance`` (stops,), and its σ.
+def growth_with(dwells: Dwells, distance: np.ndarray) -> tuple[float, float, np.ndarray]:
+    """Exponent with which the dwells' unrest grows with ``distance`` (stops,), its σ, and the unrest's
+    variance (stops,) in one sample by that law.
 
     The power of the slow half of the spectrum, above that of the fast half, is fitted as c dᵖ.
     """
@@ -313,7 +317,7 @@ def growth_with(dwells: Dwells, distance: np.ndarray) -> tuple[float, float]:
     far = distance[dwells.rows]
     kept = np.isfinite(far) & (far > 0.0)
     if kept.sum() < LEAST_DWELLS or np.ptp(np.log(far[kept])) < 0.3:
-        return 0.0, np.inf
+        return 0.0, np.inf, np.zeros(len(distance))
     order = np.argsort(far[kept])
     place, excess = np.log(far[kept])[order], (power[kept] - white)[order]
     parts = np.array_split(np.arange(len(order)), 6)
@@ -321,11 +325,15 @@ def growth_with(dwells: Dwells, distance: np.ndarray) -> tuple[float, float]:
     mean = np.array([excess[p].mean() for p in parts])
     error = np.array([excess[p].std() / np.sqrt(len(p)) for p in parts])
     if (mean > 0.0).sum() < 3 or mean.sum() < 6.0 * np.sqrt(np.sum(error**2)):
-        return 0.0, np.inf
+        return 0.0, np.inf, np.zeros(len(distance))
     mean = np.maximum(mean, error)
     y, weight = np.log(mean), (mean / np.maximum(error, 1e-300)) ** 2
-    x = x - np.sum(weight * x) / weight.sum()
+    middle = float(np.sum(weight * x) / weight.sum())
+    x = x - middle
     slope = float(np.sum(weight * x * y) / np.sum(weight * x * x))
-    misfit = y - np.sum(weight * y) / weight.sum() - slope * x
+    level = float(np.sum(weight * y) / weight.sum())
+    misfit = y - level - slope * x
     spread = max(float(np.sum(weight * misfit**2)) / (len(x) - 2), 1.0)
-    return slope, float(np.sqrt(spread / np.sum(weight * x * x)))
+    near = np.log(np.where(np.isfinite(distance) & (distance > 0.0), distance, np.exp(middle))) - middle
+    return slope, float(np.sqrt(spread / np.sum(weight * x * x))), \
+        np.exp(level + slope * near) / size
