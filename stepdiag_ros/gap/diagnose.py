@@ -18,8 +18,9 @@ from stepdiag_ros.estimate.solution import Solution
 from stepdiag_ros.gap.beyond import beyond_families
 from stepdiag_ros.gap.closing import Closing, closing
 from stepdiag_ros.gap.evidence import width_of
-from stepdiag_ros.gap.inside import Timing, Vibration, steps, timing, vibration
+from stepdiag_ros.gap.inside import Timing, steps, timing
 from stepdiag_ros.gap.joint import Joint, fit_jointly, freed_solution, unexplained
+from stepdiag_ros.gap.lines import Unrest, Vibration, unrest
 from stepdiag_ros.gap.next_measurement import advise
 from stepdiag_ros.gap.observe import Observation, observe
 from stepdiag_ros.gap.scatter import excess_scatter
@@ -30,15 +31,17 @@ from stepdiag_ros.gap.thresholds import (
     CLOCK_SIGMAS,
     CONFUSED,
     DECOY_DOUBT,
+    DRIFT_SIGMAS,
     FORM_ERROR,
     LEAST_CLOCK_S,
+    LEAST_DRIFT_S,
     LEAST_LEFT,
+    LEAST_SOONER_S,
     MISFIT,
     MISFIT_MOST,
     SCATTER_ALARM,
     TEMPER,
     UNKNOWN_DOUBT,
-    VIBRATION_ALARM,
 )
 from stepdiag_ros.gap.unknown import NAME as UNKNOWN
 from stepdiag_ros.gap.unknown import inconsistent_forms, unknown_families
@@ -46,6 +49,11 @@ from stepdiag_ros.gap.where import Share, shares
 from stepdiag_ros.model.log import CalibrationLog, Samples
 
 ROUNDS = 4
+ALONE = 0.25
+"""Share of the difference of two clocks below which the nearer one is taken for right."""
+AIR_IN_MEANS = 4.0
+"""Variance of a dwell's mean by moving air over that inside the dwell: of noise as 1/f all octaves are alike, and
+between the length of a dwell and that of a run lie four times as many as a dwell resolves."""
 TUNED = 4
 """Leading effects whose shape parameters are tuned before sets are formed."""
 
@@ -126,7 +134,9 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
     effects = {effect.name: effect for effect in effects}
     observation = observe(log)
     log, observation, clocks, late = _set_clocks(log, observation)
-    shaking = vibration(log, observation.table)
+    samples = unrest(log, observation.table, observation.view.distance.mean(axis=1))
+    if samples.boils:
+        observation = _with_air(observation, samples)
     joint, sets, screen = _settle(observation, effects)
     best = sets[0] if sets[0].log_bayes > ALARM else EffectSet((), 0.0)
     names, nothing, weights = probabilities(sets, len(effects) + 1, TEMPER)
@@ -139,16 +149,16 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
     if late:
         found += late
         names = {**names, 'clock_skew': late[0].probability}
-    if shaking and shaking.log_bayes > VIBRATION_ALARM:
-        found.append(_shaking(effects, shaking))
+    if samples.shakes:
+        found.append(_shaking(effects, samples.displacement))
         names = {**names, 'vibration': found[-1].probability}
     found = sorted(found, key=lambda f: -f.probability)
     leftover = ''
     for member in best.members:
         if member.effect == UNKNOWN:
             leftover = screen.candidates[member.candidate].form.label
-    leftover = leftover or _coarse(joint)
-    if not leftover and not (shaking and shaking.log_bayes > VIBRATION_ALARM):
+    leftover = leftover or _coarse(joint) or _restless(samples, names)
+    if not leftover and not samples.shakes:
         evidence, words = excess_scatter(joint)
         allowed = SCATTER_ALARM + min(MISFIT * best.log_bayes, MISFIT_MOST)
         leftover = words if evidence > allowed and not _form_error(joint) else ''
@@ -160,7 +170,7 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
     return Diagnosis(log, verdict, how_far, shares(joint, observation, found), tuple(found),
                      {**names, 'nothing': nothing},
                      tuple((s.names, w) for s, w in zip(sets, weights, strict=True))[:20],
-                     groups, observation, joint, clocks, shaking, leftover,
+                     groups, observation, joint, clocks, samples.displacement, leftover,
                      log.warnings + observation.table.warnings, sets, screen,
                      advise(joint, groups, effects, forms, bool(leftover)))
 
@@ -168,6 +178,17 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
 def _noise(observation: Observation):
     return estimate_noise(observation.table, observation.log.description.noise,
                           observation.fit.arrival)
+
+
+def _with_air(observation: Observation, samples: Unrest) -> Observation:
+    """The observation with moving air as noise of the displacement: else effects would be fitted to it."""
+    table, beams = observation.table, observation.fit.model.beams
+    air = samples.variance[:, None]
+    sigma = observation.bin_sigma.copy()
+    sigma[:, :beams] = np.sqrt(sigma[:, :beams] ** 2 + air)
+    scatter = np.sqrt(table.displacement_scatter**2
+                      + AIR_IN_MEANS * air * np.maximum(table.displacement_count, 1)[:, None])
+    return replace(observation, bin_sigma=sigma, table=replace(table, displacement_scatter=scatter))
 
 
 def _settle(observation: Observation,
@@ -258,52 +279,96 @@ def _form_error(joint: Joint) -> bool:
 
 # ---- the clocks -----------------------------------------------------------------------------------
 
+@dataclass(frozen=True)
+class Late:
+    """A sensor's stamps are late (early: negative) by ``offset`` ± ``sigma`` [s] on average over the log,
+    and by ``drift`` [s] more at its end than at its beginning."""
+
+    offset: float
+    sigma: float
+    drift: float
+    probability: float
+
+
 def _set_clocks(log: CalibrationLog, observation: Observation):
     """Put right a sensor whose stamps are off; what was found out about both."""
-    clocks = {'interferometer': timing(log.displacement, observation.table,
-                                       observation.table.displacement),
-              'psd': timing(log.spot, observation.table, observation.table.spot)}
-    late = []
+    table = observation.table
+    clocks = {'interferometer': timing(log.displacement, table, table.displacement),
+              'psd': timing(log.spot, table, table.spot)}
     skew = _skew(clocks)
-    for sensor, (offset, sigma, probability) in skew.items():
-        shift = int(round(offset * 1e9))
-        if sensor == 'psd':
-            log = replace(log, spot=_shifted(log.spot, shift))
-        else:
-            log = replace(log, displacement=_shifted(log.displacement, shift))
-        late.append(Found('clock_skew', "A sensor's time stamps do not agree with the sequencer's.",
-                          probability, {f'{sensor}_s': offset}, {f'{sensor}_s': sigma}, 's',
-                          'constant offset', 1.0,
-                          'Let all computers take their time from one source (PTP or NTP).'))
-    if skew:
-        observation = observe(log)
-    return log, observation, clocks, late
+    if not skew:
+        return log, observation, clocks, []
+    parameters: dict[str, float] = {}
+    sigma: dict[str, float] = {}
+    for sensor, late in skew.items():
+        channel = 'spot' if sensor == 'psd' else 'displacement'
+        log = replace(log, **{channel: _shifted(getattr(log, channel), late, table.dwell_ns)})
+        parameters[f'{sensor}_s'], sigma[f'{sensor}_s'] = late.offset, late.sigma
+        if late.drift:
+            parameters[f'{sensor}_drift_s'] = late.drift
+    found = Found('clock_skew', "A sensor's time stamps do not agree with the sequencer's.",
+                  max(late.probability for late in skew.values()), parameters, sigma, 's',
+                  'offset and drift' if any(late.drift for late in skew.values()) else 'constant offset',
+                  1.0, 'Let all computers take their time from one source (PTP or NTP).')
+    return log, observe(log), clocks, [found]
 
 
-def _skew(clocks: Mapping[str, Timing | None]) -> dict[str, tuple[float, float, float]]:
-    """Sensors whose stamps are provably off: offset, its σ [s], probability.
+def _skew(clocks: Mapping[str, Timing | None]) -> dict[str, Late]:
+    """Sensors whose stamps are provably off.
 
-    A move's middle may be seen off by half of what the control takes to start and to report in
-    position; what a sensor sees before the command or after the report cannot be explained so.
+    What a control takes to start and to report in position moves what a sensor sees of a move, so an
+    offset alone proves nothing.  Three things do: motion seen before the command or long after the
+    report; two sensors that see the same moves at different times; and an offset that changes in the
+    course of the log, for a control treats equal moves alike.
     """
-    found = {}
-    both = [t for t in clocks.values() if t is not None]
-    for sensor, seen in clocks.items():
-        if seen is None:
-            continue
-        significant = abs(seen.offset) > max(CLOCK_SIGMAS * seen.sigma, LEAST_CLOCK_S)
-        acausal = seen.before > 0.2 if seen.offset < 0 else seen.after > 0.2
-        others = [t for t in both if t is not seen]
-        apart = bool(others) and abs(seen.offset - others[0].offset) > max(
-            CLOCK_SIGMAS * np.hypot(seen.sigma, others[0].sigma), LEAST_CLOCK_S) and \
-            abs(seen.offset) > abs(others[0].offset)
-        if significant and (acausal or apart):
-            found[sensor] = (seen.offset, seen.sigma, 0.99 if acausal and apart else 0.95)
+    seen = {name: clock for name, clock in clocks.items() if clock is not None}
+    found: dict[str, Late] = {}
+    for name, clock in seen.items():
+        drifts = abs(clock.drift) > max(DRIFT_SIGMAS * clock.drift_sigma, LEAST_DRIFT_S)
+        significant = abs(clock.offset) > max(CLOCK_SIGMAS * clock.sigma, LEAST_CLOCK_S)
+        acausal = significant and (clock.sooner > LEAST_SOONER_S or (
+            clock.before > 0.2 if clock.offset < 0 else clock.after > 0.2))
+        if drifts or acausal:
+            found[name] = Late(_start(clock), clock.sigma, clock.drift if drifts else 0.0,
+                               0.99 if drifts and acausal else 0.95)
+    if len(seen) < 2:
+        return found
+    sharp, other = sorted(seen, key=lambda name: seen[name].sigma)
+    apart = seen[other].offset - seen[sharp].offset
+    limit = CLOCK_SIGMAS * np.hypot(seen[other].sigma, seen[sharp].sigma)
+    if abs(apart) > max(limit, LEAST_CLOCK_S):
+        if not found:
+            # One of the two is right: the one that sees the moves begin with the command, not before.
+            start = _start(seen[sharp])
+            wrong = other if abs(start) < abs(start + apart) else sharp
+            offset = apart if wrong == other else -apart
+            found[wrong] = Late(offset, limit / CLOCK_SIGMAS, 0.0, 0.95)
+        elif sharp in found:
+            late = found[sharp]
+            start = late.offset + apart
+            if abs(start) < ALONE * abs(apart):
+                # The other sees the moves begin with the command: it is right, and the better mark.
+                found[sharp] = replace(late, offset=-apart, sigma=limit / CLOCK_SIGMAS, probability=0.99)
+                found.pop(other, None)
+            else:
+                found[other] = replace(late, offset=start, probability=0.99)
+    elif sharp in found and limit < abs(found[sharp].offset):
+        # Both see the same: it is the sequencer that differs from both.
+        found[other] = found[sharp]
     return found
 
 
-def _shifted(samples: Samples, shift_ns: int) -> Samples:
-    return replace(samples, time_ns=samples.time_ns - shift_ns)
+def _start(clock: Timing) -> float:
+    """Offset of the stamps by the beginning of the moves, where it is seen; by their middle elsewhere."""
+    return clock.onset if clock.sharp else clock.offset
+
+
+def _shifted(samples: Samples, late: Late, dwell_ns: np.ndarray) -> Samples:
+    """Samples with stamps put right; the drift is straight between the first and the last dwell."""
+    span = max(int(dwell_ns[-1] - dwell_ns[0]), 1)
+    place = (samples.time_ns - dwell_ns[0]) / span
+    shift = np.rint(1e9 * (late.offset + late.drift * (np.clip(place, 0.0, 1.0) - 0.5)))
+    return replace(samples, time_ns=np.maximum.accumulate(samples.time_ns - shift.astype(np.int64)))
 
 
 def _coarse(joint: Joint) -> str:
@@ -322,6 +387,17 @@ def _coarse(joint: Joint) -> str:
         if len(table) / 4.0 * share**2 > ALARM:
             channel = 'displacement' if k < beams else ('spot_x', 'spot_y')[k - beams]
             return f'{channel}: readings move in steps of {width * 1e6:.3g} µm'
+    return ''
+
+
+def _restless(samples: Unrest, names: Mapping[str, float]) -> str:
+    """Unrest inside the dwells that is no shaking of the tool point, in words."""
+    if samples.boils:
+        return ('displacement: slow random noise inside the dwells that grows with the path '
+                f'(its power as path^{samples.growth:.1f}), as of moving air')
+    if samples.hums and names.get('ambient_light', 0.0) < 0.5:
+        return (f'spot: swings at {samples.spot.frequency:.3g} Hz (as sampled) inside the dwells, '
+                'the displacement does not')
     return ''
 
 
@@ -357,7 +433,7 @@ def _found(name: str, effect: Effect, probability: float, joint: Joint) -> Found
 
 def _shaking(effects: Mapping[str, Effect], seen: Vibration) -> Found:
     effect = effects.get('vibration', Effect())
-    probability = float(1.0 / (1.0 + np.exp(-(seen.log_bayes - VIBRATION_ALARM))))
+    probability = float(1.0 / (1.0 + np.exp(-min(seen.log_bayes, 30.0))))
     return Found('vibration', effect.title, probability,
                  {'frequency_Hz': seen.frequency, 'amplitude_m': seen.amplitude},
                  {'amplitude_m': seen.sigma}, 'm', 'a line in the spectrum of the dwells', seen.share,

@@ -1,8 +1,7 @@
-"""What only the single samples show: shaking inside a dwell, and clocks that disagree.
+"""What only the single samples show: clocks that disagree, and readings that move in steps.
 
-Vibration has no fixed phase and leaves the means alone; it is looked for as a line in the mean power
-spectrum of all dwells.  A sensor whose stamps are off sees the moves at the wrong time: a move's
-middle is found where the reading is half-way, which for a jerk-limited move is half-way in time.
+A sensor whose stamps are off sees the moves at the wrong time: a move's middle is found where the
+reading is half-way, which for a jerk-limited move is half-way in time.
 """
 
 from dataclasses import dataclass
@@ -10,97 +9,41 @@ from dataclasses import dataclass
 import numpy as np
 
 from stepdiag_ros.estimate.reduce import StopTable
-from stepdiag_ros.model.log import CalibrationLog, Samples
+from stepdiag_ros.model.log import Samples
 
-TREND = 4
-"""Polynomial terms taken off each dwell before its spectrum: drift and creep are not vibration."""
-CREEP = np.array([0.08, 0.2, 0.5, 1.2])
-"""Time constants, in half dwells, of the exponentials taken off as well."""
-LEAST_SAMPLES = 20
-PADDING = 4
-NEIGHBOURS = 5
-HELD = 12.0
-"""Powers of single dwells are held to this many medians."""
-
-
-@dataclass(frozen=True)
-class Vibration:
-    """A line in the spectrum: ``frequency`` [Hz] (as sampled: it may be an alias), ``amplitude`` and its
-    ``sigma`` [m], ``log_bayes`` against none, ``share`` of the dwells' variance."""
-
-    frequency: float
-    amplitude: float
-    sigma: float
-    log_bayes: float
-    share: float
+ONSET_SIGMAS = 8.0
+"""Standard deviations of a reading at rest beyond which it moves."""
+FAINT = 1e-5
+"""Noise over step, above which a jerk-limited move is well under way before it is seen."""
 
 
 @dataclass(frozen=True)
 class Timing:
     """When a sensor sees the moves: ``offset`` [s] of their middles against the sequencer's, its
-    ``sigma``; ``before`` and ``after``: share of moves seen to go on outside MOVE … DWELL; ``moves``;
+    ``sigma``; ``onset`` [s] after the command at which motion is first seen (``sharp``: so well that
+    samples resolve it); ``before`` and ``after``:
+    share of moves seen to go on outside MOVE … DWELL; ``sooner`` [s]: how long before the command motion
+    is seen for certain, in the clearest few moves; ``drift`` [s] of the middles from the log's
+    beginning to its end, moves of a kind compared with each other, and ``drift_sigma``; ``moves``;
     ``period`` [s] of the samples."""
 
     offset: float
     sigma: float
+    onset: float
+    sharp: bool
     before: float
     after: float
+    sooner: float
+    drift: float
+    drift_sigma: float
     moves: int
     period: float
 
 
-def vibration(log: CalibrationLog, table: StopTable) -> Vibration | None:
-    """The strongest line in the dwells' displacement, or None where dwells are too short to tell."""
-    samples = log.displacement
-    parts: dict[int, list[np.ndarray]] = {}
-    periods = []
-    for lo, hi in table.displacement_rows:
-        values = samples.values[lo:hi, 0]
-        if len(values) < LEAST_SAMPLES or not np.isfinite(values).all():
-            continue
-        periods.append(np.median(np.diff(samples.time_ns[lo:hi])) * 1e-9)
-        parts.setdefault(len(values), []).append(values - values[0])
-    if not parts:
-        return None
-    count = max(parts, key=lambda n: len(parts[n]))
-    dwells, period = np.array(parts[count]), float(np.median(periods))
-    if len(dwells) < 8 or period <= 0.0:
-        return None
-    time = np.linspace(-1.0, 1.0, count)
-    creep = np.exp(-(time[:, None] + 1.0) / CREEP)
-    basis, _ = np.linalg.qr(np.column_stack([np.vander(time, TREND), creep]))
-    dwells = dwells - (dwells @ basis) @ basis.T
-    spectrum = np.abs(np.fft.rfft(dwells, PADDING * count, axis=1)) ** 2 / count
-    # A window of zero trend lets less through at low frequencies: count in units of white noise.
-    passed = np.abs(np.fft.rfft(np.eye(count) - basis @ basis.T, PADDING * count, axis=1)) ** 2
-    passed = passed.sum(axis=0) / count
-    frequency = np.fft.rfftfreq(PADDING * count, period)
-    usable = (passed > 0.3) & (frequency > 0.0)
-    frequency, spectrum = frequency[usable], spectrum[:, usable] / passed[usable]
-    # A few dwells that jump must not look like a line: powers are held to a multiple of the median.
-    typical = np.minimum(spectrum, HELD * np.median(spectrum, axis=0)).mean(axis=0)
-    background = np.array([np.median(np.delete(
-        typical[max(0, i - NEIGHBOURS * PADDING):i + NEIGHBOURS * PADDING + 1],
-        slice(max(0, min(i, NEIGHBOURS * PADDING) - PADDING),
-              min(i, NEIGHBOURS * PADDING) + PADDING + 1))) for i in range(len(typical))])
-    ratio = typical / background
-    best = int(np.argmax(ratio))
-    excess = float(max(ratio[best], 1.0))
-    effective = float(len(dwells))
-    # A mean of n exponentials: its likelihood ratio against the neighbours' level.
-    log_bayes = effective * (excess - 1.0 - np.log(excess)) - np.log(len(ratio) / PADDING) - 3.0
-    power = max(typical[best] - background[best], 0.0)
-    amplitude = float(np.sqrt(4.0 * power / count))
-    sigma = float(amplitude / np.sqrt(2.0 * effective) * excess / max(excess - 1.0, 1e-6) / 2.0)
-    total = float(np.mean(dwells**2))
-    return Vibration(float(frequency[best]), amplitude, sigma, float(min(log_bayes, 1e4)),
-                     float(min(amplitude**2 / 2.0 / max(total, 1e-300), 1.0)))
-
-
 def timing(samples: Samples, table: StopTable, columns: np.ndarray) -> Timing | None:
     """Timing of one sensor; ``columns`` (n, k) [m] are the readings' dwell means at the stops."""
-    offsets, weights, before, after, periods = [], [], 0, 0, []
-    moves = 0
+    offsets, kinds, times, firsts, onsets, faint, periods = [], [], [], [], [], [], []
+    before = after = moves = 0
     for i in range(1, len(table)):
         if table.move_ns[i] < 0 or table.run[i] != table.run[i - 1]:
             continue
@@ -118,11 +61,16 @@ def timing(samples: Samples, table: StopTable, columns: np.ndarray) -> Timing | 
         level, goal = _rest(samples, table, i - 1, k), _rest(samples, table, i, k)
         if level is None or goal is None or goal[0] == level[0]:
             continue
-        progress = (samples.values[lo:hi, k] - level[0]) / (goal[0] - level[0])
+        values = samples.values[lo:hi, k]
+        progress = (values - level[0]) / (goal[0] - level[0])
         moving = progress[(progress > 0.05) & (progress < 0.95)]
         if len(np.unique(moving)) < max(3, 0.8 * len(moving)):
             continue  # a reading that moves in steps tells no time
         noise = max(level[1], goal[1]) / abs(goal[0] - level[0])
+        # Readings in steps hide their noise where a dwell sees one step only.
+        apart = np.diff(np.unique(values[~inside]))
+        if noise < 1e-11 and len(apart) < 3:
+            noise = np.inf
         if noise > 0.01:
             continue
         cross = np.flatnonzero((progress[:-1] < 0.5) & (progress[1:] >= 0.5))
@@ -130,13 +78,25 @@ def timing(samples: Samples, table: StopTable, columns: np.ndarray) -> Timing | 
             continue
         c = cross[0]
         part = (0.5 - progress[c]) / (progress[c + 1] - progress[c])
-        rate = (progress[c + 1] - progress[c]) / (time[c + 1] - time[c])
         offsets.append(time[c] + part * (time[c + 1] - time[c]) - 0.5e-9 * duration)
-        weights.append(max(noise / rate, 1e-5) ** -2.0)
+        kinds.append((table.setup[i], table.axis[i], table.direction[i], round(duration * 1e-6)))
+        times.append(table.dwell_ns[i])
         # Real motion, not creep: beyond a thousandth of the step and far outside the noise.
         level_of_motion = max(1e-3, 8.0 * noise)
         before += bool(np.any(progress[time < 0.0] > level_of_motion))
         after += bool(np.any(progress[time > duration * 1e-9] < 1.0 - level_of_motion))
+        # Before the command the tool has rested for a dwell: there the noise alone is the limit.
+        # The last sample at rest, from the middle backwards, leaves motion that never pauses.
+        first = c + 1
+        while first > 0 and ONSET_SIGMAS * noise < progress[first - 1] < progress[first]:
+            first -= 1
+        firsts.append(time[first])
+        faint.append(noise)
+        if first < c:
+            # A jerk-limited move begins with the cube of time.
+            ratio = np.cbrt(progress[first] / progress[first + 1])
+            begin = (time[first] - ratio * time[first + 1]) / (1.0 - ratio)
+            onsets.append(np.clip(begin, time[first - 1] if first else -np.inf, time[first]))
         periods.append(np.median(np.diff(time)))
         moves += 1
     if moves < 8:
@@ -144,8 +104,40 @@ def timing(samples: Samples, table: StopTable, columns: np.ndarray) -> Timing | 
     offsets = np.array(offsets)
     middle = float(np.median(offsets))
     spread = float(np.median(np.abs(offsets - middle))) / 0.6745
-    return Timing(middle, max(1.2533 * spread / np.sqrt(moves), 1e-5), before / moves,
-                  after / moves, moves, float(np.median(periods)))
+    drift, drift_sigma = _drift(offsets, np.array(times), kinds)
+    clear = np.sort(firsts)[max(3, int(np.ceil(0.03 * moves))) - 1]
+    # Where noise hides the first part of a move, its beginning is not seen.
+    sharp = len(onsets) >= 8 and float(np.median(faint)) < FAINT
+    return Timing(middle, max(1.2533 * spread / np.sqrt(moves), 1e-5),
+                  float(np.median(onsets)) if len(onsets) else middle, sharp, before / moves,
+                  after / moves, max(0.0, -float(clear)), drift, drift_sigma, moves,
+                  float(np.median(periods)))
+
+
+def _drift(offsets: np.ndarray, times: np.ndarray, kinds: list[tuple]) -> tuple[float, float]:
+    """Change [s] of the moves' offsets over the log, and its σ, from moves of one kind compared.
+
+    What a control takes to start and to report depends on the move and not on the hour; a clock
+    that runs wrong does the opposite.
+    """
+    place = (times - times.min()) / max(float(np.ptp(times)), 1.0)
+    _, group = np.unique(np.array(kinds), axis=0, return_inverse=True)
+    group = group.ravel()
+    kept = np.ones(len(offsets), bool)
+    slope, sigma = 0.0, np.inf
+    for _ in range(4):
+        number = np.maximum(np.bincount(group[kept], minlength=group.max() + 1), 1)
+        x = place - (np.bincount(group[kept], place[kept], len(number)) / number)[group]
+        y = offsets - (np.bincount(group[kept], offsets[kept], len(number)) / number)[group]
+        free = int(kept.sum() - np.count_nonzero(np.bincount(group[kept]))) - 1
+        power = float(np.sum(x[kept] ** 2))
+        if free < 8 or power < 1e-6:
+            return 0.0, np.inf
+        slope = float(np.sum(x[kept] * y[kept])) / power
+        rest = y - slope * x
+        sigma = float(np.sqrt(np.sum(rest[kept] ** 2) / free / power))
+        kept = np.abs(rest) < 5.0 * max(float(np.median(np.abs(rest))) / 0.6745, 1e-7)
+    return slope, sigma
 
 
 def steps(samples: Samples, table: StopTable, rows: np.ndarray) -> np.ndarray:

@@ -8,6 +8,7 @@ by group, and its tails with those of the normal distribution.
 import numpy as np
 from scipy import stats
 
+from stepdiag_ros.gap.evidence import log_mean
 from stepdiag_ros.gap.joint import Joint, unexplained
 
 TAIL = 4.5
@@ -16,12 +17,77 @@ LEAST = 24
 """Fewest residuals of a group that is judged."""
 
 
+SHARES = np.array([0.02, 0.05, 0.1, 0.2, 0.4, 1.0])
+"""Shares of arrivals that may be off, all others being as good as the noise says …"""
+SPREADS = np.logspace(-0.3, 3.0, 16)
+"""… and sizes, in standard deviations of an arrival, of what is off."""
+LEVELS = np.geomspace(0.3, 1.2, 12)
+"""What of the noise the other arrivals may have: repeats that are off now and then have raised it."""
+
+
+def stray_arrivals(joint: Joint, rest: np.ndarray | None = None) -> tuple[float, str]:
+    """Log evidence that an axis's arrivals are off by a random amount until the next move, and the axis in words.
+
+    Noise of an arrival stays until its axis moves again; what a next move of another axis shakes loose
+    does not, and has no pattern: each stop of the axis is one more unknown.  Their scores, made white in
+    parity space, are standard normal, or for a share q of the stops s times as wide, to both sides or to
+    one; that mixture is weighed against noise alone, averaged over q and s.
+    ``rest`` (N,): white residuals to judge, else what the active effects leave.
+    """
+    space, view = joint.parity, joint.observation.view
+    rest = unexplained(space, joint.active) if rest is None else rest
+    data = rest[:space.stops]
+    found: dict[str, dict[str, float]] = {'off': {}, 'short': {}, 'too far': {}}
+    for axis, letter in enumerate('XYZ'):
+        mine = np.flatnonzero((view.axis == axis) & (view.approach[:, axis] != 0))
+        if len(mine) < LEAST:
+            continue
+        columns = np.zeros((len(mine), *view.reading.shape))
+        columns[np.arange(len(mine)), mine] = \
+            view.by_shift[axis][mine] * view.approach[mine, axis, None]
+        white = space.white_part(columns)
+        norm = np.linalg.norm(white, axis=0)
+        white = white / norm
+        lost = space.absorbed(white)
+        value, vector = np.linalg.eigh(white.T @ white - lost.T @ lost)
+        kept = value > 0.1
+        # Neighbours share a part of their patterns; the symmetric root keeps each score at its stop.
+        root = vector[:, kept] / np.sqrt(value[kept])
+        score = root @ (vector[:, kept].T @ (white.T @ data))
+        for side, words in ((0.0, 'off'), (-1.0, 'short'), (1.0, 'too far')):
+            found[words][letter] = _mixture(score, side)
+    worst = (0.0, '')
+    for words, axes in found.items():
+        groups = {**axes, 'all axes': sum(axes.values())}
+        for which, evidence in groups.items():
+            worst = max(worst, (evidence - np.log(3.0 * len(groups)),
+                                f'arrivals of {which} are {words} by a random amount until the next move'))
+    return worst
+
+
+def _mixture(score: np.ndarray, side: float) -> float:
+    """Log evidence of a wide part in normal scores, two-sided (0) or of one sign."""
+    wide = SPREADS**2
+    logs = []
+    for level in LEVELS:
+        z = score / level
+        alone = -0.5 * z**2 - np.log(level)
+        ratio = -0.5 * np.log1p(wide)[:, None] + 0.5 * (wide / (1.0 + wide))[:, None] * z**2
+        if side:
+            ratio = ratio + np.log(2.0) + stats.norm.logcdf(
+                side * z * np.sqrt(wide / (1.0 + wide))[:, None])
+        quiet = np.log(np.maximum(1.0 - SHARES, 1e-300))[:, None, None]
+        mixed = np.logaddexp(quiet, np.log(SHARES)[:, None, None] + ratio)
+        logs.append(log_mean((alone + mixed).sum(axis=2).ravel()))
+    return log_mean(logs) + float(np.sum(0.5 * score**2))
+
+
 def excess_scatter(joint: Joint) -> tuple[float, str]:
     """Log evidence for more scatter than noise in the worst group, and that group in words."""
     space, table = joint.parity, joint.observation.table
     rest = unexplained(space, joint.active)
     beams = joint.fit.model.beams
-    worst: list[tuple[float, str]] = [(0.0, '')]
+    worst: list[tuple[float, str]] = [(0.0, ''), stray_arrivals(joint, rest)]
     for part, what, dof in ((slice(0, space.stops), 'the stops', space.dof[0]),
                             (slice(space.stops, None), 'the samples inside the dwells', space.dof[1])):
         values, channel, row = rest[part], space.channel[part], space.row[part]

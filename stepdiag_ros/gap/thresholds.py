@@ -29,13 +29,25 @@ TEMPER = 1.0
 """Factor on log evidence before it becomes odds."""
 CONFUSED = 3.0
 """Sets closer than this in log evidence (odds of 20) cannot be told apart."""
-VIBRATION_ALARM = 8.0
-"""Least log evidence of a spectral line."""
+VIBRATION_ALARM = 6.0
+"""Least log evidence of lines in the dwells' spectrum; white noise passes it about once in 10⁵ logs."""
+BACKGROUND_ALARM = 12.0
+"""Least log evidence of smooth noise inside the dwells beyond white."""
+LEAST_GROWTH = 0.75
+"""Exponent with which the power of moving air grows with the path is 1 or more, that of shaking 0 …"""
+GROWTH_SIGMAS = 5.0
+"""… and it must be seen by so many standard deviations."""
 SCATTER_ALARM = 12.0
 """Least log evidence of scatter beyond the noise in any group of readings."""
 CLOCK_SIGMAS = 6.0
 """An offset of stamps must exceed this many of its standard deviations …"""
 LEAST_CLOCK_S = 2.5e-3
 """… and this, what controls take to report in position."""
+LEAST_SOONER_S = 1e-3
+"""Motion seen longer than this before its command was published is no motion of this clock."""
+DRIFT_SIGMAS = 8.0
+"""A change of an offset in the course of the log must exceed this many of its standard deviations …"""
+LEAST_DRIFT_S = 2e-4
+"""… and this, what a warm control or a disciplined clock may change in an hour."""
 LEAST_SHARE = 0.01
 """Cells with less of the excess than this are not named."""

@@ -1,49 +1,74 @@
-"""What single samples show: a line in the spectrum, clocks that disagree, readings in steps."""
+"""What single samples show of clocks that disagree, and readings in steps."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from stepdiag_ros.effects import effect_class
 from stepdiag_ros.estimate.reduce import reduce_log
-from stepdiag_ros.gap.inside import steps, timing, vibration
+from stepdiag_ros.gap.diagnose import _skew
+from stepdiag_ros.gap.inside import steps, timing
 
 
 def _seen(log):
     table = reduce_log(log)
-    return vibration(log, table), timing(log.displacement, table, table.displacement)
+    return timing(log.displacement, table, table.displacement)
 
 
-def test_a_quiet_log_shows_neither(case):
-    shaking, clock = _seen(case.log())
-    assert shaking.log_bayes < 5.0
+def _stamped(samples, offset_s, drift_s=0.0):
+    """Samples whose stamps are late by an offset that grows by a drift in the course of the log."""
+    place = (samples.time_ns - samples.time_ns[0]) / np.ptp(samples.time_ns)
+    late = np.rint(1e9 * (offset_s + drift_s * place)).astype(np.int64)
+    return replace(samples, time_ns=samples.time_ns + late)
+
+
+def _clocks(log):
+    table = reduce_log(log)
+    return {'interferometer': timing(log.displacement, table, table.displacement),
+            'psd': timing(log.spot, table, table.spot)}
+
+
+def test_a_quiet_log_shows_nothing(case):
+    clock = _seen(case.log())
     # The control reports in position only after the axis has settled: the middle is seen early, never before
     # the command.
     assert abs(clock.offset) < 0.05 and clock.before == 0.0 and clock.after == 0.0
+    assert clock.sooner == 0.0 and abs(clock.drift) < 5.0 * clock.drift_sigma
+    assert _skew(_clocks(case.log())) == {}
 
 
-def test_a_line_is_found_where_it_is(case):
+def test_both_sensors_early_show_motion_before_the_command(case):
     log = case.log()
-    values = log.displacement.values + 4e-8 * np.sin(
-        2 * np.pi * 9.0 * (log.displacement.time_ns - log.displacement.time_ns[0]) * 1e-9)[:, None]
-    shaking, _ = _seen(replace(log, displacement=replace(log.displacement, values=values)))
-    assert shaking.log_bayes > 100.0
-    assert shaking.frequency == pytest.approx(9.0, abs=0.7)
-    assert shaking.amplitude == pytest.approx(4e-8, rel=0.25)
+    early = replace(log, displacement=_stamped(log.displacement, -0.03),
+                    spot=_stamped(log.spot, -0.03))
+    seen = _skew(_clocks(early))
+    assert seen['interferometer'].offset == pytest.approx(-0.03, abs=8e-3)
 
 
-def test_settling_is_not_taken_for_vibration(case):
-    shaking, _ = _seen(case.log(effect_class('servo_settling')(amp=5e-6, tau=0.15)))
-    assert shaking.log_bayes < 8.0
+def test_a_clock_that_runs_wrong_shows_although_late_alone_would_not(case):
+    log = case.log()
+    late = replace(log, displacement=_stamped(log.displacement, 0.01),
+                   spot=_stamped(log.spot, 0.01))
+    assert _skew(_clocks(late)) == {}  # a control that begins late looks the same
+    wrong = replace(log, displacement=_stamped(log.displacement, 0.01, 2e-3),
+                    spot=_stamped(log.spot, 0.01, 2e-3))
+    assert _skew(_clocks(wrong))['interferometer'].drift == pytest.approx(2e-3, rel=0.3)
+
+
+def test_the_sensor_that_is_off_is_named(case):
+    log = case.log()
+    for sensor, channel in (('interferometer', 'displacement'), ('psd', 'spot')):
+        late = replace(log, **{channel: _stamped(getattr(log, channel), 0.06)})
+        seen = _skew(_clocks(late))
+        assert list(seen) == [sensor]
+        assert seen[sensor].offset == pytest.approx(0.06, abs=0.01)
 
 
 @pytest.mark.parametrize('offset', [-0.08, 0.05])
 def test_stamps_that_are_off_are_measured(case, offset):
     log = case.log()
     late = replace(log.displacement, time_ns=log.displacement.time_ns + round(offset * 1e9))
-    _, clock = _seen(replace(log, displacement=late))
-    _, plain = _seen(log)
+    clock, plain = _seen(replace(log, displacement=late)), _seen(log)
     assert clock.offset - plain.offset == pytest.approx(offset, abs=3e-3)
 
 
