@@ -30,3 +30,5 @@ LEAST_CLOCK_S = 2.5e-3
 """… and this, what controls take to report in position."""
 LEAST_SHARE = 0.01
 """Cells with less of the excess than this are not named."""
+CELL_SIGMAS = 3.0
+"""… nor those whose excess noise alone could make, within this many standard deviations."""
