@@ -1,9 +1,9 @@
 """How far the gap closes on runs that took no part in the fit.
 
-All but the last repeat are fitted, with and without the effects; the last repeat is foretold.  Both
-are linear at the joint fit.  A forecast is judged with its own uncertainty: the noise of the runs
-foretold and that of what was fitted.  The reset of a run that was not fitted is not known and is
-given free.
+All repeats but one are fitted, with and without the effects, and that one is foretold; each repeat has
+its turn, for what one repeat's noise leaves open of a small gap the others settle.  Fits are linear at the
+joint fit.  A forecast is judged with its own uncertainty: the noise of the runs foretold and that of
+what was fitted.  The reset of a run that was not fitted is not known and is given free.
 """
 
 from dataclasses import dataclass
@@ -51,61 +51,62 @@ def noise_floor(joint: Joint) -> float:
 
 
 def closing(joint: Joint) -> Closing:
-    """Fit on the earlier repeats, foretell the last."""
+    """Fit on all repeats but one and foretell that one, each in turn."""
     table = joint.observation.table
-    held, name = _held_out(table)
+    parts, name = _held_out(table)
     # Whiteners are one a run: rows of a run stay together on either side.
-    white, flags = joint.parity._white, []
+    white = joint.parity._white
     channels = joint.fit.residual.shape[1]
-    jacobian_all = joint.fit.jacobian.toarray()
     readings = np.concatenate([table.displacement, table.spot], axis=1)
-    residual_all = np.where(joint.fit.present, readings - joint.fit.model.predict(joint.fit.theta),
-                            0.0).ravel()
+    residual = np.where(joint.fit.present, readings - joint.fit.model.predict(joint.fit.theta),
+                        0.0).ravel()
     effects = [a.form.columns.reshape(len(a.form.columns), -1).T * a.form.scale
                for a in joint.active]
-    columns_all = np.concatenate(effects, axis=1) if effects else np.zeros((len(residual_all), 0))
-    parts = []
-    for w in white:
-        flags.append(np.full(len(w.rows), held[w.rows[0] // channels]))
-        parts.append((w(jacobian_all), w(residual_all), w(columns_all)))
-    flag = np.concatenate(flags)
-    jacobian, residual, columns = (np.concatenate(p) for p in zip(*parts, strict=True))
+    columns = np.concatenate(effects, axis=1) if effects else np.zeros((len(residual), 0))
+    stop = np.concatenate([w.rows for w in white]) // channels
+    jacobian_white, residual_white, columns_white = (
+        np.concatenate([w(values) for w in white])
+        for values in (joint.fit.jacobian.toarray(), residual, columns))
     precision = joint.fit.precision.copy()
     offsets = np.arange(joint.fit.parameters.offset_first, joint.fit.parameters.size)
     precision[offsets, offsets] = RESET_WIDTH_M**-2.0
-    resets = len(np.unique(table.run[held])) * joint.fit.model.beams
-    resets = resets if np.isfinite(table.displacement[held]).any() else 0
-    before = _forecast(jacobian, residual, flag, precision, resets)
+    designs = [(jacobian_white, precision)]
     if columns.shape[1]:
-        both = np.concatenate([jacobian, columns], axis=1)
-        wide = linalg.block_diag(precision, np.diag(widths(a.form for a in joint.active) ** -2.0))
-        after = _forecast(both, residual, flag, wide, resets)
-    else:
-        after = before
+        free = widths(a.form for a in joint.active)
+        designs.append((np.concatenate([jacobian_white, columns_white], axis=1),
+                        linalg.block_diag(precision, np.diag(free ** -2.0))))
+    total, freedom, count = np.zeros(len(designs)), 0, 0
+    for held in parts:
+        flag = held[stop]
+        resets = len(np.unique(table.run[held])) * joint.fit.model.beams
+        resets = resets if np.isfinite(table.displacement[held]).any() else 0
+        total += [_forecast(design, residual_white, flag, known) for design, known in designs]
+        freedom += int(flag.sum()) - resets
+        count += int(flag.sum())
+    before, after = (total / max(freedom, 1))[[0, -1]]
     floor = noise_floor(joint)
-    return Closing(before, after, int(flag.sum()), name,
+    return Closing(float(before), float(after), count, name,
                    floor * np.sqrt(before), floor * np.sqrt(after), floor)
 
 
-def _held_out(table) -> tuple[np.ndarray, str]:
-    """Mask (n,) of the stops held out, whole runs; and their name."""
-    last = table.repeat.max()
-    if last > table.repeat.min():
-        held = table.repeat == last
+def _held_out(table) -> tuple[list[np.ndarray], str]:
+    """Masks (n,) of the stops held out in turn, whole runs; and their name."""
+    repeats = np.unique(table.repeat)
+    if len(repeats) > 1:
         # One run may hold several repeats (an imported log): it cannot be split.
-        whole = all(len(np.unique(held[table.run == run])) == 1 for run in np.unique(table.run))
+        whole = all(len(np.unique(table.repeat[table.run == run])) == 1 for run in np.unique(table.run))
         if whole:
-            return held, f'repeat {int(last)} of every setup'
+            return [table.repeat == repeat for repeat in repeats], 'each repeat in turn, foretold from the others'
     runs = np.unique(table.run)
     if len(runs) > 1:
         chosen = runs[len(runs) // 2:][::2] if len(runs) > 3 else runs[-1:]
-        return np.isin(table.run, chosen), 'runs ' + ', '.join(table.run_ids[r] for r in chosen)
-    return np.ones(len(table), bool), 'none: the log is one run'
+        return [np.isin(table.run, chosen)], 'runs ' + ', '.join(table.run_ids[r] for r in chosen)
+    return [np.ones(len(table), bool)], 'none: the log is one run'
 
 
 def _forecast(design: np.ndarray, residual: np.ndarray, held: np.ndarray,
-              precision: np.ndarray, resets: int) -> float:
-    """Reduced χ² of the held-out rows foretold from the others; each of their resets takes one freedom."""
+              precision: np.ndarray) -> float:
+    """χ² of the held-out rows foretold from the others."""
     train = ~held
     normal = design[train].T @ design[train] + precision
     scale = 1.0 / np.sqrt(np.diag(normal))
@@ -115,4 +116,4 @@ def _forecast(design: np.ndarray, residual: np.ndarray, held: np.ndarray,
     spread = design[held] * scale
     predicted = np.eye(held.sum()) + spread @ linalg.cho_solve(factor, spread.T)
     white = linalg.solve_triangular(linalg.cholesky(predicted, lower=True), left, lower=True)
-    return float(white @ white / max(int(held.sum()) - resets, 1))
+    return float(white @ white)

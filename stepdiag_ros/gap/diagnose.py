@@ -167,7 +167,7 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
     verdict = _verdict(found, leftover)
     groups = _confused(sets, best)
     forms = {m.effect: screen.candidates[m.candidate].form for s in sets for m in s.members}
-    return Diagnosis(log, verdict, how_far, shares(joint, observation, found), tuple(found),
+    return Diagnosis(log, verdict, how_far, shares(joint, found, bool(leftover)), tuple(found),
                      {**names, 'nothing': nothing},
                      tuple((s.names, w) for s, w in zip(sets, weights, strict=True))[:20],
                      groups, observation, joint, clocks, samples.displacement, leftover,

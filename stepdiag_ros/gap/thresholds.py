@@ -51,3 +51,5 @@ LEAST_DRIFT_S = 2e-4
 """… and this, what a warm control or a disciplined clock may change in an hour."""
 LEAST_SHARE = 0.01
 """Cells with less of the excess than this are not named."""
+CELL_SIGMAS = 3.0
+"""… nor those whose excess noise alone could make, within this many standard deviations."""

@@ -1,8 +1,11 @@
 """Where the gap lies: shares of the excess by channel and setup, with axis and direction where they matter.
 
-The excess is what the effects put into parity space; where none was named, what the residual has above
-its expectation.  A cell is split by the axis that moved or the direction of the run only if nearly all
-of it lies in one of them: the smallest description that covers most.
+The excess is what a user sees after the nominal fit: what the effects add to the readings less
+what machine, misalignments and resets take of it, in units of each reading's own noise and freed of the
+noise that the effects' coefficients carry.  Parity space would not do: its rows are white mixtures of the
+readings of a run.  Where no effect was named, the excess is what the residuals have above their
+expectation; where the stops' means show nothing, what happens inside the dwells.  A cell is split by
+the axis that moved or the direction of the run only if nearly all of it lies in one of them.
 """
 
 from collections.abc import Sequence
@@ -10,12 +13,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from stepdiag_ros.gap.evidence import SIZES
 from stepdiag_ros.gap.joint import Joint, unexplained
-from stepdiag_ros.gap.observe import Observation
-from stepdiag_ros.gap.thresholds import LEAST_SHARE
+from stepdiag_ros.gap.thresholds import CELL_SIGMAS, LEAST_SHARE
 
 CONCENTRATED = 0.85
 """Share of a cell in one axis or direction from which it is said."""
+CHANNELS = ('displacement', 'spot_x', 'spot_y')
 
 
 @dataclass(frozen=True)
@@ -34,36 +38,102 @@ class Share:
         return {key: value for key, value in full.items() if value is not None}
 
 
-def shares(joint: Joint, observation: Observation, found: Sequence) -> tuple[Share, ...]:
-    """Cells that hold at least a few percent of the excess, largest first."""
-    space, table = joint.parity, joint.observation.table
-    rest = unexplained(space, joint.active)
-    explained = space.data - rest
-    if not found and not joint.active:
+def shares(joint: Joint, found: Sequence, leftover: bool) -> tuple[Share, ...]:
+    """Cells that hold more than noise and at least a few percent of the excess, largest first.
+
+    ``found``: the effects named, ``leftover``: whether something without a name is left.
+    """
+    if not found and not leftover and not joint.active:
         return ()
-    excess = explained**2
-    if not joint.active:
-        # Only shaking or a clock was found: the excess is what the bins show.
-        excess = np.maximum(rest**2 - 1.0, 0.0)
+    table, beams = joint.observation.table, joint.fit.model.beams
+    axis = np.array([{0: 'X', 1: 'Y', 2: 'Z'}.get(int(a)) for a in table.axis], dtype=object)
+    excess = excess_of(joint, leftover)
     total = float(excess.sum())
-    if total <= 0.0:
-        return ()
-    beams = joint.fit.model.beams
-    channel = np.array(['displacement'] * beams + ['spot_x', 'spot_y'])[space.channel]
-    setup = np.array(table.setup_names, dtype=object)[table.setup][space.row]
-    axis = np.array([{0: 'X', 1: 'Y', 2: 'Z'}.get(int(a)) for a in table.axis],
-                    dtype=object)[space.row]
-    direction = table.direction[space.row]
     result = []
-    for c in ('displacement', 'spot_x', 'spot_y'):
-        for s in table.setup_names:
-            cell = (channel == c) & (setup == s)
-            mass = float(excess[cell].sum())
-            if mass < LEAST_SHARE * total:
-                continue
-            result.append(Share(c, s, _only(axis[cell], excess[cell]),
-                                _only(direction[cell], excess[cell]), mass / total))
+    for channel, columns in zip(CHANNELS, (slice(0, beams), slice(beams, beams + 1),
+                                           slice(beams + 1, None)), strict=True):
+        for number, setup in enumerate(table.setup_names):
+            rows = table.setup == number
+            cell = excess[rows, columns].sum(axis=1)
+            if cell.sum() > LEAST_SHARE * total:
+                result.append(Share(channel, setup, _only(axis[rows], cell),
+                                    _only(table.direction[rows], cell), float(cell.sum()) / total))
     return tuple(sorted(result, key=lambda r: -r.share))
+
+
+def excess_of(joint: Joint, leftover: bool = False) -> np.ndarray:
+    """Excess variance of each reading (n, c), in units of its own noise; 0 in cells that hold only noise."""
+    excess = _of_effects(joint) if joint.active else np.zeros(joint.fit.residual.shape)
+    if leftover or not joint.active:
+        excess = excess + _of_residuals(joint)
+    return excess if excess.any() else _inside(joint)
+
+
+def _of_effects(joint: Joint) -> np.ndarray:
+    """What the effects add and the fit leaves, squared, less the part that their uncertainty makes."""
+    space, result, shape = joint.parity, joint.fit, joint.fit.residual.shape
+    columns = np.concatenate([a.form.columns * a.form.scale[:, None, None] for a in joint.active])
+    size = np.concatenate([a.coefficients / a.form.scale for a in joint.active])
+    seen = np.concatenate([space.project(a.form) for a in joint.active], axis=1)
+    spread = np.linalg.inv(seen.T @ seen + np.eye(len(size)) / SIZES[-1] ** 2)
+    # The unknowns follow a change of the coefficients by (JᵀJ + P)⁻¹ JᵀB; what they cannot follow is left.
+    jacobian = result.jacobian.toarray()
+    white = np.concatenate([w(jacobian) for w in space._white])
+    follow = np.linalg.solve(white.T @ white + result.precision, white.T @ space.white_part(columns))
+    left = columns.reshape(len(size), -1).T - jacobian @ follow
+    left = np.where(result.present.ravel(), 1.0, 0.0)[:, None] * left / _sigma(joint).ravel()[:, None]
+    excess = ((left @ size)**2 - np.einsum('rk,kl,rl->r', left, spread, left, optimize=True)).reshape(shape)
+    factor = np.linalg.cholesky(spread)
+
+    def scatter(rows: np.ndarray) -> float:
+        # Of a sum of squares of what is noise alone: twice the sum of its squared eigenvalues.
+        cell = left[rows] @ factor
+        return float(np.sqrt(2.0 * np.sum((cell.T @ cell)**2)))
+
+    return _significant(joint, excess, scatter)
+
+
+def _of_residuals(joint: Joint) -> np.ndarray:
+    """What the residuals of the fit have above their expectation."""
+    result = joint.fit
+    jacobian, sigma = result.jacobian.toarray(), _sigma(joint).ravel()
+    taken = np.einsum('rk,kl,rl->r', jacobian, result.covariance, jacobian, optimize=True) / sigma**2
+    residual = np.where(result.present, result.residual, 0.0).ravel() / sigma
+    expected = np.where(result.present.ravel(), np.clip(1.0 - taken, 0.0, 1.0), 0.0)
+    excess = (residual**2 - expected).reshape(result.residual.shape)
+    return _significant(joint, excess, lambda rows: float(np.sqrt(2.0 * np.sum(expected[rows]**2))))
+
+
+def _inside(joint: Joint) -> np.ndarray:
+    """What the dwells' insides show (n, c): squares of the effects' part, or above noise."""
+    space, result = joint.parity, np.zeros(joint.fit.residual.shape)
+    rest = unexplained(space, joint.active)[space.stops:]
+    seen = space.data[space.stops:] - rest
+    np.add.at(result, (space.row[space.stops:], space.channel[space.stops:]),
+              seen**2 if seen.any() else np.maximum(rest**2 - 1.0, 0.0))
+    return result
+
+
+def _significant(joint: Joint, excess: np.ndarray, scatter) -> np.ndarray:
+    """The excess (n, c) without the cells (channel, setup) that noise alone could make.
+
+    ``scatter``: standard deviation of a cell's sum by noise alone, from the flat numbers of its readings.
+    """
+    setup, channels = joint.observation.table.setup, excess.shape[1]
+    kept = np.zeros_like(excess)
+    for number in np.unique(setup):
+        for c in range(channels):
+            rows = np.flatnonzero(setup == number)
+            if excess[rows, c].sum() > CELL_SIGMAS * scatter(rows * channels + c):
+                kept[rows, c] = excess[rows, c]
+    return kept
+
+
+def _sigma(joint: Joint) -> np.ndarray:
+    """Standard deviation (n, c) [m] of each reading by itself, arrival errors included."""
+    noise, arrival = joint.noise, joint.fit.arrival
+    return np.sqrt(noise.sensor**2 + noise.angle**2 * np.sum(arrival[:2]**2, axis=0)
+                   + noise.position**2 * np.sum(arrival[2:]**2, axis=0))
 
 
 def _only(labels: np.ndarray, excess: np.ndarray):

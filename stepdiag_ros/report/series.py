@@ -9,6 +9,7 @@ from stepdiag_ros.estimate.noise import whiteners
 from stepdiag_ros.gap.diagnose import Diagnosis
 from stepdiag_ros.gap.joint import unexplained
 from stepdiag_ros.gap.thresholds import LEAST_SHARE
+from stepdiag_ros.gap.where import excess_of
 
 CHANNELS = ('displacement', 'spot_x', 'spot_y')
 
@@ -115,24 +116,24 @@ def share_map(diagnosis: Diagnosis) -> Shares | None:
     space = joint.parity
     if diagnosis.verdict == 'no_gap':
         return None
-    rest = unexplained(space, joint.active)
-    excess = (space.data - rest) ** 2
-    if not joint.active:
-        excess = np.maximum(rest**2 - 1.0, 0.0)
+    excess = excess_of(joint, bool(diagnosis.leftover))
     total = float(excess.sum())
     if total <= 0.0:
         return None
     beams = joint.fit.model.beams
-    channel = np.maximum(space.channel - beams + 1, 0)
+    channel = np.maximum(np.arange(excess.shape[1]) - beams + 1, 0)
     excess = excess / total
     cells = np.zeros((3, len(table.setup_names)))
-    np.add.at(cells, (channel, table.setup[space.row]), excess)
-    moved = table.axis[space.row]
-    axis = {letter: float(excess[moved == k].sum()) for k, letter in enumerate('XYZ')}
+    np.add.at(cells, (channel[None, :], table.setup[:, None]), excess)
+    stops = excess.sum(axis=1)
+    axis = {letter: float(stops[table.axis == k].sum()) for k, letter in enumerate('XYZ')}
     axis['first stop of a run'] = max(0.0, 1.0 - sum(axis.values()))
-    way = table.direction[space.row]
-    direction = {'forward': float(excess[way > 0].sum()), 'backward': float(excess[way < 0].sum())}
-    inside = float(excess[space.stops:].sum())
+    direction = {'forward': float(stops[table.direction > 0].sum()),
+                 'backward': float(stops[table.direction < 0].sum())}
+    # Whether at rest or moving is a matter of what is seen best: of parity space.
+    rest = unexplained(space, joint.active)
+    seen = (space.data - rest) ** 2 if joint.active else np.maximum(rest**2 - 1.0, 0.0)
+    inside = float(seen[space.stops:].sum() / max(seen.sum(), 1e-300))
     return Shares(cells, axis, direction, {'between stops (means)': 1.0 - inside,
                                            'inside the stops (while standing still)': inside})
 

@@ -76,7 +76,7 @@ def test_page_says_what_is_wrong(backlash_page):
     text = backlash_page.text
     for said in ('depending on the direction it came from', 'Backlash (lost motion on reversal)',
                  'practically certain', 'ball screw', 'noise floor', 'laser', 'EXX', 'a <note>', 'How this was judged',
-                 'repeat 1 of every setup'):
+                 'each repeat in turn'):
         assert said in text, said
     assert re.search(r'X 3\.\d|X 4\.\d', text)
     assert 'µm' in text and ' m)' not in text

@@ -1,0 +1,49 @@
+"""Where the gap lies: against what the virtual cell says without noise."""
+
+import numpy as np
+import pytest
+
+from stepdiag_ros.blind.visibility import Yardstick
+from stepdiag_ros.effects import effect_class
+from stepdiag_ros.gap.where import shares
+
+
+@pytest.mark.parametrize(('name', 'values'), [
+    ('backlash', {'B': [4e-6, 0.0, 3e-6]}),
+    ('psd_rotation', {'angle': 0.05}),
+])
+def test_shares_are_those_of_the_difference_without_noise(case, name, values):
+    effect = effect_class(name)(**values)
+    yardstick = Yardstick(case.cell, case.log())
+    true: dict = {}
+    for entry in yardstick.shares(yardstick.change(case.log(effect))):
+        key = entry['channel'], entry['setup']
+        true[key] = true.get(key, 0.0) + entry['share']
+    found = case.diagnose(effect)
+    said = {(s.channel, s.setup): s.share for s in found.shares}
+    assert sum(said.values()) == pytest.approx(1.0, abs=0.05)
+    for key in {*true, *said}:
+        assert said.get(key, 0.0) == pytest.approx(true.get(key, 0.0), abs=0.05), key
+
+
+def test_cells_that_hold_only_noise_are_left_out(case):
+    found = case.diagnose(effect_class('psd_zero_offset')(x=2e-4, y=0.0))
+    assert found.shares and all(s.channel.startswith('spot') for s in found.shares)
+
+
+def test_nothing_is_said_where_nothing_was_found(case):
+    null = case.diagnose()
+    assert shares(null.joint, (), False) == ()
+
+
+def test_residuals_say_where_something_without_a_name_lies(case):
+    from dataclasses import replace
+    joint = case.diagnose().joint
+    table = joint.observation.table
+    residual = joint.fit.residual.copy()
+    rows = np.flatnonzero(table.setup == 1)[::3]
+    residual[rows, 1] += 5e-6
+    broken = replace(joint, observation=replace(joint.observation, fit=replace(joint.fit, residual=residual)))
+    largest = shares(broken, (), True)[0]
+    assert (largest.channel, largest.setup) == ('spot_x', table.setup_names[1])
+    assert largest.share > 0.9
