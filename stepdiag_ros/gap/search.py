@@ -20,6 +20,7 @@ from stepdiag_ros.gap.thresholds import (
     MISFIT,
     MISFIT_MOST,
     STOP_SUPPORT,
+    UNKNOWN_DOUBT,
 )
 from stepdiag_ros.gap.unknown import NAME as UNKNOWN
 
@@ -286,7 +287,7 @@ def _held_to_names(screen: Screen, sets: list[EffectSet]) -> list[EffectSet]:
 
     No form is quite right; where an effect is gross, what its form leaves is far above the noise and
     nameless patterns, which can take any shape, explain that too.  A name holds as long as it explains all
-    but ``FORM_ERROR`` of what they do.
+    but ``FORM_ERROR`` of what they do.  Lean patterns from physics may err as little as a name.
     """
     named = max((s for s in sets if s.members and UNKNOWN not in s.key), key=lambda s: s.log_bayes,
                 default=None)
@@ -294,7 +295,8 @@ def _held_to_names(screen: Screen, sets: list[EffectSet]) -> list[EffectSet]:
         return sets
     most = _reach(screen, named) / (1.0 - FORM_ERROR)
     return [replace(s, log_bayes=named.log_bayes)
-            if UNKNOWN in s.key and s.log_bayes > named.log_bayes and _reach(screen, s) < most else s
+            if any(m.effect == UNKNOWN and m.doubt >= UNKNOWN_DOUBT for m in s.members)
+            and s.log_bayes > named.log_bayes and _reach(screen, s) < most else s
             for s in sets]
 
 
