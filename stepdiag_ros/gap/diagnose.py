@@ -135,8 +135,7 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
     observation = observe(log)
     log, observation, clocks, late = _set_clocks(log, observation)
     samples = unrest(log, observation.table, observation.view.distance.mean(axis=1))
-    if samples.boils:
-        observation = _with_air(observation, samples)
+    observation = _with_unrest(observation, samples)
     joint, sets, screen = _settle(observation, effects)
     best = sets[0] if sets[0].log_bayes > ALARM else EffectSet((), 0.0)
     names, nothing, weights = probabilities(sets, len(effects) + 1, TEMPER)
@@ -180,14 +179,24 @@ def _noise(observation: Observation):
                           observation.fit.arrival)
 
 
-def _with_air(observation: Observation, samples: Unrest) -> Observation:
-    """The observation with moving air as noise of the displacement: else effects would be fitted to it."""
+def _with_unrest(observation: Observation, samples: Unrest) -> Observation:
+    """The observation with what shakes or boils as noise of the displacement: else effects would be fitted
+    to it.  Shaking hardly moves a dwell's mean; moving air does."""
     table, beams = observation.table, observation.fit.model.beams
-    air = samples.variance[:, None]
+    scatter = table.displacement_scatter
+    if samples.boils:
+        more = samples.variance[:, None]
+        scatter = np.sqrt(scatter**2
+                          + AIR_IN_MEANS * more * np.maximum(table.displacement_count, 1)[:, None])
+    elif samples.shakes:
+        length = float(np.median(table.done_ns - table.dwell_ns)) * 1e-9
+        bins = observation.bins.shape[1]
+        # A line fills no more than two of the bins' contrasts, with all its power.
+        more = samples.displacement.variance(length / bins) * bins / 2.0
+    else:
+        return observation
     sigma = observation.bin_sigma.copy()
-    sigma[:, :beams] = np.sqrt(sigma[:, :beams] ** 2 + air)
-    scatter = np.sqrt(table.displacement_scatter**2
-                      + AIR_IN_MEANS * air * np.maximum(table.displacement_count, 1)[:, None])
+    sigma[:, :beams] = np.sqrt(sigma[:, :beams] ** 2 + more)
     return replace(observation, bin_sigma=sigma, table=replace(table, displacement_scatter=scatter))
 
 

@@ -53,7 +53,7 @@ SIZES = np.logspace(-2.5, 5.5, 33)
 class Vibration:
     """Lines in the dwells' spectrum: ``frequency`` [Hz] of the strongest (as sampled: it may be an alias),
     its ``amplitude`` and ``sigma`` [m]; ``log_bayes`` of ``lines`` lines against a smooth spectrum;
-    ``share`` of them in the dwells' variance."""
+    ``share`` of them in the dwells' variance; ``powers`` [m²]: variance of each line in one sample."""
 
     frequency: float
     amplitude: float
@@ -61,6 +61,11 @@ class Vibration:
     log_bayes: float
     share: float
     lines: tuple[float, ...] = ()
+    powers: tuple[float, ...] = ()
+
+    def variance(self, length: float) -> float:
+        """Variance [m²] that the lines bring into means over ``length`` [s]."""
+        return sum(p * np.sinc(f * length) ** 2 for f, p in zip(self.lines, self.powers, strict=True))
 
 
 @dataclass(frozen=True)
@@ -267,7 +272,7 @@ def find_lines(dwells: Dwells) -> tuple[Vibration | None, float]:
     share = min(sum(powers) * size / max(float(np.trace(moment)), 1e-300), 1.0)
     return Vibration(float(cycles[k] / dwells.length), amplitude, float(sigma),
                      float(min(best - null, 1e4)), float(share),
-                     tuple(float(cycles[i] / dwells.length) for i in lines)), null - plain
+                     tuple(float(cycles[i] / dwells.length) for i in lines), powers), null - plain
 
 
 def _background(inner: np.ndarray, moment: np.ndarray, count: int) -> tuple[float, float]:
