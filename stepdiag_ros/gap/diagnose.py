@@ -30,7 +30,6 @@ from stepdiag_ros.gap.thresholds import (
     BEYOND_DOUBT,
     CLOCK_SIGMAS,
     CONFUSED,
-    DECOY_DOUBT,
     DRIFT_SIGMAS,
     FORM_ERROR,
     LEAST_CLOCK_S,
@@ -152,10 +151,8 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
         found.append(_shaking(effects, samples.displacement))
         names = {**names, 'vibration': found[-1].probability}
     found = sorted(found, key=lambda f: -f.probability)
-    leftover = ''
-    for member in best.members:
-        if member.effect == UNKNOWN:
-            leftover = screen.candidates[member.candidate].form.label
+    # Of several patterns the first explains the most.
+    leftover = next((screen.candidates[m.candidate].form.label for m in best.members if m.effect == UNKNOWN), '')
     leftover = leftover or _coarse(joint) or _restless(samples, names)
     if not leftover and not samples.shakes:
         evidence, words = excess_scatter(joint)
@@ -209,7 +206,7 @@ def _settle(observation: Observation,
         screen = _screen(joint, effects)
         screen = _sharpened(screen)
         sets = search(screen)
-        decoys = [Candidate(UNKNOWN, name, form, DECOY_DOUBT)
+        decoys = [Candidate(UNKNOWN, name, form, decoy=True)
                   for name in sorted(sets[0].key & set(effects))
                   for form in effects[name].decoys(joint.observation.view)]
         if decoys:

@@ -45,14 +45,15 @@ GAIN = 3.0
 class Candidate:
     """One form of one effect: ``family`` splits an effect's forms into groups of equal weight.
 
-    ``doubt``: log odds against the family where a name explains as much.  The family of an effect's decoys
-    bears the effect's name.
+    ``doubt``: log odds against the family where a name explains as much.  ``decoy``: a form that the effect
+    named in ``family`` cannot take.
     """
 
     effect: str
     family: str
     form: Form
     doubt: float = 0.0
+    decoy: bool = False
 
 
 @dataclass(frozen=True)
@@ -203,18 +204,30 @@ class Screen:
         """The evidence of every effect given ``members``, averaged over its forms; the best form."""
         judged = self.judge_all(members)
         groups: dict[str, dict[str, list[int]]] = {}
+        present = {self.candidates[m].effect for m in members}
         for number, candidate in enumerate(self.candidates):
+            if candidate.decoy and candidate.family in present:
+                continue  # beside the name its decoys are no rivals
             groups.setdefault(candidate.effect, {}).setdefault(candidate.family, []).append(number)
         result = {}
         for effect, families in groups.items():
-            logs = [log_mean([judged[i].log_bayes for i in numbers]) - self.candidates[numbers[0]].doubt
-                    for numbers in families.values()]
-            best = max((i for numbers in families.values() for i in numbers),
-                       key=lambda i: judged[i].log_bayes - self.candidates[i].doubt)
-            doubt = self.candidates[best].doubt
+            doubts = {family: self._doubt(numbers, judged) for family, numbers in families.items()}
+            logs = [log_mean([judged[i].log_bayes for i in numbers]) - doubts[family]
+                    for family, numbers in families.items()]
+            family, best = max(((family, i) for family, numbers in families.items() for i in numbers),
+                               key=lambda at: judged[at[1]].log_bayes - doubts[at[0]])
             size = judged[best].size if self.candidates[best].form.process else float(SIZES[-1])
-            result[effect] = Member(effect, best, log_mean(logs) + doubt, size, doubt)
+            result[effect] = Member(effect, best, log_mean(logs) + doubts[family], size, doubts[family])
         return result
+
+    def _doubt(self, numbers: Sequence[int], judged: Sequence[Judged]) -> float:
+        """Log odds against a family where a name explains as much.
+
+        What decoys explain, forms as rich would have explained whatever the cause: a name has earned
+        only what it explains beyond, and must beat its decoys by as much as they have.
+        """
+        first = self.candidates[numbers[0]]
+        return -max(0.0, *(judged[i].log_bayes for i in numbers)) if first.decoy else first.doubt
 
     def residual(self, members: Sequence[Member]) -> np.ndarray:
         """What the set leaves of the data (N,)."""
@@ -246,8 +259,6 @@ def search(screen: Screen) -> list[EffectSet]:
         grown = []
         for found in front:
             for member in screen.by_effect(found.members).values():
-                if screen.candidates[member.candidate].family in found.key:
-                    member = replace(member, doubt=0.0)  # beside the name its decoys are not its rivals
                 larger = EffectSet((*found.members, member), found.log_bayes + member.log_bayes)
                 again = member.effect in found.names
                 if UNKNOWN in found.names and member.effect != UNKNOWN:

@@ -23,8 +23,6 @@ UNKNOWN_DOUBT = 8.0
 """Log odds against a shapeless pattern of no name where a name explains as much."""
 BEYOND_DOUBT = 1.0
 """The same against a lean pattern of physics that no effect has: it errs no more than a name's forms do."""
-DECOY_DOUBT = -8.0
-"""The same against an effect's decoys, the other way round: a name must beat them by this and more."""
 TEMPER = 1.0
 """Factor on log evidence before it becomes odds."""
 CONFUSED = 3.0

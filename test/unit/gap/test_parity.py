@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from stepdiag_ros.effects.base import Form
 from stepdiag_ros.estimate.enhanced import readings_of
 from stepdiag_ros.estimate.noise import estimate_noise
 from stepdiag_ros.gap.parity import parity
@@ -38,3 +39,24 @@ def test_data_are_not_changed_by_an_error_of_the_machine(case):
     shifted = space.stop_part(change.reshape(1, *observation.fit.residual.shape))
     assert np.linalg.norm(shifted) < 1e-6 * np.linalg.norm(space.white_part(
         change.reshape(1, *observation.fit.residual.shape)))
+
+
+def test_what_columns_of_readings_owe_to_noise(case):
+    """A column that holds the noise of the readings goes with it: by as much as is taken off, in the mean."""
+    space = _space(case.observe())
+    rng = np.random.default_rng(2)
+    n, c = case.observe().view.reading.shape
+    length, turn = rng.uniform(0.0, 0.05, n * c), 2.0 * np.pi / 1.5e-6
+    found, owed = [], []
+    for _ in range(200):
+        noise = np.zeros(n * c)
+        for white in space._white:
+            noise[white.rows] = white.factor @ rng.normal(size=len(white.rows))
+        phase = turn * (np.round(length / 1.5e-6) * 1.5e-6 + noise)
+        form = Form('swing', np.sin(phase).reshape(1, n, c), ('a',), np.ones(1),
+                    by_reading=(turn * np.cos(phase)).reshape(1, n, c))
+        found.append(float(space.stop_part(noise.reshape(1, n, c))[:, 0] @ space.project(form)[:space.stops, 0]))
+        owed.append(float(space.own_noise(form)[0][0]))
+    error = np.std(found) / np.sqrt(len(found))
+    assert np.mean(owed) > 20.0 * error
+    assert abs(np.mean(found) - np.mean(owed)) < 5.0 * error
