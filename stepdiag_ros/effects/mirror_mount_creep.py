@@ -9,6 +9,10 @@ import numpy as np
 
 from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
 from stepdiag_ros.effects.patterns import Drawn, by_setup, drawn_size, follow, relaxations, saturating
+from stepdiag_ros.effects.timeforms import drift_form
+
+BETWEEN_MOUNTINGS = 0.4
+"""Typical difference of the amount from mounting to mounting, as a share of it."""
 
 
 class MirrorMountCreep(Effect):
@@ -42,6 +46,11 @@ class MirrorMountCreep(Effect):
             own, names = by_setup(view, view.by_mirror, ('u', 'v'))
             forms += [follow(view, course, own, names, 1e-5, 'rad', 'each mounting another amount')
                       for course in courses]
+            # The same glue, clamped in much the same way.
+            both, size = np.concatenate([view.by_mirror, own]), np.full(2 + len(names), 1e-5 * BETWEEN_MOUNTINGS)
+            size[:2] = 1e-5
+            forms += [drift_form(view, course, both, ('u', 'v', *names), size,
+                                 'each mounting nearly the same amount', 'rad') for course in courses]
             # A mount that stays on the tool while base unit and mirror's face are turned.
             forms += [follow(view, course, view.by_mirror, ('u', 'v'), 1e-5, 'rad', 'mounted once')
                       for course in relaxations(view.elapsed) if len(course.values) == 1]

@@ -1,0 +1,70 @@
+"""What a set's members explain of the rest, and the size that an unknown course is held to."""
+
+import numpy as np
+import pytest
+
+from stepdiag_ros.effects.base import Form
+from stepdiag_ros.gap.evidence import SIZES
+from stepdiag_ros.gap.joint import solve, tuned
+from stepdiag_ros.gap.parity import Parity
+from stepdiag_ros.gap.search import Candidate, Member, Screen
+
+N = 400
+
+
+def space(data: np.ndarray) -> Parity:
+    """White data that no machine absorbs anything of."""
+    nothing = np.zeros((1, 1))
+    return Parity(data, N, (N, 0), np.zeros(N, int), np.arange(N), 1.0, [lambda flat: flat],
+                  np.zeros((N, 1)), nothing, nothing, nothing)
+
+
+def form(label: str, columns: np.ndarray, scale: np.ndarray, process: bool = False) -> Form:
+    """Columns (k, n) as a form with one channel."""
+    return Form(label, columns[:, :, None], tuple(str(i) for i in range(len(columns))), scale,
+                process=process)
+
+
+@pytest.fixture
+def wide() -> Form:
+    """A process of forty columns that go on far below the noise."""
+    rng = np.random.default_rng(1)
+    columns = np.linalg.qr(rng.normal(size=(N, 40)))[0].T
+    return form('wide', columns, np.arange(1, 41) ** -2.0, process=True)
+
+
+def test_members_explain_as_much_as_their_size_allows(wide):
+    screen = Screen(space(np.zeros(N)), [Candidate('wide', '', wide)], 1e9)
+    columns = screen.columns_of(0) * 5.0
+    basis = screen.basis([Member('wide', 0, 10.0, 5.0)])
+    np.testing.assert_allclose(np.eye(N) - basis @ basis.T,
+                               np.linalg.inv(np.eye(N) + columns @ columns.T), atol=0.02)
+
+
+def test_an_unknown_course_does_not_swallow_another_effect(wide):
+    """The other effect lies where the course could go, but only if it were far rougher than it is."""
+    rng = np.random.default_rng(2)
+    other = form('other', wide.columns[30:40, :, 0].sum(axis=0, keepdims=True), np.full(1, 3.0))
+    course = np.tensordot(wide.columns[:, :, 0].T, wide.scale * rng.normal(size=40) * 30.0, axes=1)
+    data = course + 4.0 * other.columns[0, :, 0] + rng.normal(size=N)
+    screen = Screen(space(data), [Candidate('wide', '', wide), Candidate('other', '', other)], 1e9)
+    first = screen.by_effect()['wide']
+    assert first.size < SIZES[-1] * 1.01
+    assert screen.by_effect([first])['other'].log_bayes > 20.0
+    # Were the course free, it could be all of it.
+    free = Member('wide', 0, first.log_bayes, 1e6)
+    assert screen.by_effect([free])['other'].log_bayes < 1.0
+
+
+def test_the_joint_fit_holds_a_process_to_the_size_it_shows(wide):
+    rng = np.random.default_rng(3)
+    columns = wide.columns[:, :, 0].T * wide.scale
+    truth = 300.0 * rng.normal(size=40)
+    bigger = Form('wide', wide.columns, wide.names, wide.scale * 100.0, process=True)
+    data = columns @ truth + rng.normal(size=N)
+    (_, held), = tuned(space(data), [(None, bigger)])
+    assert held.held == pytest.approx(3.0, rel=0.9)
+    found, = solve(space(data), [(None, held)])
+    loose, = solve(space(data), [(None, bigger)])
+    error = np.sum((columns @ (found.coefficients / wide.scale - truth)) ** 2)
+    assert error < np.sum((columns @ (loose.coefficients / wide.scale - truth)) ** 2)
