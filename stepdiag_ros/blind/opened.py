@@ -12,12 +12,12 @@ from typing import Any
 
 from stepdiag_ros.blind.answer import ANSWER_HASHES, ANSWERS, answer_hashes, log_names
 from stepdiag_ros.blind.apart import apart
-from stepdiag_ros.blind.score import COUNTS_FROM, Case, score
+from stepdiag_ros.blind.score import COUNTS_FROM, Case, proportion, score
 from stepdiag_ros.blind.seal import MANIFEST, SEALED, write_json
 from stepdiag_ros.blind.world import CATEGORIES
 from stepdiag_ros.errors import StepdiagError
 
-APART = 'apart.json'
+APART, SETTLED = 'apart.json', 'settled.json'
 MARK = '<!-- results -->'
 ROWS = (
     ('false_alarms', 'false alarms on null logs', '0 of 300', True),
@@ -32,9 +32,11 @@ ROWS = (
     ('pair_exact', 'both of a pair, exactly', '≥ 85 %', True),
     ('where_f1', 'where, F1', '≥ 0.90', False),
     ('gap_closed', 'gap closed on held-out data', '≥ 95 %', False),
+    ('gap_closed_together', 'the same, all logs together', '–', False),
     ('held_out_chi2', 'reduced χ² on held-out data, median', '≤ 1.05', False),
     ('bias_removed', 'bias of the 21 errors removed', '≥ 95 %', False),
     ('en_at_most_1', 'En ≤ 1', '≥ 95 %', True),
+    ('settled', 'one recommended extra run settles a set', '≥ 90 %', True),
     ('calibration_error', 'calibration error of the probabilities', '≤ 0.05', False),
     ('seconds', 'time for one log, median [s]', '≤ 10', False))
 """Figure, its name, its target, whether it is a proportion."""
@@ -46,6 +48,9 @@ def open_set(folder: Path) -> dict[str, Any]:
     result = {**head, 'opened': datetime.date.today().isoformat(),
               'categories': {category: sum(c.category == category for c in cases) for category in CATEGORIES},
               **score(cases)}
+    if (folder / SETTLED).exists():
+        rows = json.loads((folder / SETTLED).read_text())['logs']
+        result['figures']['settled'] = proportion(sum(row['settled'] for row in rows), len(rows))
     write_json(folder / 'score.json', result)
     (folder / 'score.md').write_text(table(result) + '\n')
     draw(result, folder / 'score.png')
@@ -139,7 +144,7 @@ def table(result: dict[str, Any]) -> str:
     figures = result['figures']
     lines = ['| | target | measured |', '|---|---|---|']
     lines += [f'| {name} | {target} | {shown(figures[key], proportion)} |'
-              for key, name, target, proportion in ROWS]
+              for key, name, target, proportion in ROWS if key in figures]
     lines += ['', '95 % intervals in brackets (Wilson); numbers of logs or statements in parentheses.', '',
               '| visibility [σ] | detection | right effect first | outside called unknown |',
               '|---|---|---|---|']

@@ -10,13 +10,14 @@ from typing import Any
 
 import numpy as np
 
-from stepdiag_ros.blind.cells import draw_cell, without_weather
+from stepdiag_ros.blind.cells import Conditions, draw_cell, without_weather
 from stepdiag_ros.blind.hidden import Hidden
 from stepdiag_ros.blind.logs import measure, stage_of
 from stepdiag_ros.blind.outside import OUTSIDE
 from stepdiag_ros.blind.visibility import Visibility, Yardstick
 from stepdiag_ros.blind.vocabulary import VOCABULARY
 from stepdiag_ros.model.log import CalibrationLog
+from stepdiag_ros.virtual.cell import Cell
 from stepdiag_ros.virtual.truth import truth
 
 PURPOSES = {'develop': 1, 'sealed': 2}
@@ -43,12 +44,14 @@ class Order:
 
 @dataclass(frozen=True)
 class SealedWorld:
-    """A log and the truth about it; ``yardstick`` where effects act."""
+    """A log and the truth about it; ``yardstick`` where effects act; ``cell`` and ``conditions`` to measure on."""
 
     log: CalibrationLog
     truth: dict[str, Any]
     effects: tuple[Hidden, ...]
     yardstick: Yardstick | None
+    cell: Cell
+    conditions: Conditions
 
 
 def kind_of(name: str) -> type[Hidden]:
@@ -144,4 +147,4 @@ def _finish(order: Order, cell, conditions, yardstick, effects, seen) -> SealedW
         joint = yardstick.visibility(log, random, inside)
         entry['visibility'] = joint.total
         entry['shares'] = yardstick.shares(yardstick.change(log))
-    return SealedWorld(log, entry, effects, yardstick)
+    return SealedWorld(log, entry, effects, yardstick, cell, conditions)

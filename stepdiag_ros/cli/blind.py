@@ -7,6 +7,7 @@ scores.
 
 import argparse
 import json
+import sys
 from pathlib import Path
 
 NAME = 'blind'
@@ -33,6 +34,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     opened.add_argument('folder', type=Path, help='folder of the set')
     opened.add_argument('--apart', action='store_true',
                         help='judge first which effects another could stand for (some seconds a log)')
+    opened.add_argument('--settle', action='store_true',
+                        help='first do the further run that an undecided answer recommends, in the sealed world')
     opened.add_argument('--json', action='store_true', help='print the score as JSON')
     opened.add_argument('--page', type=Path, help='Markdown page to put the results into, below its mark')
     for sub in (seal, answer, opened):
@@ -64,8 +67,16 @@ def _open(args: argparse.Namespace) -> int:
     from stepdiag_ros.blind.opened import into_page, judge_apart, open_set, table
     if args.apart:
         judge_apart(args.folder, args.processes, not args.quiet)
+    if args.settle:
+        from stepdiag_ros.blind.settle import settle
+        settle(args.folder, None if args.quiet else _tell)
     result = open_set(args.folder)
     if args.page is not None:
         into_page(result, args.folder, args.page)
     print(json.dumps(result, indent=1) if args.json else table(result))
     return 0
+
+
+def _tell(row: dict) -> None:
+    print(f'{row["log"]}: {" / ".join(row["between"])}: {"settled" if row["settled"] else "open"}', file=sys.stderr,
+          flush=True)

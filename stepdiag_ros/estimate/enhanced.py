@@ -28,7 +28,7 @@ from stepdiag_ros.estimate.gauge import GAUGE, slope_weights
 from stepdiag_ros.estimate.noise import NoiseModel, Whitener, estimate_noise, whiteners
 from stepdiag_ros.estimate.parameters import Parameters, parameters_of
 from stepdiag_ros.estimate.reduce import StopTable
-from stepdiag_ros.model.description import LINEAR, Description
+from stepdiag_ros.model.description import LINEAR, Description, path_of
 from stepdiag_ros.model.machine import CURVES
 
 WIDTH_SHIFT_M = 1e-3
@@ -95,7 +95,7 @@ def widths(parameters: Parameters, linear_laser: float = WIDTH_LASER_RAD) -> np.
         width[parameters.slice(name)] = WIDTH_SHIFT_M if name[1] in 'XYZ' else WIDTH_TURN_RAD
     for setup in parameters.setups:
         first = parameters.setup_first[setup]
-        laser = linear_laser if setup in LINEAR else WIDTH_LASER_RAD
+        laser = linear_laser if path_of(setup) in LINEAR else WIDTH_LASER_RAD
         width[first:first + 2], width[first + 2:first + 4] = laser, WIDTH_MIRROR_RAD
     width[parameters.offset_first:] = WIDTH_OFFSET_M
     return width

@@ -16,7 +16,7 @@ import numpy as np
 from scipy import sparse
 
 from stepdiag_ros.estimate.reduce import StopTable
-from stepdiag_ros.model.description import Description
+from stepdiag_ros.model.description import Description, path_of
 from stepdiag_ros.model.machine import AXES, CURVES
 from stepdiag_ros.model.path import plan_positions
 
@@ -69,7 +69,7 @@ def parameters_of(description: Description, table: StopTable) -> Parameters:
     for axis, letter in enumerate(AXES):
         plan = plan_positions(description, axis)
         own = np.isin(table.setup, [i for i, s in enumerate(table.setup_names)
-                                    if s == f'lin_{letter.lower()}'])
+                                    if path_of(s) == f'lin_{letter.lower()}'])
         extra = np.unique(table.commanded[own, axis])
         for motion in 'XYZABC':
             name = f'E{motion}{letter}'

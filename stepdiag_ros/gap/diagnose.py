@@ -22,6 +22,7 @@ from stepdiag_ros.gap.inside import Timing, steps, timing
 from stepdiag_ros.gap.joint import Joint, fit_jointly, freed_solution, unexplained
 from stepdiag_ros.gap.lines import Unrest, Vibration, unrest
 from stepdiag_ros.gap.next_measurement import advise
+from stepdiag_ros.gap.next_run import NextRun
 from stepdiag_ros.gap.observe import Observation, observe
 from stepdiag_ros.gap.scatter import excess_scatter
 from stepdiag_ros.gap.search import Candidate, EffectSet, Screen, probabilities, search
@@ -98,6 +99,7 @@ class Diagnosis:
     raw: list[EffectSet]
     screen: Screen
     next_measurement: str | None = None
+    next_run: NextRun | None = None
 
     def to_json_dict(self) -> dict:
         """``gap.json`` of the contract, and more beside it."""
@@ -113,6 +115,7 @@ class Diagnosis:
                          'what': f.title, 'remedy': f.remedy} for f in self.effects],
             'indistinguishable': [list(group) for group in self.indistinguishable],
             'next_measurement': self.next_measurement,
+            'next_run': self.next_run.to_json_dict() if self.next_run else None,
             'unknown': self.leftover or None,
             'ranking': dict(sorted(self.ranking.items(), key=lambda item: -item[1])),
             'sets': [{'names': list(names), 'probability': p} for names, p in self.sets],
@@ -162,13 +165,15 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
         leftover = f'{how_far.left:.0%} of the gap does not follow the forms known of what was named'
     verdict = _verdict(found, leftover)
     groups = _confused(sets, best)
-    forms = {m.effect: screen.candidates[m.candidate].form for s in sets for m in s.members}
+    rivals = [[(effects[m.effect], screen.candidates[m.candidate].form) for m in found.members]
+              for found in (best, *_stand_ins(sets, best)) if UNKNOWN not in found.key]
+    words, run = advise(joint, rivals, groups, bool(leftover))
     return Diagnosis(log, verdict, how_far, shares(joint, found, bool(leftover)), tuple(found),
                      {**names, 'nothing': nothing},
                      tuple((s.names, w) for s, w in zip(sets, weights, strict=True))[:20],
                      groups, observation, joint, clocks, samples.displacement, leftover,
                      log.warnings + observation.table.warnings, sets, screen,
-                     advise(joint, groups, effects, forms, bool(leftover)))
+                     words, run)
 
 
 def _noise(observation: Observation):
@@ -454,17 +459,17 @@ def _verdict(found: list[Found], leftover: str) -> str:
     return 'partly_explained' if leftover else 'explained'
 
 
+def _stand_ins(sets: list[EffectSet], best: EffectSet) -> list[EffectSet]:
+    """Sets nearly as good as the best with one member exchanged."""
+    return [other for other in sets
+            if len(other.key) == len(best.key) and len(best.key - other.key) == 1
+            and UNKNOWN not in other.key and best.log_bayes - other.log_bayes < CONFUSED]
+
+
 def _confused(sets: list[EffectSet], best: EffectSet) -> tuple[tuple[str, ...], ...]:
-    """Groups of effects that may stand for each other: sets nearly as good with one member exchanged."""
-    groups = []
-    for other in sets:
-        if len(other.key) != len(best.key) or other.key == best.key or UNKNOWN in other.key:
-            continue
-        away, instead = best.key - other.key, other.key - best.key
-        if len(away) == len(instead) == 1 and best.log_bayes - other.log_bayes < CONFUSED:
-            groups.append(tuple(sorted((*away, *instead))))
+    """Groups of effects that may stand for each other."""
     merged: dict[str, set] = {}
-    for group in groups:
-        for member in best.key & set(group):
-            merged.setdefault(member, set()).update(group)
+    for other in _stand_ins(sets, best):
+        for member in best.key - other.key:
+            merged.setdefault(member, {member}).update(other.key - best.key)
     return tuple(tuple(sorted(g)) for g in merged.values())

@@ -17,6 +17,11 @@ DIAGONALS = ('ppp', 'npp', 'pnp', 'nnp')
 LINEAR = ('lin_x', 'lin_y', 'lin_z')
 
 
+def path_of(setup: str) -> str:
+    """The diagonal or line that a setup measures: ``ppp.2`` is ``ppp`` once more, mounted and aligned anew."""
+    base, _, number = setup.partition('.')
+    return base if not number or number.isdecimal() else setup
+
 
 @dataclass(frozen=True)
 class Machine:
@@ -55,7 +60,7 @@ class Setup:
 
     @property
     def is_linear(self) -> bool:
-        return self.name in LINEAR
+        return path_of(self.name) in LINEAR
 
 
 @dataclass(frozen=True)
@@ -119,7 +124,7 @@ class Description:
                                 f'{", ".join(DIAGONALS + LINEAR)}')
         setups = {}
         for name, body in raw.items():
-            if name not in DIAGONALS + LINEAR:
+            if path_of(str(name)) not in DIAGONALS + LINEAR:
                 raise StepdiagError(f'{source}: unknown setup {name!r} in setups; known are '
                                     f'{", ".join(DIAGONALS + LINEAR)}')
             setups[name] = _setup(get, name, get.mapping(body, f'setups.{name}'), machine)
@@ -157,10 +162,10 @@ def _setup(get: '_Getter', name: str, body: dict, machine: Machine) -> Setup:
     if not isinstance(raw, list) or not raw:
         raise StepdiagError(f'{get.source}: {path}.beams must be a list of [u, v] offsets in metres')
     beams = tuple(get.vector({'beams': b}, f'{path}.beams', 2) for b in raw)
-    if name not in LINEAR:
+    if path_of(name) not in LINEAR:
         return Setup(name, standoff, offset, beams)
     length = get.number(body, f'{path}.length', minimum=0.0,
-                        default=machine.volume['xyz'.index(name[-1])])
+                        default=machine.volume['xyz'.index(path_of(name)[-1])])
     return Setup(name, standoff, offset, beams, length, get.count(body, f'{path}.stops', 2, default=2))
 
 

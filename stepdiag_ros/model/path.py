@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stepdiag_ros.errors import StepdiagError
-from stepdiag_ros.model.description import LINEAR, Description, Machine
+from stepdiag_ros.model.description import LINEAR, Description, Machine, path_of
 from stepdiag_ros.model.log import NONE
 
 
@@ -26,6 +26,7 @@ class SetupPath:
 
 def start_corner(machine: Machine, setup: str) -> np.ndarray:
     """The lower corner where a setup begins, (3,) [m]."""
+    setup = path_of(setup)
     if setup in LINEAR:
         return np.zeros(3)
     return np.array([0.0 if sign == 'p' else length
@@ -34,6 +35,7 @@ def start_corner(machine: Machine, setup: str) -> np.ndarray:
 
 def setup_direction(machine: Machine, setup: str) -> np.ndarray:
     """Unit vector ``d`` (3,) along which a setup measures."""
+    setup = path_of(setup)
     if setup in LINEAR:
         return np.eye(3)['xyz'.index(setup[-1])]
     signs = np.array([1.0 if sign == 'p' else -1.0 for sign in setup])
@@ -58,7 +60,7 @@ def stops(description: Description, setup: str) -> SetupPath:
                             f'it has {", ".join(description.setups)}')
     given = description.setups[setup]
     if given.is_linear:
-        axis = 'xyz'.index(setup[-1])
+        axis = 'xyz'.index(path_of(setup)[-1])
         positions = np.zeros((given.stops, 3))
         positions[:, axis] = np.linspace(0.0, given.length, given.stops)
         moved = np.full(given.stops, axis, np.uint8)

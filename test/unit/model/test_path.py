@@ -62,3 +62,14 @@ def test_unknown_setups_and_plan_positions(description):
     with pytest.raises(StepdiagError, match="'ppn' is not in the cell description"):
         stops(description, 'ppn')
     np.testing.assert_allclose(plan_positions(description, 2), np.arange(8) * 0.9 / 7)
+
+
+def test_a_setup_that_is_mounted_again_keeps_its_path():
+    from stepdiag_ros.model.description import Description, path_of
+    text = ('schema: 1\nmachine: {volume: [0.5, 0.4, 0.3]}\nplan: {steps: 2}\n'
+            'setups: {npp: {}, npp.2: {standoff: 0.4}, lin_y.2: {}}\n')
+    again = Description.from_yaml(text, 'test')
+    assert [path_of(name) for name in ('npp.2', 'lin_x', 'npp.b')] == ['npp', 'lin_x', 'npp.b']
+    np.testing.assert_array_equal(stops(again, 'npp').positions, stops(again, 'npp.2').positions)
+    assert again.setups['lin_y.2'].is_linear and stops(again, 'lin_y.2').positions[-1, 1] == 0.4
+    assert Description.from_yaml(again.to_yaml(), 'test') == again

@@ -1,0 +1,97 @@
+"""Does the recommended further run settle what an answer left open?
+
+Of every log whose answer holds effects that may stand for each other and recommends a run, the sealed world
+is made again, the run is added at its end — the same machine, the same hidden effects going on, the mirror
+mounted and aligned anew — and the longer log is diagnosed as it stands.  It is settled when one effect of
+the group has at least 95 % and acts in truth, and all others have less than half.
+"""
+
+import copy
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stepdiag_ros.blind.cells import MOST_WALK_M
+from stepdiag_ros.blind.hidden import Hidden
+from stepdiag_ros.blind.logs import measure
+from stepdiag_ros.blind.opened import SETTLED, load
+from stepdiag_ros.blind.seal import kind_order, write_json
+from stepdiag_ros.blind.world import SealedWorld, make
+from stepdiag_ros.effects import all_effects
+from stepdiag_ros.gap.diagnose import diagnose
+from stepdiag_ros.model.description import Setup, path_of
+from stepdiag_ros.model.log import CalibrationLog
+from stepdiag_ros.model.sensor import Misalignment
+
+SURE = 0.95
+
+
+def longer_log(made: SealedWorld, run: Mapping[str, Any]) -> CalibrationLog:
+    """The log of a sealed world with the run ``next_run`` of an answer at its end."""
+    old = made.cell.description.setups[path_of(run['setup'])]
+    setup = Setup(run['setup'], run['standoff_m'], tuple(run['psd_offset_m']), old.beams, old.length, old.stops)
+    rng = np.random.default_rng(np.random.SeedSequence([made.cell.seed, 0xADD]))
+    laser, mirror = np.clip(rng.normal(0.0, _aligned(made), (2, 2)), -_most(made), _most(made))
+    mirror = mirror + np.array(run['mirror_turn_rad'])
+    cell = made.cell
+    description = replace(cell.description, setups={**cell.description.setups, setup.name: setup})
+    cell = replace(
+        cell, description=description, psd_zero={**cell.psd_zero, setup.name: (0.0, 0.0)},
+        misalignments={**cell.misalignments, setup.name: Misalignment(tuple(laser.tolist()),
+                                                                     tuple(mirror.tolist()))})
+    effects = [_mounted_again(effect, cell.setup_names[:-1], setup.name, rng) for effect in made.effects]
+    log = measure(cell, made.conditions, effects)
+    # What was measured before stays as it was; only the description's new setup comes beside it.
+    return replace(log, description=replace(made.log.description, setups=description.setups))
+
+
+def _aligned(made: SealedWorld) -> float:
+    """How well the operator aligns: the spread [rad] of the log's own misalignments."""
+    return float(np.sqrt(np.mean([np.square((m.laser, m.mirror)) for m in made.cell.misalignments.values()])))
+
+
+def _most(made: SealedWorld) -> float:
+    return MOST_WALK_M / (2.0 * (float(np.linalg.norm(made.cell.description.machine.volume)) + 0.5))
+
+
+def _mounted_again(effect: Hidden, setups: Iterable[str], name: str, rng: np.random.Generator) -> Hidden:
+    """The effect in one setup more: what it has drawn for every setup is, there, like in any of them."""
+    longer, setups = copy.copy(effect), list(setups)
+    for key, value in vars(effect).items():
+        if isinstance(value, dict) and set(value) == set(setups):
+            setattr(longer, key, {**value, name: value[str(rng.choice(setups))]})
+    return longer
+
+
+def is_settled(ranking: Mapping[str, float], between: Iterable[str], true: Iterable[str]) -> bool:
+    """Whether one of ``between`` is sure and true, and no other is more likely than not."""
+    ranking = {name: ranking.get(name, 0.0) for name in between}
+    likely = {name for name, p in ranking.items() if p >= 0.5}
+    return len(likely) == 1 and likely <= set(true) and ranking[likely.pop()] >= SURE
+
+
+def settle(folder: Path, progress: Callable[[dict[str, Any]], None] | None = None) -> list[dict[str, Any]]:
+    """Do the recommended runs of an answered set, its hashes checked; writes and returns what became of each."""
+    cases, head = load(folder)
+    effects, rows = [kind() for kind in all_effects().values()], []
+    for case in cases:
+        groups = case.gap['indistinguishable']
+        if case.category not in ('single', 'pair') or not groups:
+            continue
+        run = case.gap.get('next_run')
+        row = {'log': case.name, 'true': case.true_names, 'run': run, 'settled': False,
+               'between': run['between'] if run else groups[0]}
+        if run:
+            made = make(kind_order(head['purpose'], head['seed'], case.truth))
+            after = diagnose(longer_log(made, run), effects)
+            row |= {'settled': is_settled(after.ranking, run['between'], case.true_names),
+                    'after': {name: after.ranking.get(name, 0.0) for name in run['between']},
+                    'effects': [[found.name, found.probability] for found in after.effects]}
+        rows.append(row)
+        if progress:
+            progress(row)
+    write_json(folder / SETTLED, {'logs': rows})
+    return rows
