@@ -204,7 +204,7 @@ class Screen:
         """The evidence of every effect given ``members``, averaged over its forms; the best form."""
         judged = self.judge_all(members)
         groups: dict[str, dict[str, list[int]]] = {}
-        present = {self.candidates[m].effect for m in members}
+        present = {m.effect for m in members}
         for number, candidate in enumerate(self.candidates):
             if candidate.decoy and candidate.family in present:
                 continue  # beside the name its decoys are no rivals
