@@ -18,7 +18,7 @@ from stepdiag_ros.estimate.solution import Solution
 from stepdiag_ros.gap.beyond import beyond_families
 from stepdiag_ros.gap.closing import Closing, closing
 from stepdiag_ros.gap.evidence import width_of
-from stepdiag_ros.gap.inside import Timing, steps, timing
+from stepdiag_ros.gap.inside import Timing, apart, steps, timing
 from stepdiag_ros.gap.joint import Joint, fit_jointly, freed_solution, unexplained
 from stepdiag_ros.gap.lines import Unrest, Vibration, unrest
 from stepdiag_ros.gap.next_measurement import advise
@@ -306,7 +306,7 @@ def _set_clocks(log: CalibrationLog, observation: Observation):
     table = observation.table
     clocks = {'interferometer': timing(log.displacement, table, table.displacement),
               'psd': timing(log.spot, table, table.spot)}
-    skew = _skew(clocks)
+    skew = _skew(clocks, apart(log, table))
     if not skew:
         return log, observation, clocks, []
     parameters: dict[str, float] = {}
@@ -324,8 +324,9 @@ def _set_clocks(log: CalibrationLog, observation: Observation):
     return log, observe(log), clocks, [found]
 
 
-def _skew(clocks: Mapping[str, Timing | None]) -> dict[str, Late]:
-    """Sensors whose stamps are provably off.
+def _skew(clocks: Mapping[str, Timing | None],
+          between: tuple[float, float] | None) -> dict[str, Late]:
+    """Sensors whose stamps are provably off; ``between``: delay of the spot against the displacement, its σ [s].
 
     What a control takes to start and to report in position moves what a sensor sees of a move, so an
     offset alone proves nothing.  Three things do: motion seen before the command or long after the
@@ -342,24 +343,24 @@ def _skew(clocks: Mapping[str, Timing | None]) -> dict[str, Late]:
         if drifts or acausal:
             found[name] = Late(_start(clock), clock.sigma, clock.drift if drifts else 0.0,
                                0.99 if drifts and acausal else 0.95)
-    if len(seen) < 2:
+    if between is None or 'interferometer' not in seen:
         return found
-    sharp, other = sorted(seen, key=lambda name: seen[name].sigma)
-    apart = seen[other].offset - seen[sharp].offset
-    limit = CLOCK_SIGMAS * np.hypot(seen[other].sigma, seen[sharp].sigma)
-    if abs(apart) > max(limit, LEAST_CLOCK_S):
+    sharp, other = 'interferometer', 'psd'
+    (delay, sigma) = between
+    limit = CLOCK_SIGMAS * sigma
+    if abs(delay) > max(limit, LEAST_CLOCK_S):
         if not found:
             # One of the two is right: the one that sees the moves begin with the command, not before.
             start = _start(seen[sharp])
-            wrong = other if abs(start) < abs(start + apart) else sharp
-            offset = apart if wrong == other else -apart
-            found[wrong] = Late(offset, limit / CLOCK_SIGMAS, 0.0, 0.95)
+            wrong = other if abs(start) < abs(start + delay) else sharp
+            offset = delay if wrong == other else -delay
+            found[wrong] = Late(offset, sigma, 0.0, 0.95)
         elif sharp in found:
             late = found[sharp]
-            start = late.offset + apart
-            if abs(start) < ALONE * abs(apart):
+            start = late.offset + delay
+            if abs(start) < ALONE * abs(delay):
                 # The other sees the moves begin with the command: it is right, and the better mark.
-                found[sharp] = replace(late, offset=-apart, sigma=limit / CLOCK_SIGMAS, probability=0.99)
+                found[sharp] = replace(late, offset=-delay, sigma=sigma, probability=0.99)
                 found.pop(other, None)
             else:
                 found[other] = replace(late, offset=start, probability=0.99)

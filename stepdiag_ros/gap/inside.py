@@ -9,10 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from stepdiag_ros.estimate.reduce import StopTable
-from stepdiag_ros.model.log import Samples
+from stepdiag_ros.model.log import CalibrationLog, Samples
 
 ONSET_SIGMAS = 8.0
 """Standard deviations of a reading at rest beyond which it moves."""
+LEAST_MOVES = 24
+"""Fewest moves from which the delay between two sensors is told."""
 FAINT = 1e-5
 """Noise over step, above which a jerk-limited move is well under way before it is seen."""
 
@@ -112,6 +114,72 @@ def timing(samples: Samples, table: StopTable, columns: np.ndarray) -> Timing | 
                   float(np.median(onsets)) if len(onsets) else middle, sharp, before / moves,
                   after / moves, max(0.0, -float(clear)), drift, drift_sigma, moves,
                   float(np.median(periods)))
+
+
+def apart(log: CalibrationLog, table: StopTable) -> tuple[float, float] | None:
+    """How much later [s] the spot sees the moves than the displacement, and its σ; None with too few moves.
+
+    In each move the spot's progress p is the displacement's, later by τ and bent by the guides:
+    p_spot − p = −τ dp/dt + κ p (1 − p), over all samples of the move.  A bend changes its sign with the
+    direction of motion, a delay does not.
+    """
+    delays, sigmas = [], []
+    for i in range(1, len(table)):
+        if table.move_ns[i] < 0 or table.run[i] != table.run[i - 1]:
+            continue
+        one = _progress(log.displacement, table, table.displacement, i)
+        two = _progress(log.spot, table, table.spot, i)
+        if one is None or two is None:
+            continue
+        (time, course, _), (seen, spot, noise) = one, two
+        place = np.interp(seen, time, course)
+        rate = np.interp(seen, time, np.gradient(course, time))
+        inside = (place > 0.02) & (place < 0.98)
+        if inside.sum() < 4 or len(np.unique(spot[inside])) < 0.8 * inside.sum():
+            continue
+        columns = np.column_stack([rate, place * (1.0 - place)])[inside]
+        size = np.linalg.norm(columns, axis=0)
+        normal = (columns / size).T @ (columns / size)
+        if np.linalg.cond(normal) > 1e8:
+            continue
+        spread = np.linalg.inv(normal)
+        delays.append(-float((spread @ ((columns / size).T @ (spot - place)[inside]))[0] / size[0]))
+        sigmas.append(noise * float(np.sqrt(spread[0, 0])) / size[0])
+    if len(delays) < LEAST_MOVES:
+        return None
+    delay, sigma = np.array(delays), np.array(sigmas)
+    more, middle = 0.0, float(np.median(delay))
+    for _ in range(8):
+        weight = 1.0 / (sigma**2 + more)
+        kept = (delay - middle) ** 2 * weight < 25.0
+        if kept.sum() < LEAST_MOVES // 2:
+            kept[:] = True
+        middle = float(np.sum((weight * delay)[kept]) / weight[kept].sum())
+        excess = float(np.median((delay - middle) ** 2 * weight)) / 0.455 - 1.0
+        more = max(0.0, more + excess / float(np.median(weight)))
+    misfit = max(1.0, float(np.mean(((delay - middle) ** 2 * weight)[kept])))
+    return middle, float(np.sqrt(misfit / weight[kept].sum()))
+
+
+def _progress(samples: Samples, table: StopTable, columns: np.ndarray,
+              i: int) -> tuple[np.ndarray, np.ndarray, float] | None:
+    """Times [s] after the command, progress from rest to rest, and its noise, in the move to stop i."""
+    step = columns[i] - columns[i - 1]
+    k = int(np.argmax(np.abs(np.nan_to_num(step))))
+    if not np.isfinite(step[k]) or step[k] == 0.0:
+        return None
+    pad = (table.done_ns[i] - table.dwell_ns[i]) // 2
+    lo, hi = np.searchsorted(samples.time_ns, [table.move_ns[i] - pad, table.dwell_ns[i] + pad])
+    level, goal = _rest(samples, table, i - 1, k), _rest(samples, table, i, k)
+    if hi - lo < 8 or level is None or goal is None or goal[0] == level[0]:
+        return None
+    noise = max(level[1], goal[1]) / abs(goal[0] - level[0])
+    if noise > 0.05 or not np.isfinite(samples.values[lo:hi, k]).all():
+        return None
+    time = (samples.time_ns[lo:hi] - table.move_ns[i]) * 1e-9
+    if np.any(np.diff(time) <= 0.0):
+        return None
+    return time, (samples.values[lo:hi, k] - level[0]) / (goal[0] - level[0]), noise
 
 
 def _drift(offsets: np.ndarray, times: np.ndarray, kinds: list[tuple]) -> tuple[float, float]:

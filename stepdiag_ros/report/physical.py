@@ -37,8 +37,9 @@ def physical(diagnosis: Diagnosis, found: Found, lead_s: float) -> Physical:
     """
     nothing = np.zeros(diagnosis.nominal.view.reading.shape)
     if found.name == 'clock_skew':
-        return Physical({'interferometer': 0.0, 'psd': 0.0} | {
-            k.removesuffix('_s'): v for k, v in found.parameters.items()}, '', nothing)
+        values = {sensor: found.parameters.get(f'{sensor}_s', 0.0) for sensor in ('interferometer', 'psd')}
+        drifts = any(name.endswith('_drift_s') for name in found.parameters)
+        return Physical(values, 'its drift in the course of the log is not adopted' if drifts else '', nothing)
     if found.name == 'vibration':
         amplitude = found.parameters['amplitude_m']
         return Physical({'amp': [amplitude] * 3, 'frequency': found.parameters['frequency_Hz'],
