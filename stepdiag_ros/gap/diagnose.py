@@ -16,7 +16,7 @@ from stepdiag_ros.effects.tuning import tune
 from stepdiag_ros.estimate.noise import estimate_noise
 from stepdiag_ros.estimate.solution import Solution
 from stepdiag_ros.gap.beyond import beyond_families
-from stepdiag_ros.gap.closing import Closing, closing
+from stepdiag_ros.gap.closing import Closing, closing, excess_forecast
 from stepdiag_ros.gap.evidence import SIZES
 from stepdiag_ros.gap.inside import Timing, Vibration, steps, timing, vibration
 from stepdiag_ros.gap.joint import Joint, fit_jointly, freed_solution, unexplained
@@ -29,6 +29,7 @@ from stepdiag_ros.gap.thresholds import (
     BEYOND_DOUBT,
     CLOCK_SIGMAS,
     CONFUSED,
+    LEAN_DOUBT,
     LEAST_CLOCK_S,
     MISFIT,
     MISFIT_MOST,
@@ -38,7 +39,7 @@ from stepdiag_ros.gap.thresholds import (
     VIBRATION_ALARM,
 )
 from stepdiag_ros.gap.unknown import NAME as UNKNOWN
-from stepdiag_ros.gap.unknown import inconsistent_forms, unknown_families
+from stepdiag_ros.gap.unknown import LEAN, inconsistent_forms, unknown_families
 from stepdiag_ros.gap.where import Share, shares
 from stepdiag_ros.model.log import CalibrationLog, Samples
 
@@ -147,6 +148,9 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
         evidence, words = excess_scatter(joint)
         allowed = SCATTER_ALARM + min(MISFIT * best.log_bayes, MISFIT_MOST)
         leftover = words if evidence > allowed else ''
+        if not leftover and not found:
+            evidence, words = excess_forecast(how_far, float(sum(joint.noise.dof)))
+            leftover = words if evidence > SCATTER_ALARM else ''
     verdict = _verdict(found, leftover)
     groups = _confused(sets, best)
     forms = {m.effect: screen.candidates[m.candidate].form for s in sets for m in s.members}
@@ -205,9 +209,11 @@ def _screen(joint: Joint, effects: Mapping[str, Effect]) -> Screen:
         if a.form.tuned_from:
             candidates.append(Candidate(a.effect.name, '', a.form) if a.effect.name
                               else Candidate(UNKNOWN, 'tuned', a.form, BEYOND_DOUBT))
-    for families, doubt in ((unknown_families(view), UNKNOWN_DOUBT), (beyond_families(view), BEYOND_DOUBT)):
-        for family, forms in families.items():
-            candidates += [Candidate(UNKNOWN, family, form, doubt) for form in forms]
+    for family, forms in unknown_families(view).items():
+        doubt = LEAN_DOUBT if family in LEAN else UNKNOWN_DOUBT
+        candidates += [Candidate(UNKNOWN, family, form, doubt) for form in forms]
+    for family, forms in beyond_families(view).items():
+        candidates += [Candidate(UNKNOWN, family, form, BEYOND_DOUBT) for form in forms]
     named = [a for a in joint.active if a.effect.name]
     if named:
         candidates += [Candidate(UNKNOWN, 'inconsistent', form, UNKNOWN_DOUBT)
