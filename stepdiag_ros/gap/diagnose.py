@@ -38,8 +38,8 @@ from stepdiag_ros.gap.thresholds import (
     UNKNOWN_DOUBT,
     VIBRATION_ALARM,
 )
-from stepdiag_ros.gap.unknown import NAME as UNKNOWN
 from stepdiag_ros.gap.unknown import LEAN, inconsistent_forms, unknown_families
+from stepdiag_ros.gap.unknown import NAME as UNKNOWN
 from stepdiag_ros.gap.where import Share, shares
 from stepdiag_ros.model.log import CalibrationLog, Samples
 

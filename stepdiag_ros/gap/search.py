@@ -193,7 +193,7 @@ class Screen:
                      self.parity.dof[0], self.noise_dof)[0].log_bayes
 
     def by_effect(self, members: Sequence[int] = ()) -> dict[str, Member]:
-        """The evidence of every effect given ``members``, averaged over its forms; the best form."""
+        """The evidence of every effect given ``members``, averaged over its forms; the best form, doubts weighed."""
         judged = self.judge_all(members)
         groups: dict[str, dict[str, list[int]]] = {}
         present = {self.candidates[m].effect for m in members}
