@@ -89,6 +89,18 @@ def closing(joint: Joint) -> Closing:
                    floor * np.sqrt(before), floor * np.sqrt(after), floor)
 
 
+def excess_forecast(how_far: Closing, noise_dof: float) -> tuple[float, str]:
+    """Log evidence that the part held out is foretold worse than noise allows, and that in words.
+
+    A log may be fitted to the noise by errors that are not those of the machine, bent until they follow
+    whatever disturbs it; then they do not foretell.  The noise is known to ``noise_dof`` degrees of freedom.
+    Of forecasts made in turn from each other only half are counted as independent.
+    """
+    ratio, count = how_far.after, 1.0 / (2.0 / max(how_far.count, 1) + 1.0 / max(noise_dof, 1.0))
+    gain = 0.5 * count * (ratio - 1.0 - np.log(ratio)) if ratio > 1.0 else 0.0
+    return gain, f'{how_far.held_out} is foretold {np.sqrt(max(ratio, 0.0)):.2f} times worse than noise allows'
+
+
 def _held_out(table) -> tuple[list[np.ndarray], str]:
     """Masks (n,) of the stops held out in turn, whole runs; and their name."""
     repeats = np.unique(table.repeat)

@@ -16,7 +16,7 @@ from stepdiag_ros.effects.tuning import tune
 from stepdiag_ros.estimate.noise import estimate_noise
 from stepdiag_ros.estimate.solution import Solution
 from stepdiag_ros.gap.beyond import beyond_families
-from stepdiag_ros.gap.closing import Closing, closing
+from stepdiag_ros.gap.closing import Closing, closing, excess_forecast
 from stepdiag_ros.gap.evidence import width_of
 from stepdiag_ros.gap.inside import Timing, apart, steps, timing
 from stepdiag_ros.gap.joint import Joint, fit_jointly, freed_solution, unexplained
@@ -33,6 +33,7 @@ from stepdiag_ros.gap.thresholds import (
     CONFUSED,
     DRIFT_SIGMAS,
     FORM_ERROR,
+    LEAN_DOUBT,
     LEAST_CLOCK_S,
     LEAST_DRIFT_S,
     LEAST_LEFT,
@@ -43,8 +44,8 @@ from stepdiag_ros.gap.thresholds import (
     TEMPER,
     UNKNOWN_DOUBT,
 )
+from stepdiag_ros.gap.unknown import LEAN, inconsistent_forms, unknown_families
 from stepdiag_ros.gap.unknown import NAME as UNKNOWN
-from stepdiag_ros.gap.unknown import inconsistent_forms, unknown_families
 from stepdiag_ros.gap.where import Share, shares
 from stepdiag_ros.model.log import CalibrationLog, Samples
 
@@ -161,6 +162,9 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
         evidence, words = excess_scatter(joint)
         allowed = SCATTER_ALARM + min(MISFIT * best.log_bayes, MISFIT_MOST)
         leftover = words if evidence > allowed and not _form_error(joint) else ''
+        if not leftover and not found:
+            evidence, words = excess_forecast(how_far, float(sum(joint.noise.dof)))
+            leftover = words if evidence > SCATTER_ALARM else ''
     if found and not leftover and how_far.left > LEAST_LEFT:
         leftover = f'{how_far.left:.0%} of the gap does not follow the forms known of what was named'
     verdict = _verdict(found, leftover)
@@ -244,9 +248,11 @@ def _screen(joint: Joint, effects: Mapping[str, Effect]) -> Screen:
         if a.form.tuned_from:
             candidates.append(Candidate(a.effect.name, '', a.form) if a.effect.name
                               else Candidate(UNKNOWN, 'tuned', a.form, BEYOND_DOUBT))
-    for families, doubt in ((unknown_families(view), UNKNOWN_DOUBT), (beyond_families(view), BEYOND_DOUBT)):
-        for family, forms in families.items():
-            candidates += [Candidate(UNKNOWN, family, form, doubt) for form in forms]
+    for family, forms in unknown_families(view).items():
+        doubt = LEAN_DOUBT if family in LEAN else UNKNOWN_DOUBT
+        candidates += [Candidate(UNKNOWN, family, form, doubt) for form in forms]
+    for family, forms in beyond_families(view).items():
+        candidates += [Candidate(UNKNOWN, family, form, BEYOND_DOUBT) for form in forms]
     named = [a for a in joint.active if a.effect.name]
     if named:
         candidates += [Candidate(UNKNOWN, 'inconsistent', form, UNKNOWN_DOUBT)

@@ -15,12 +15,12 @@ from stepdiag_ros.effects.base import Form
 from stepdiag_ros.gap.evidence import SIZES, Judged, judge, log_mean
 from stepdiag_ros.gap.parity import Parity
 from stepdiag_ros.gap.thresholds import (
+    BEYOND_DOUBT,
     FORM_ERROR,
     MEMBER_ALARM,
     MISFIT,
     MISFIT_MOST,
     STOP_SUPPORT,
-    UNKNOWN_DOUBT,
 )
 from stepdiag_ros.gap.unknown import NAME as UNKNOWN
 
@@ -201,7 +201,8 @@ class Screen:
                      self.parity.dof[0], self.noise_dof)[0].log_bayes
 
     def by_effect(self, members: Sequence[Member] = ()) -> dict[str, Member]:
-        """The evidence of every effect given ``members``, averaged over its forms; the best form."""
+        """The evidence of every effect given ``members``, averaged over its forms; the best form, doubts
+        weighed."""
         judged = self.judge_all(members)
         groups: dict[str, dict[str, list[int]]] = {}
         present = {m.effect for m in members}
@@ -306,7 +307,7 @@ def _held_to_names(screen: Screen, sets: list[EffectSet]) -> list[EffectSet]:
         return sets
     most = _reach(screen, named) / (1.0 - FORM_ERROR)
     return [replace(s, log_bayes=named.log_bayes)
-            if any(m.effect == UNKNOWN and m.doubt >= UNKNOWN_DOUBT for m in s.members)
+            if any(m.effect == UNKNOWN and m.doubt > BEYOND_DOUBT for m in s.members)
             and s.log_bayes > named.log_bayes and _reach(screen, s) < most else s
             for s in sets]
 

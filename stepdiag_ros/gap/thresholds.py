@@ -21,6 +21,8 @@ STOP_SUPPORT = 2.0
 """Least log evidence in the stops' means alone for a further slow effect."""
 UNKNOWN_DOUBT = 8.0
 """Log odds against a shapeless pattern of no name where a name explains as much."""
+LEAN_DOUBT = 4.0
+"""The same against a nameless jump."""
 BEYOND_DOUBT = 1.0
 """The same against a lean pattern of physics that no effect has: it errs no more than a name's forms do."""
 TEMPER = 1.0

@@ -12,6 +12,8 @@ import numpy as np
 from stepdiag_ros.effects.base import Form, StopView
 
 NAME = 'unknown'
+LEAN = ('jumps', 'lengths')
+"""Families whose forms have one column each: they hold as exactly as a name's do, and are doubted less."""
 MOST_JUMPS = 500
 """Places at which something may jump that are tried in a log; a longer log is tried at every second, third …"""
 
@@ -214,6 +216,9 @@ def inconsistent_forms(view: StopView, forms: list[Form]) -> Iterator[Form]:
         for what, groups in splits.items():
             values = np.unique(groups)
             masks = [groups == value for value in values if (groups == value).sum() >= 8]
+            # What lives in one group alone, a slip in its run, cannot differ from group to group.
+            masks = [mask for mask in masks if np.any(form.columns[:, mask])
+                     or (form.inside is not None and np.any(form.inside[:, mask]))]
             if len(masks) < 2:
                 continue
             columns = np.concatenate([form.columns * mask[None, :, None] for mask in masks[1:]])

@@ -7,6 +7,9 @@ from stepdiag_ros.effects import effect_class
 from stepdiag_ros.effects.base import Effect
 from stepdiag_ros.effects.cyclic_nonlinearity import DECOYS, WAVELENGTHS
 from stepdiag_ros.gap.beyond import beyond_families
+from stepdiag_ros.gap.closing import Closing, excess_forecast
+from stepdiag_ros.gap.thresholds import SCATTER_ALARM
+from stepdiag_ros.gap.unknown import inconsistent_forms
 
 
 class Leak(Effect):
@@ -52,6 +55,22 @@ def test_a_fringe_keeps_its_name(case):
     found = case.diagnose(given)
     assert [e.name for e in found.effects] == ['cyclic_nonlinearity']
     assert found.verdict == 'explained'
+
+
+def test_what_lives_in_one_group_cannot_differ_between_groups(case):
+    view = case.observe().view
+    slip = effect_class('count_slip')().appearance(view)[0]
+    assert not list(inconsistent_forms(view, [slip]))
+    everywhere = effect_class('psd_rotation')().appearance(view)[0]
+    assert {'setup', 'repeat'} <= {form.label.split()[-1] for form in inconsistent_forms(view, [everywhere])}
+
+
+def test_a_bad_forecast_is_seen_beyond_its_scatter():
+    def gain(ratio, count=530):
+        return excess_forecast(Closing(ratio, ratio, count, 'repeat 1', 0.0, 0.0, 0.0), 530.0)[0]
+    assert gain(0.8) == 0.0
+    assert gain(1.0 + 3.0 * np.sqrt(2.0 / 530)) < SCATTER_ALARM < gain(1.6)
+    assert gain(1.6, 20) < SCATTER_ALARM
 
 
 def test_decoys_are_of_no_laser():
