@@ -53,8 +53,8 @@ def cycle(since: np.ndarray, period: float) -> Course:
 
 
 def unknown(time: np.ndarray) -> list[Course]:
-    """Courses of no known formula over ``time`` (n,) [s] since the log began: a straight line and half waves whose typical
-    sizes fall with their number.
+    """Courses of no known formula over ``time`` (n,) [s] since the log began: a straight line and half waves
+    whose typical sizes fall with their number.
 
     ``cos(kπt/T)/k`` are the Karhunen-Loève functions of a walk at random (its mean left out), so their
     coefficients are a Gaussian process: how fine a course is taken to be costs no more evidence than it
@@ -71,7 +71,8 @@ def unknown(time: np.ndarray) -> list[Course]:
 
 
 def courses(time: np.ndarray) -> list[Course]:
-    """Courses over ``time`` (n,) [s] since the log began: linear, exponentials of several time constants, cycles, unknown ones."""
+    """Courses over ``time`` (n,) [s] since the log began: linear, exponentials of several time constants,
+    cycles, unknown ones."""
     span = max(float(np.ptp(time)), 1e-9)
     result = [Course('linear', (time / span)[None], np.full((1, len(time)), 1.0 / span), {})]
     result += [exponential(time, fraction * span) for fraction in TAU_FRACTIONS]
@@ -98,4 +99,5 @@ def drift_form(view: StopView, course: Course, signature: np.ndarray, names: tup
                 (np.tile(scale, count) if course.sizes is None else np.outer(course.sizes, scale).ravel()),
                 units, inside, course.shape,
                 None if course.retune is None else lambda shape: drift_form(
-                    view, course.retune(shape), signature, names, scale, label, units), process=course.sizes is not None)
+                    view, course.retune(shape), signature, names, scale, label, units),
+                process=course.sizes is not None)
