@@ -1,6 +1,6 @@
 """From a drawn cell and its hidden effects to a log."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -16,9 +16,11 @@ from stepdiag_ros.virtual.offline import simulate_log
 AIR_TOPICS = ('air_temperature', 'air_pressure', 'humidity')
 
 
-def measure(cell: Cell, conditions: Conditions, effects: Sequence[Hidden] = ()) -> CalibrationLog:
-    """The log of the cell with the effects acting, as its maker would have recorded it."""
-    log = simulate_log(cell, start_ns=conditions.start_ns, effects=list(effects))
+def measure(cell: Cell, conditions: Conditions, effects: Sequence[Hidden] = (),
+            pauses: Mapping[str, float] | None = None) -> CalibrationLog:
+    """The log of the cell with the effects acting, as its maker would have recorded it; ``pauses`` [s] as in
+    :func:`~stepdiag_ros.virtual.offline.simulate_log`."""
+    log = simulate_log(cell, start_ns=conditions.start_ns, effects=list(effects), pauses=pauses)
     for effect in effects:
         log = effect.spoil(log)
     health = log.displacement.health / 96.0 * conditions.quality \

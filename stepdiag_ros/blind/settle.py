@@ -27,6 +27,8 @@ from stepdiag_ros.model.log import CalibrationLog
 from stepdiag_ros.model.sensor import Misalignment
 
 SURE = 0.95
+AT_ONCE_S = 10.0
+"""From mounting to the first move of a run that is to begin at once."""
 
 
 def longer_log(made: SealedWorld, run: Mapping[str, Any]) -> CalibrationLog:
@@ -43,7 +45,8 @@ def longer_log(made: SealedWorld, run: Mapping[str, Any]) -> CalibrationLog:
         misalignments={**cell.misalignments, setup.name: Misalignment(tuple(laser.tolist()),
                                                                      tuple(mirror.tolist()))})
     effects = [_mounted_again(effect, cell.setup_names[:-1], setup.name, rng) for effect in made.effects]
-    log = measure(cell, made.conditions, effects)
+    pauses = {setup.name: AT_ONCE_S} if run['at_once'] else None
+    log = measure(cell, made.conditions, effects, pauses)
     # What was measured before stays as it was; only the description's new setup comes beside it.
     return replace(log, description=replace(made.log.description, setups=description.setups))
 

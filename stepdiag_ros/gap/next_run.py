@@ -37,6 +37,10 @@ FARTHER_M = 1.0
 ASIDE_M = 0.02
 """How far the detector's beam is set aside."""
 
+FRESH = 'mirror_mount_creep'
+SOON = 'Begin right after mounting the mirror: a mount that relaxes moves most then, nothing else does.'
+"""An effect that a fresh mounting shows best, whatever its forms foretell."""
+
 Member = tuple[Effect, Form]
 Run = tuple[Setup, tuple[float, float], str]
 
@@ -46,19 +50,22 @@ class NextRun:
     """A setup to add at the end of the log: ``setup`` with its ``mirror_turn_rad`` about u and v.
 
     ``evidence``: log evidence that it is expected to bring at least; ``between``: the effects it decides between.
+    ``at_once``: the run should begin right after mounting, which the forecast does not count on.
     """
 
     setup: Setup
     mirror_turn_rad: tuple[float, float]
     evidence: float
     between: tuple[str, ...]
+    at_once: bool
     text: str
 
     def to_json_dict(self) -> dict:
         s = self.setup
         length = {'length': s.length, 'stops': s.stops} if s.is_linear else {}
         return {'setup': s.name, 'standoff_m': s.standoff, 'psd_offset_m': list(s.psd_offset), **length,
-                'mirror_turn_rad': list(self.mirror_turn_rad), 'expected_log_evidence': self.evidence,
+                'mirror_turn_rad': list(self.mirror_turn_rad), 'at_once': self.at_once,
+                'expected_log_evidence': self.evidence,
                 'between': list(self.between), 'text': self.text}
 
 
@@ -87,15 +94,18 @@ def _best(joint: Joint, rivals: Sequence[Sequence[Member]], between: tuple[str, 
         worth = min(min(_evidence(forecasts[0], other), _evidence(other, forecasts[0]))
                     for other in forecasts[1:])
         if best is None or worth > best.evidence:
-            odds = f'{np.exp(worth):.0f}' if worth < np.log(1e4) else 'more than 10000'
-            best = NextRun(setup, turn, float(worth), between,
-                           f'{text} It is expected to decide between {_listed(between)} with odds of '
-                           f'{odds} to one.')
+            at_once = FRESH in between
+            best = NextRun(setup, turn, float(worth), between, at_once,
+                           text + (f' {SOON}' if at_once else '') + _hope(worth, between))
     return best
 
 
-def _listed(names: Sequence[str]) -> str:
-    return f'{", ".join(names[:-1])} and {names[-1]}'
+def _hope(worth: float, between: Sequence[str]) -> str:
+    """What is expected of a run, in words."""
+    names = f'{", ".join(between[:-1])} and {between[-1]}'
+    odds = 'more than 10000' if worth > np.log(1e4) else f'{np.exp(worth):.0f}'
+    return f' It is to decide between {names}' + (
+        f', with odds of {odds} to one to be expected.' if worth > np.log(3.0) else '.')
 
 
 def _runs(joint: Joint) -> tuple[list[Run], dict[str, list[Run]]]:

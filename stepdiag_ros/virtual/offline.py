@@ -4,7 +4,7 @@ It runs the plan as the sequencer does: setup by setup, for each repeat a forwar
 a backward run; each run resets the interferometer at its first stop.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -57,15 +57,17 @@ class Run:
 
 def simulate_log(cell: Cell, start_ns: int = START_NS, setups: tuple[str, ...] | None = None,
                  rate: float | None = None, in_motion: bool | None = None,
-                 effects: Sequence[Effect] | None = None) -> CalibrationLog:
+                 effects: Sequence[Effect] | None = None,
+                 pauses: Mapping[str, float] | None = None) -> CalibrationLog:
     """The log of a calibration of ``cell``.
 
     ``setups``: which, in which order (all); ``rate`` [Hz] of both sensors and ``in_motion``
-    override the cell's sampling; ``effects`` act instead of those that the cell names.  The same
+    override the cell's sampling; ``effects`` act instead of those that the cell names; ``pauses`` [s]:
+    setups that are measured sooner or later after mounting than the cell says.  The same
     cell gives the same log, bit by bit.
     """
     history = History()
-    runs = execute(cell, history, start_ns, setups or cell.setup_names)
+    runs = execute(cell, history, start_ns, setups or cell.setup_names, pauses)
     world = World(cell, history, start_ns, effects)
     moving = cell.sampling.in_motion if in_motion is None else in_motion
     spans = [(run, *span) for run in runs for span in _spans(run, moving)]
@@ -78,7 +80,8 @@ def simulate_log(cell: Cell, start_ns: int = START_NS, setups: tuple[str, ...] |
                           namespace=f'/{cell.description.machine.name}')
 
 
-def execute(cell: Cell, history: History, start_ns: int, setups: tuple[str, ...]) -> list[Run]:
+def execute(cell: Cell, history: History, start_ns: int, setups: tuple[str, ...],
+            pauses: Mapping[str, float] | None = None) -> list[Run]:
     """Move through the plan, filling ``history``; returns the runs."""
     now, place, runs = start_ns, np.zeros(3), []
     rest = point_to_point(0.0, 1.0, 1.0, 1.0)
@@ -89,7 +92,7 @@ def execute(cell: Cell, history: History, start_ns: int, setups: tuple[str, ...]
         number = cell.setup_names.index(setup)
         now += COMMAND_DELAY_NS
         history.append(now, place, place, rest, number)
-        now += int(cell.motion.mount * 1e9)
+        now += int((pauses or {}).get(setup, cell.motion.mount) * 1e9)
         for repeat in range(cell.description.plan.repeats):
             for direction in (1, -1):
                 run = _run(cell.motion, history, now, place, path, number,

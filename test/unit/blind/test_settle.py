@@ -11,7 +11,8 @@ from stepdiag_ros.estimate.reduce import reduce_log
 @pytest.mark.parametrize('kind', ['mirror_mount_creep', 'psd_rotation'])
 def test_the_run_comes_at_the_end_and_nothing_before_it_changes(kind):
     made = make(Order('develop', 5, 1, 'single', (kind,), 'field', small=True))
-    run = {'setup': 'ppp.2', 'standoff_m': 0.9, 'psd_offset_m': [0.02, 0.0], 'mirror_turn_rad': [1e-4, -1e-4]}
+    run = {'setup': 'ppp.2', 'standoff_m': 0.9, 'psd_offset_m': [0.02, 0.0], 'mirror_turn_rad': [1e-4, -1e-4],
+           'at_once': True}
     longer = longer_log(made, run)
     for now, before in ((longer.displacement, made.log.displacement), (longer.spot, made.log.spot)):
         np.testing.assert_array_equal(now.values[:len(before)], before.values)
