@@ -165,7 +165,9 @@ class Form:
     there are none to tune; ``tuned_from``: label of the form that it was tuned from, empty if it was not.
     ``process``: whether the coefficients are a random process whose standard deviations go as ``scale``, an
     unknown course; it is held to the size that the log shows, other coefficients are free.  ``held``:
-    that size, in scales, once it is known.
+    that size, in scales, once it is known.  ``by_reading`` (k, n, c): derivatives of columns that are made of the
+    readings themselves, by the reading.  ``source``: what it comes from where a cell has but one, as its
+    laser; forms of two sources do not act together.
     """
 
     label: str
@@ -180,6 +182,7 @@ class Form:
     process: bool = False
     held: float | None = None
     by_reading: np.ndarray | None = None
+    source: str = ''
 
     def at(self, shape: Mapping[str, float]) -> 'Form':
         """The same form with other shape parameters; only where there is something to tune."""

@@ -73,7 +73,8 @@ class CyclicNonlinearity(Effect):
 
         def form(kind: str, columns: np.ndarray, slopes: np.ndarray, names: tuple[str, ...]) -> Form:
             return Form(f'{label}, {kind}', columns, names, np.full(len(names), 3e-9),
-                        shape={'wavelength_m': wavelength}, by_reading=slopes)
+                        shape={'wavelength_m': wavelength}, by_reading=slopes,
+                        source=f'laser of {wavelength * 1e9:.3f} nm')
 
         once, by_once = self._swing(view, 4.0 * np.pi * length / wavelength, slope)
         twice, by_twice = self._swing(view, 8.0 * np.pi * length / wavelength, 2.0 * slope)

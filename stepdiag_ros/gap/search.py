@@ -16,6 +16,7 @@ from stepdiag_ros.gap.evidence import SIZES, Judged, judge, log_mean
 from stepdiag_ros.gap.parity import Parity
 from stepdiag_ros.gap.thresholds import (
     BEYOND_DOUBT,
+    DECOY_SHARE,
     FORM_ERROR,
     MEMBER_ALARM,
     MISFIT,
@@ -206,9 +207,12 @@ class Screen:
         judged = self.judge_all(members)
         groups: dict[str, dict[str, list[int]]] = {}
         present = {m.effect for m in members}
+        sources = {self.candidates[m.candidate].form.source for m in members} - {''}
         for number, candidate in enumerate(self.candidates):
             if candidate.decoy and candidate.family in present:
                 continue  # beside the name its decoys are no rivals
+            if sources and candidate.form.source and candidate.form.source not in sources:
+                continue
             groups.setdefault(candidate.effect, {}).setdefault(candidate.family, []).append(number)
         result = {}
         for effect, families in groups.items():
@@ -225,10 +229,10 @@ class Screen:
         """Log odds against a family where a name explains as much.
 
         What decoys explain, forms as rich would have explained whatever the cause: a name has earned
-        only what it explains beyond, and must beat its decoys by as much as they have.
+        only what it explains beyond, and must beat its decoys by a share of what they have.
         """
         first = self.candidates[numbers[0]]
-        return -max(0.0, *(judged[i].log_bayes for i in numbers)) if first.decoy else first.doubt
+        return -DECOY_SHARE * max(0.0, *(judged[i].log_bayes for i in numbers)) if first.decoy else first.doubt
 
     def residual(self, members: Sequence[Member]) -> np.ndarray:
         """What the set leaves of the data (N,)."""
@@ -285,8 +289,22 @@ def search(screen: Screen) -> list[EffectSet]:
     for found in sets.values():
         if found.key not in best or best[found.key].log_bayes < found.log_bayes:
             best[found.key] = found
-    found = _held_to_names(screen, list(best.values()))
+    found = _held_to_names(screen, _each_earned(best))
     return sorted(found, key=lambda s: -(s.log_bayes + log_prior(s, len(first))))
+
+
+def _each_earned(best: Mapping[frozenset, EffectSet]) -> list[EffectSet]:
+    """The sets; none is better than one without an effect that brings less to it than a further effect must,
+    in whichever order they were found."""
+    result: dict[frozenset, EffectSet] = {}
+    for key in sorted(best, key=len):
+        found = best[key]
+        for name in key if len(key) > 1 else ():
+            less = result.get(key - {name})
+            if less is not None and found.log_bayes - less.log_bayes < least_growth(less):
+                found = replace(found, log_bayes=min(found.log_bayes, less.log_bayes))
+        result[key] = found
+    return list(result.values())
 
 
 def _leading(sets: list[EffectSet], most: int) -> list[EffectSet]:

@@ -25,6 +25,8 @@ LEAN_DOUBT = 4.0
 """The same against a nameless jump."""
 BEYOND_DOUBT = 1.0
 """The same against a lean pattern of physics that no effect has: it errs no more than a name's forms do."""
+DECOY_SHARE = 0.2
+"""Share of what an effect's decoys explain by which a name must beat them."""
 TEMPER = 1.0
 """Factor on log evidence before it becomes odds."""
 CONFUSED = 3.0
