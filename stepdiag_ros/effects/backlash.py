@@ -44,13 +44,15 @@ class Backlash(Effect):
                               AXES + tuple(f'{a} wave {k}' for k in range(1, WAVES + 1) for a in AXES)
                               + names, np.full(3 + 3 * WAVES + len(begin), 3e-6)))
             # What another axis carries there loads the screw: the reversal follows its place too.
-            others = [(a, b) for a in range(3) for b in range(3) if a != b]
+            others = [(a, b) for a in range(3) for b in range(3) if a != b and np.ptp(share[b]) > 0.0]
+            if not others:
+                continue
             loaded = np.stack([half[a] * share[b][:, None] for a, b in others])
             forms.append(Form(f'reversal of each place and under load, {how}',
                               np.concatenate([half, worn, loaded, nuisance]),
                               AXES + tuple(f'{a} wave {k}' for k in range(1, WAVES + 1) for a in AXES)
                               + tuple(f'{AXES[a]} along {AXES[b]}' for a, b in others) + names,
-                              np.full(9 + 3 * WAVES + len(begin), 3e-6)))
+                              np.full(3 + 3 * WAVES + len(others) + len(begin), 3e-6)))
         return forms
 
 
