@@ -68,7 +68,7 @@ def stray_arrivals(joint: Joint, rest: np.ndarray | None = None) -> tuple[float,
 def _mixture(score: np.ndarray, side: float) -> float:
     """Log evidence of a wide part in normal scores, two-sided (0) or of one sign."""
     wide = SPREADS**2
-    logs = []
+    logs, plain = [], []
     for level in LEVELS:
         z = score / level
         alone = -0.5 * z**2 - np.log(level)
@@ -79,14 +79,16 @@ def _mixture(score: np.ndarray, side: float) -> float:
         quiet = np.log(np.maximum(1.0 - SHARES, 1e-300))[:, None, None]
         mixed = np.logaddexp(quiet, np.log(SHARES)[:, None, None] + ratio)
         logs.append(log_mean((alone + mixed).sum(axis=2).ravel()))
-    return log_mean(logs) + float(np.sum(0.5 * score**2))
+        plain.append(float(np.sum(alone)))
+    # Less noise than the repeats say is no sign of strays: noise alone may have any level too.
+    return log_mean(logs) - log_mean(plain)
 
 
 def excess_scatter(joint: Joint) -> tuple[float, str]:
     """Log evidence for more scatter than noise in the worst group, and that group in words."""
     space, table = joint.parity, joint.observation.table
     rest = unexplained(space, joint.active)
-    beams = joint.fit.model.beams
+    beams, repeats = joint.fit.model.beams, max(float(sum(joint.noise.dof)), 1.0)
     worst: list[tuple[float, str]] = [(0.0, ''), stray_arrivals(joint, rest)]
     for part, what, dof in ((slice(0, space.stops), 'the stops', space.dof[0]),
                             (slice(space.stops, None), 'the samples inside the dwells', space.dof[1])):
@@ -112,7 +114,9 @@ def excess_scatter(joint: Joint) -> tuple[float, str]:
                 continue
             square = float(np.sum(values[mine] ** 2))
             ratio = square / (count * min(free, 1.0))
-            gain = 0.5 * count * free * (ratio - 1.0 - np.log(ratio)) if ratio > 1.0 else 0.0
+            # The stops' noise is known no better than the repeats tell it.
+            known = 1.0 / (1.0 / (count * free) + (1.0 / repeats if what == 'the stops' else 0.0))
+            gain = 0.5 * known * (ratio - 1.0 - np.log(ratio)) if ratio > 1.0 else 0.0
             worst.append((gain - price, f'{label} scatter {np.sqrt(ratio):.2f} times as much as noise'))
             outliers = float(np.sum(np.abs(values[mine]) > TAIL))
             expected = max(2.0 * stats.norm.sf(TAIL) * count, 0.05)
