@@ -15,12 +15,11 @@ os.environ.update({'OMP_NUM_THREADS': '1', 'OPENBLAS_NUM_THREADS': '1'})
 import argparse
 import platform
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import scipy
-from estimate_case import make_case, peak_mb
+from estimate_case import best_of, make_case, peak_mb
 
 from stepdiag_ros.estimate import enhanced
 from stepdiag_ros.estimate.banded import BandedNormal
@@ -28,16 +27,6 @@ from stepdiag_ros.estimate.banded import BandedNormal
 PAGE = Path(__file__).resolve().parents[1] / 'docs' / 'bench' / 'estimate.md'
 LARGEST_DENSE = 100
 """Steps an axis above which the dense peer is left out: it grows with the cube."""
-
-
-def spent(work: Callable[[], object], best_of: int = 3) -> float:
-    """Least processor time of several runs [s]."""
-    times = []
-    for _ in range(best_of):
-        begin = time.process_time()
-        work()
-        times.append(time.process_time() - begin)
-    return min(times)
 
 
 def measure(steps: int) -> tuple[str, float | None, float]:
@@ -55,8 +44,9 @@ def measure(steps: int) -> tuple[str, float | None, float]:
                         min(parameters.setup_first.values()))
     band.solve(result.jacobian, residual, pull)
     best = 5 if steps <= 50 else 1
-    ours = spent(lambda: band.solve(result.jacobian, residual, pull), best)
-    whole = spent(lambda: enhanced.fit(case.description, case.table, case.noise), 2 if steps <= 50 else 1)
+    ours = best_of(lambda: band.solve(result.jacobian, residual, pull), best, time.process_time)
+    whole = best_of(lambda: enhanced.fit(case.description, case.table, case.noise), 2 if steps <= 50 else 1,
+                    time.process_time)
     memory = peak_mb(lambda: enhanced.fit(case.description, case.table, case.noise)) if steps <= 50 else np.nan
     ratio, gap, dense_text, whole_text = None, 0.0, '', ''
     if steps <= LARGEST_DENSE:
@@ -71,7 +61,7 @@ def measure(steps: int) -> tuple[str, float | None, float]:
         scale = 1.0 / np.linalg.norm(matrix, axis=0)
         begin_best = 2 if steps <= 50 else 1
         # Only the readings' rows: the peer gets the smaller matrix, and no whitening to pay for.
-        peer = spent(lambda: np.linalg.lstsq(rows, right, rcond=None), begin_best)
+        peer = best_of(lambda: np.linalg.lstsq(rows, right, rcond=None), begin_best, time.process_time)
         full = np.linalg.lstsq(matrix * scale, target, rcond=None)[0] * scale
         step = band.solve(result.jacobian, residual, pull)
         gap = float(np.max(np.abs(full - step) / np.sqrt(np.diag(result.covariance))))

@@ -14,13 +14,12 @@ os.environ.update({'OMP_NUM_THREADS': '1', 'OPENBLAS_NUM_THREADS': '1'})
 import argparse
 import platform
 import time
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import scipy
-from estimate_case import Case, make_case, peak_mb
+from estimate_case import Case, best_of, make_case, peak_mb
 from scipy import linalg, optimize
 
 from stepdiag_ros.cli.uncertainty import default_budget
@@ -34,16 +33,6 @@ from stepdiag_ros.virtual.scene import SensorScene
 
 PAGE = Path(__file__).resolve().parents[1] / 'docs' / 'bench' / 'montecarlo.md'
 NOISE = ('position_repeatability', 'angle_repeatability', 'interferometer_noise', 'psd_noise')
-
-
-def timed(work: Callable[[], object], best_of: int = 3) -> float:
-    """Shortest of several runs [s]."""
-    times = []
-    for _ in range(best_of):
-        begin = time.perf_counter()
-        work()
-        times.append(time.perf_counter() - begin)
-    return min(times)
 
 
 def solved(case: Case, budget: Budget):
@@ -69,24 +58,24 @@ def linear(draws: int, steps: tuple[int, ...]) -> list[str]:
         result, solution, _, uncertainty = solved(case, budget)
         n, p = result.jacobian.shape[0], len(solution.names)
         rng = np.random.default_rng(1)
-        ours = timed(lambda: montecarlo.linear(uncertainty, draws, rng), 2)
+        ours = best_of(lambda: montecarlo.linear(uncertainty, draws, rng), 2)
         product = rng.standard_normal((n, p))
         out = np.empty((draws, p))
 
         def limit():
             for rows in montecarlo.blocks(draws):
                 np.matmul(rng.standard_normal((rows.stop - rows.start, n)), product, out=out[rows])
-        bound = timed(limit, 2)
+        bound = best_of(limit, 2)
         factor = linalg.cholesky(np.linalg.inv(result.covariance), lower=True)
 
         def one():
             right = result.jacobian.T @ rng.standard_normal(n)
             linalg.cho_solve((factor, True), right, check_finite=False)
-        single = timed(lambda: [one() for _ in range(20)], 2) / 20 * draws
+        single = best_of(lambda: [one() for _ in range(20)], 2) / 20 * draws
         dense = ''
         if count <= 50:
             matrix = result.jacobian.toarray()
-            dense = f'{timed(lambda: np.linalg.lstsq(matrix, rng.standard_normal(n), rcond=None), 2) * draws:,.0f}'
+            dense = f'{best_of(lambda: np.linalg.lstsq(matrix, rng.standard_normal(n), rcond=None), 2) * draws:,.0f}'
         memory = peak_mb(lambda: montecarlo.linear(uncertainty, 1000, rng))
         lines.append(f'| {count} | {n} | {p} | {ours:.2f} | {bound:.2f} | {ours / bound:.2f}× the limit | '
                      f'{single:.1f} ({single / ours:.0f}×) | {dense} | {memory:.0f} |')
@@ -123,7 +112,7 @@ def regulated(draws: int, peers: int = 150) -> list[str]:
         "scipy.optimize.least_squares, 'dogbox'": squares('dogbox')}
     rows, fastest = [], np.inf
     for name, run in solvers.items():
-        each = timed(run, 2) / peers
+        each = best_of(run, 2) / peers
         fastest = min(fastest, each)
         rows.append((name, each))
     lines = ['', '## Nonlinear: the regulated beam', '',
@@ -136,7 +125,7 @@ def regulated(draws: int, peers: int = 150) -> list[str]:
     full = [multilateration.solve(replace(problem, reading=y)).unknown[moving] for y in readings[:40]]
     chord_rows = []
     for chords in (1, 2, 3):
-        seconds = timed(lambda c=chords: multilateration.monte_carlo(problem, answer, draws, np.random.default_rng(3), c))
+        seconds = best_of(lambda c=chords: multilateration.monte_carlo(problem, answer, draws, np.random.default_rng(3), c))
         inverse, *_ = multilateration._inverse(problem, answer.unknown)
         unknown = np.broadcast_to(answer.unknown, (40, problem.size))
         for _ in range(chords):

@@ -40,8 +40,9 @@ class Backlash(Effect):
             # A worn screw has its own play at every place.
             waves = np.cos(np.pi * np.arange(1, WAVES + 1)[:, None, None] * (share + 0.5))
             worn = (half[None] * waves[..., None]).reshape(-1, *view.reading.shape)
+            worn_names = tuple(f'{a} wave {k}' for k in range(1, WAVES + 1) for a in AXES)
             forms.append(Form(f'reversal of each place, {how}', np.concatenate([half, worn, nuisance]),
-                              AXES + tuple(f'{a} wave {k}' for k in range(1, WAVES + 1) for a in AXES)
+                              AXES + worn_names
                               + names, np.full(3 + 3 * WAVES + len(begin), 3e-6)))
             # What another axis carries there loads the screw: the reversal follows its place too.
             others = [(a, b) for a in range(3) for b in range(3) if a != b and np.ptp(share[b]) > 0.0]
@@ -50,7 +51,7 @@ class Backlash(Effect):
             loaded = np.stack([half[a] * share[b][:, None] for a, b in others])
             forms.append(Form(f'reversal of each place and under load, {how}',
                               np.concatenate([half, worn, loaded, nuisance]),
-                              AXES + tuple(f'{a} wave {k}' for k in range(1, WAVES + 1) for a in AXES)
+                              AXES + worn_names
                               + tuple(f'{AXES[a]} along {AXES[b]}' for a, b in others) + names,
                               np.full(3 + 3 * WAVES + len(others) + len(begin), 3e-6)))
         return forms

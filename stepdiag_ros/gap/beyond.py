@@ -13,6 +13,7 @@ import numpy as np
 
 from stepdiag_ros.effects.base import Form, StopView
 from stepdiag_ros.effects.timeforms import courses, drift_form
+from stepdiag_ros.gap.unknown import pattern_form
 from stepdiag_ros.model.machine import AXES, CURVES
 
 KNEES = (0.2, 0.35, 0.5, 0.65, 0.8)
@@ -30,10 +31,7 @@ def beyond_families(view: StopView) -> dict[str, list[Form]]:
 
 
 def _lengths(view: StopView, label: str, patterns: np.ndarray, scale: float) -> Form:
-    """Patterns (k, n) or (k, n, beams) on the lengths."""
-    columns = view.zeros(len(patterns))
-    columns[:, :, :view.beams] = patterns if patterns.ndim == 3 else patterns[:, :, None]
-    return Form(label, columns, tuple(str(i) for i in range(len(patterns))), np.full(len(patterns), scale))
+    return pattern_form(view, label, patterns, slice(0, view.beams), scale)
 
 
 def _at_long_range(view: StopView) -> Iterator[Form]:

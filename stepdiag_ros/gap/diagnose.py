@@ -16,6 +16,7 @@ from stepdiag_ros.effects.tuning import tune
 from stepdiag_ros.estimate.noise import estimate_noise
 from stepdiag_ros.estimate.solution import Solution
 from stepdiag_ros.gap.beyond import beyond_families
+from stepdiag_ros.gap.clocks import late_clocks, put_right
 from stepdiag_ros.gap.closing import Closing, closing, excess_forecast
 from stepdiag_ros.gap.evidence import width_of
 from stepdiag_ros.gap.inside import Timing, apart, steps, timing
@@ -29,15 +30,10 @@ from stepdiag_ros.gap.search import Candidate, EffectSet, Screen, probabilities,
 from stepdiag_ros.gap.thresholds import (
     ALARM,
     BEYOND_DOUBT,
-    CLOCK_SIGMAS,
     CONFUSED,
-    DRIFT_SIGMAS,
     FORM_ERROR,
     LEAN_DOUBT,
-    LEAST_CLOCK_S,
-    LEAST_DRIFT_S,
     LEAST_LEFT,
-    LEAST_SOONER_S,
     MISFIT,
     MISFIT_MOST,
     SCATTER_ALARM,
@@ -47,11 +43,9 @@ from stepdiag_ros.gap.thresholds import (
 from stepdiag_ros.gap.unknown import LEAN, inconsistent_forms, unknown_families
 from stepdiag_ros.gap.unknown import NAME as UNKNOWN
 from stepdiag_ros.gap.where import Share, shares
-from stepdiag_ros.model.log import CalibrationLog, Samples
+from stepdiag_ros.model.log import CalibrationLog
 
 ROUNDS = 4
-ALONE = 0.25
-"""Share of the difference of two clocks below which the nearer one is taken for right."""
 AIR_IN_MEANS = 4.0
 """Variance of a dwell's mean by moving air over that inside the dwell: of noise as 1/f all octaves are alike, and
 between the length of a dwell and that of a run lie four times as many as a dwell resolves."""
@@ -296,30 +290,19 @@ def _form_error(joint: Joint) -> bool:
 
 # ---- the clocks -----------------------------------------------------------------------------------
 
-@dataclass(frozen=True)
-class Late:
-    """A sensor's stamps are late (early: negative) by ``offset`` ± ``sigma`` [s] on average over the log,
-    and by ``drift`` [s] more at its end than at its beginning."""
-
-    offset: float
-    sigma: float
-    drift: float
-    probability: float
-
-
 def _set_clocks(log: CalibrationLog, observation: Observation):
     """Put right a sensor whose stamps are off; what was found out about both."""
     table = observation.table
     clocks = {'interferometer': timing(log.displacement, table, table.displacement),
               'psd': timing(log.spot, table, table.spot)}
-    skew = _skew(clocks, apart(log, table))
+    skew = late_clocks(clocks, apart(log, table))
     if not skew:
         return log, observation, clocks, []
     parameters: dict[str, float] = {}
     sigma: dict[str, float] = {}
     for sensor, late in skew.items():
         channel = 'spot' if sensor == 'psd' else 'displacement'
-        log = replace(log, **{channel: _shifted(getattr(log, channel), late, table.dwell_ns)})
+        log = replace(log, **{channel: put_right(getattr(log, channel), late, table.dwell_ns)})
         parameters[f'{sensor}_s'], sigma[f'{sensor}_s'] = late.offset, late.sigma
         if late.drift:
             parameters[f'{sensor}_drift_s'] = late.drift
@@ -328,65 +311,6 @@ def _set_clocks(log: CalibrationLog, observation: Observation):
                   'offset and drift' if any(late.drift for late in skew.values()) else 'constant offset',
                   1.0, 'Let all computers take their time from one source (PTP or NTP).')
     return log, observe(log), clocks, [found]
-
-
-def _skew(clocks: Mapping[str, Timing | None],
-          between: tuple[float, float] | None) -> dict[str, Late]:
-    """Sensors whose stamps are provably off; ``between``: delay of the spot against the displacement, its σ [s].
-
-    What a control takes to start and to report in position moves what a sensor sees of a move, so an
-    offset alone proves nothing.  Three things do: motion seen before the command or long after the
-    report; two sensors that see the same moves at different times; and an offset that changes in the
-    course of the log, for a control treats equal moves alike.
-    """
-    seen = {name: clock for name, clock in clocks.items() if clock is not None}
-    found: dict[str, Late] = {}
-    for name, clock in seen.items():
-        drifts = abs(clock.drift) > max(DRIFT_SIGMAS * clock.drift_sigma, LEAST_DRIFT_S)
-        significant = abs(clock.offset) > max(CLOCK_SIGMAS * clock.sigma, LEAST_CLOCK_S)
-        acausal = significant and (clock.sooner > LEAST_SOONER_S or (
-            clock.before > 0.2 if clock.offset < 0 else clock.after > 0.2))
-        if drifts or acausal:
-            found[name] = Late(_start(clock), clock.sigma, clock.drift if drifts else 0.0,
-                               0.99 if drifts and acausal else 0.95)
-    if between is None or 'interferometer' not in seen:
-        return found
-    sharp, other = 'interferometer', 'psd'
-    (delay, sigma) = between
-    limit = CLOCK_SIGMAS * sigma
-    if abs(delay) > max(limit, LEAST_CLOCK_S):
-        if not found:
-            # One of the two is right: the one that sees the moves begin with the command, not before.
-            start = _start(seen[sharp])
-            wrong = other if abs(start) < abs(start + delay) else sharp
-            offset = delay if wrong == other else -delay
-            found[wrong] = Late(offset, sigma, 0.0, 0.95)
-        elif sharp in found:
-            late = found[sharp]
-            start = late.offset + delay
-            if abs(start) < ALONE * abs(delay):
-                # The other sees the moves begin with the command: it is right, and the better mark.
-                found[sharp] = replace(late, offset=-delay, sigma=sigma, probability=0.99)
-                found.pop(other, None)
-            else:
-                found[other] = replace(late, offset=start, probability=0.99)
-    elif sharp in found and limit < abs(found[sharp].offset):
-        # Both see the same: it is the sequencer that differs from both.
-        found[other] = found[sharp]
-    return found
-
-
-def _start(clock: Timing) -> float:
-    """Offset of the stamps by the beginning of the moves, where it is seen; by their middle elsewhere."""
-    return clock.onset if clock.sharp else clock.offset
-
-
-def _shifted(samples: Samples, late: Late, dwell_ns: np.ndarray) -> Samples:
-    """Samples with stamps put right; the drift is straight between the first and the last dwell."""
-    span = max(int(dwell_ns[-1] - dwell_ns[0]), 1)
-    place = (samples.time_ns - dwell_ns[0]) / span
-    shift = np.rint(1e9 * (late.offset + late.drift * (np.clip(place, 0.0, 1.0) - 0.5)))
-    return replace(samples, time_ns=np.maximum.accumulate(samples.time_ns - shift.astype(np.int64)))
 
 
 def _coarse(joint: Joint) -> str:

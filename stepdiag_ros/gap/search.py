@@ -234,11 +234,6 @@ class Screen:
         first = self.candidates[numbers[0]]
         return -DECOY_SHARE * max(0.0, *(judged[i].log_bayes for i in numbers)) if first.decoy else first.doubt
 
-    def residual(self, members: Sequence[Member]) -> np.ndarray:
-        """What the set leaves of the data (N,)."""
-        basis = self.basis(members)
-        return self.parity.data - basis @ (basis.T @ self.parity.data)
-
 
 def _explained(columns: np.ndarray) -> np.ndarray:
     """Directions ``B`` (N, r), ``1 − BBᵀ = (1 + ZZᵀ)⁻¹``, for columns ``Z`` (N, k) in units of the sizes
@@ -332,8 +327,9 @@ def _held_to_names(screen: Screen, sets: list[EffectSet]) -> list[EffectSet]:
 
 def _reach(screen: Screen, found: EffectSet) -> float:
     """What a set takes off zᵀz beyond what it would take off noise."""
-    data, left = screen.parity.data, screen.residual(found.members)
-    return float(data @ data - left @ left) - float(np.sum(screen.basis(found.members) ** 2))
+    basis, data = screen.basis(found.members), screen.parity.data
+    left = data - basis @ (basis.T @ data)
+    return float(data @ data - left @ left) - float(np.sum(basis**2))
 
 
 def _supported(screen: Screen, found: EffectSet, member: Member) -> bool:

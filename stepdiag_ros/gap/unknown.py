@@ -33,10 +33,10 @@ def _channels(view: StopView) -> list[tuple[str, slice, float]]:
             ('spot_y', slice(b + 1, b + 2), 3e-6)]
 
 
-def _form(view: StopView, label: str, patterns: np.ndarray, columns: slice, scale: float) -> Form:
-    """Patterns (k, n) put into some channels."""
+def pattern_form(view: StopView, label: str, patterns: np.ndarray, columns: slice, scale: float) -> Form:
+    """Patterns (k, n), or (k, n, c) of their own in each, put into c channels."""
     full = view.zeros(len(patterns))
-    full[:, :, columns] = patterns[:, :, None]
+    full[:, :, columns] = patterns if patterns.ndim == 3 else patterns[:, :, None]
     return Form(label, full, tuple(str(i) for i in range(len(patterns))),
                 np.full(len(patterns), scale))
 
@@ -52,13 +52,13 @@ def _static(view: StopView) -> Iterator[Form]:
             keys = np.unique(place[mine])
             patterns = (place[None] == keys[:, None]).astype(float)
             setup_name = view.setup_names[setup]
-            yield _form(view, f'{name}: places in {setup_name}', patterns, columns, scale)
-            yield _form(view, f'{name}: places by direction in {setup_name}',
+            yield pattern_form(view, f'{name}: places in {setup_name}', patterns, columns, scale)
+            yield pattern_form(view, f'{name}: places by direction in {setup_name}',
                         patterns * view.direction, columns, scale)
         keys = np.unique(place)
         patterns = (place[None] == keys[:, None]).astype(float)
-        yield _form(view, f'{name}: places', patterns, columns, scale)
-        yield _form(view, f'{name}: places by direction', patterns * view.direction, columns, scale)
+        yield pattern_form(view, f'{name}: places', patterns, columns, scale)
+        yield pattern_form(view, f'{name}: places by direction', patterns * view.direction, columns, scale)
     # Few-parameter shapes along the travel, the same in all setups, by direction.
     share = view.commanded.T / np.array(view.description.machine.volume)[:, None]
     waves = np.concatenate([np.cos(np.pi * k * share) for k in (1, 2, 3)])
@@ -66,9 +66,9 @@ def _static(view: StopView) -> Iterator[Form]:
         for setup in range(len(view.setup_names)):
             mine = (view.setup == setup).astype(float)
             if mine.sum() >= 8:
-                yield _form(view, f'{name}: slow shape along {view.setup_names[setup]}',
+                yield pattern_form(view, f'{name}: slow shape along {view.setup_names[setup]}',
                             waves[::3] * mine, columns, scale)
-        yield _form(view, f'{name}: slow shape by direction', waves * view.direction, columns, scale)
+        yield pattern_form(view, f'{name}: slow shape by direction', waves * view.direction, columns, scale)
 
 
 def _in_time(view: StopView) -> Iterator[Form]:
@@ -87,16 +87,16 @@ def _in_time(view: StopView) -> Iterator[Form]:
             time = time / max(time.max(), 1e-9)
             ramps += [time, np.where(mine, time**2, 0.0)]
         if ramps:
-            yield _form(view, f'{name}: drift inside the runs', np.array(ramps), columns, scale)
-            yield _form(view, f'{name}: ramp inside the runs', np.array(ramps[::2]), columns, scale)
-        yield _form(view, f'{name}: slow in time', slow, columns, scale)
+            yield pattern_form(view, f'{name}: drift inside the runs', np.array(ramps), columns, scale)
+            yield pattern_form(view, f'{name}: ramp inside the runs', np.array(ramps[::2]), columns, scale)
+        yield pattern_form(view, f'{name}: slow in time', slow, columns, scale)
         for setup in range(len(view.setup_names)):
             mine = (view.setup == setup).astype(float)
             if mine.sum() < 8:
                 continue
             start = view.mount_time * mine
             start = start / max(start.max(), 1e-9)
-            yield _form(view, f'{name}: slow in time in {view.setup_names[setup]}',
+            yield pattern_form(view, f'{name}: slow in time in {view.setup_names[setup]}',
                         np.stack([start, start**2, start**3]) * mine, columns, scale)
     for label, derivative, scale in (('tool point', view.by_shift, 1e-6),
                                      ('beam', view.by_laser, 1e-6), ('mirror', view.by_mirror, 1e-6)):
@@ -123,13 +123,13 @@ def _jumps(view: StopView) -> Iterator[Form]:
         for i in order:
             single = np.zeros((1, len(view.time)))
             single[0, i] = 1.0
-            yield _form(view, f'{name}: one stop, {view.run_ids[view.run[i]]} stop {view.index[i]}',
+            yield pattern_form(view, f'{name}: one stop, {view.run_ids[view.run[i]]} stop {view.index[i]}',
                         single, columns, scale)
         if name == 'displacement':
             continue
         for i in order:
             after = (view.setup == view.setup[i]) & (view.time >= view.time[i])
-            yield _form(view, f'{name}: jump at {view.run_ids[view.run[i]]} stop {view.index[i]}',
+            yield pattern_form(view, f'{name}: jump at {view.run_ids[view.run[i]]} stop {view.index[i]}',
                         after[None].astype(float), columns, scale)
 
 
@@ -179,7 +179,7 @@ def _between_channels(view: StopView) -> Iterator[Form]:
                'axis that moved': np.stack([rate * (view.axis == a) for a in range(3)])}
     for name, columns, scale in _channels(view):
         for source, patterns in sources.items():
-            yield _form(view, f'{name}: follows {source}', patterns, columns, scale)
+            yield pattern_form(view, f'{name}: follows {source}', patterns, columns, scale)
     for source, patterns in sources.items():
         if not source.startswith('spot'):
             full = view.zeros(2 * len(patterns))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from stepdiag_ros.estimate.reduce import reduce_log
-from stepdiag_ros.gap.diagnose import _skew
+from stepdiag_ros.gap.clocks import late_clocks
 from stepdiag_ros.gap.inside import apart, steps, timing
 
 
@@ -34,14 +34,14 @@ def test_a_quiet_log_shows_nothing(case):
     # the command.
     assert abs(clock.offset) < 0.05 and clock.before == 0.0 and clock.after == 0.0
     assert clock.sooner == 0.0 and abs(clock.drift) < 5.0 * clock.drift_sigma
-    assert _skew(*_clocks(case.log())) == {}
+    assert late_clocks(*_clocks(case.log())) == {}
 
 
 def test_both_sensors_early_show_motion_before_the_command(case):
     log = case.log()
     early = replace(log, displacement=_stamped(log.displacement, -0.03),
                     spot=_stamped(log.spot, -0.03))
-    seen = _skew(*_clocks(early))
+    seen = late_clocks(*_clocks(early))
     assert seen['interferometer'].offset == pytest.approx(-0.03, abs=8e-3)
 
 
@@ -49,17 +49,17 @@ def test_a_clock_that_runs_wrong_shows_although_late_alone_would_not(case):
     log = case.log()
     late = replace(log, displacement=_stamped(log.displacement, 0.01),
                    spot=_stamped(log.spot, 0.01))
-    assert _skew(*_clocks(late)) == {}  # a control that begins late looks the same
+    assert late_clocks(*_clocks(late)) == {}  # a control that begins late looks the same
     wrong = replace(log, displacement=_stamped(log.displacement, 0.01, 2e-3),
                     spot=_stamped(log.spot, 0.01, 2e-3))
-    assert _skew(*_clocks(wrong))['interferometer'].drift == pytest.approx(2e-3, rel=0.3)
+    assert late_clocks(*_clocks(wrong))['interferometer'].drift == pytest.approx(2e-3, rel=0.3)
 
 
 def test_the_sensor_that_is_off_is_named(case):
     log = case.log()
     for sensor, channel in (('interferometer', 'displacement'), ('psd', 'spot')):
         late = replace(log, **{channel: _stamped(getattr(log, channel), 0.06)})
-        seen = _skew(*_clocks(late))
+        seen = late_clocks(*_clocks(late))
         assert list(seen) == [sensor]
         assert seen[sensor].offset == pytest.approx(0.06, abs=0.01)
 
