@@ -105,43 +105,52 @@ class Screen:
     _with_inside: np.ndarray = field(init=False)
     _along: np.ndarray = field(init=False)
     _slices: list = field(init=False)
+    _ratios: list = field(init=False)
     _alike: list = field(init=False)
     _judged: dict = field(init=False, default_factory=dict)
 
     def __post_init__(self):
         stops, data, forms = self.parity.stops, self.parity.data, [c.form for c in self.candidates]
-        edges = np.concatenate([[0], np.cumsum([len(form.columns) for form in forms])]).astype(int)
-        self._slices = [slice(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+        first = _first_alike(forms)
+        owns = [number for number, other in enumerate(first) if other == number]
+        edges = np.concatenate([[0], np.cumsum([len(forms[i].columns) for i in owns])]).astype(int)
+        parts = {i: slice(a, b) for i, a, b in zip(owns, edges[:-1], edges[1:], strict=True)}
+        self._slices = [parts[i] for i in first]
+        self._ratios = [form.scale / forms[i].scale for form, i in zip(forms, first, strict=True)]
         stacked = np.empty((edges[-1], *forms[0].columns.shape[1:]))
-        for form, part in zip(forms, self._slices, strict=True):
-            np.multiply(form.columns, form.scale[:, None, None], out=stacked[part])
+        for i, part in parts.items():
+            np.multiply(forms[i].columns, forms[i].scale[:, None, None], out=stacked[part])
         # The data are projected, so are products with them: the columns need not be, which would
         # be the dearest step.  Their own products are put right by what the fit absorbs.
         self._white = self.parity.white_part(stacked)
         absorbed = self.parity.absorbed(self._white)
         self._along = self._white.T @ data[:stops]
-        inside = {number: self.parity.bin_part(form.inside) * form.scale
-                  for number, form in enumerate(forms) if form.inside is not None}
-        self._with_inside = _indices([self._slices[number] for number in inside])
+        inside = {i: self.parity.bin_part(forms[i].inside) * forms[i].scale
+                  for i in owns if forms[i].inside is not None}
+        self._with_inside = _indices([parts[i] for i in inside])
         self._inside = np.concatenate([np.zeros((self.parity.size - stops, 0)), *inside.values()], axis=1)
         self._along[self._with_inside] += self._inside.T @ data[stops:]
-        grams, alongs = [], []
-        for number, (form, part) in enumerate(zip(forms, self._slices, strict=True)):
+        grams = {}
+        for i, part in parts.items():
             columns, lost = self._white[:, part], absorbed[:, part]
-            gram, projected = columns.T @ columns - lost.T @ lost, self._along[part]
-            if number in inside:
-                gram = gram + inside[number].T @ inside[number]
-            if form.by_reading is not None:
-                owed, width = self.parity.own_noise(form)
-                gram, projected = gram + width, projected - owed
-            grams.append(gram)
-            alongs.append(projected)
+            grams[i] = columns.T @ columns - lost.T @ lost
+            if i in inside:
+                grams[i] += inside[i].T @ inside[i]
         by_width: dict[int, list[int]] = {}
-        for number, gram in enumerate(grams):
-            by_width.setdefault(len(gram), []).append(number)
-        self._alike = [_Alike(np.array(numbers), np.stack([_indices([self._slices[i]]) for i in numbers]),
-                              np.stack([grams[i] for i in numbers]), np.stack([alongs[i] for i in numbers]))
-                       for numbers in by_width.values()]
+        for number, part in enumerate(self._slices):
+            by_width.setdefault(part.stop - part.start, []).append(number)
+        self._alike = []
+        for numbers in by_width.values():
+            places = np.stack([_indices([self._slices[n]]) for n in numbers])
+            ratios = np.stack([self._ratios[n] for n in numbers])
+            gram = np.stack([grams[first[n]] for n in numbers]) * ratios[:, :, None] * ratios[:, None, :]
+            along = self._along[places] * ratios
+            for place, n in enumerate(numbers):
+                if forms[n].by_reading is not None:
+                    owed, width = self.parity.own_noise(forms[n])
+                    gram[place] += width
+                    along[place] -= owed
+            self._alike.append(_Alike(np.array(numbers), places, ratios, gram, along))
 
     def extended(self, more: Sequence[Candidate]) -> 'Screen':
         """The screen with further candidates; what is known of those it has is not worked out again."""
@@ -152,6 +161,7 @@ class Screen:
         self._inside = np.concatenate([self._inside, other._inside], axis=1)
         self._with_inside = np.concatenate([self._with_inside, other._with_inside + width])
         self._along = np.concatenate([self._along, other._along])
+        self._ratios += other._ratios
         self._slices += [slice(s.start + width, s.stop + width) for s in other._slices]
         self._alike += [replace(alike, numbers=alike.numbers + count, places=alike.places + width)
                         for alike in other._alike]
@@ -166,7 +176,7 @@ class Screen:
         mine = np.flatnonzero((self._with_inside >= part.start) & (self._with_inside < part.stop))
         if len(mine):
             full[self.parity.stops:] = self._inside[:, mine]
-        return full
+        return full * self._ratios[number]
 
     def basis(self, members: Sequence[Member]) -> np.ndarray:
         """Directions ``B`` (N, r) that several members explain: given them, products are taken with 1 − BBᵀ."""
@@ -189,7 +199,7 @@ class Screen:
         overlap[:, self._with_inside] += basis[stops:].T @ self._inside
         for alike in self._alike:
             chosen = open_[alike.numbers]
-            cross = overlap[:, alike.places[chosen]].transpose(1, 2, 0)
+            cross = (overlap[:, alike.places[chosen]] * alike.ratios[chosen]).transpose(1, 2, 0)
             gram = alike.grams[chosen] - cross @ cross.transpose(0, 2, 1)
             along = alike.alongs[chosen] - cross @ taken
             known.update(zip(alike.numbers[chosen].tolist(), judge(gram, along, total, dof, self.noise_dof),
@@ -250,11 +260,13 @@ class Screen:
 
 @dataclass(frozen=True)
 class _Alike:
-    """Candidates with k columns each: ``numbers`` (F,), ``places`` (F, k) of their columns among all,
-    products ``grams`` (F, k, k) with themselves and ``alongs`` (F, k) with the data."""
+    """Candidates with k columns each: ``numbers`` (F,), ``places`` (F, k) of their columns among all and
+    ``ratios`` (F, k) of their scales to those of the columns there, products ``grams`` (F, k, k) with
+    themselves and ``alongs`` (F, k) with the data."""
 
     numbers: np.ndarray
     places: np.ndarray
+    ratios: np.ndarray
     grams: np.ndarray
     alongs: np.ndarray
 
@@ -265,6 +277,22 @@ def _explained(columns: np.ndarray) -> np.ndarray:
     value, vector = np.linalg.eigh(columns.T @ columns)
     keep = value > LEAST_EXPLAINED
     return columns @ (vector[:, keep] / np.sqrt(1.0 + value[keep]))
+
+
+def _first_alike(forms: Sequence[Form]) -> list[int]:
+    """For each form the number of that whose columns it shares: its own, or that of the process before it
+    where the two differ in the sizes of their coefficients only (a winding and a smooth course)."""
+    first = list(range(len(forms)))
+    for number in range(1, len(forms)):
+        form, before = forms[number], forms[number - 1]
+        if form.process and before.process and _same(form.columns, before.columns) \
+                and _same(form.inside, before.inside):
+            first[number] = first[number - 1]
+    return first
+
+
+def _same(one: np.ndarray | None, other: np.ndarray | None) -> bool:
+    return one is other or (one is not None and other is not None and np.array_equal(one, other))
 
 
 def _indices(parts: Sequence[slice]) -> np.ndarray:
