@@ -51,8 +51,14 @@ class Parity:
 
     def white_part(self, columns: np.ndarray) -> np.ndarray:
         """White columns, not yet projected: (k, n, c) → (stops, k)."""
-        flat = columns.reshape(len(columns), -1).T
-        return np.concatenate([w(flat) for w in self._white])
+        flat, start = columns.reshape(len(columns), -1), 0
+        # Laid out column by column, as they come and as the triangular solver takes them.
+        result = np.empty((self.stops, len(flat)), order='F')
+        for white in self._white:
+            part = white(flat.T)
+            result[start:start + len(part)] = part
+            start += len(part)
+        return result
 
     def absorbed(self, white: np.ndarray) -> np.ndarray:
         """Coordinates (r, k) of white columns in what the fit can imitate."""
