@@ -13,8 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stepdiag_ros.gap.evidence import SIZES
-from stepdiag_ros.gap.joint import Joint, unexplained
+from stepdiag_ros.gap.joint import Joint, unexplained, widths
 from stepdiag_ros.gap.thresholds import CELL_SIGMAS, LEAST_SHARE
 
 CONCENTRATED = 0.85
@@ -75,7 +74,7 @@ def _of_effects(joint: Joint) -> np.ndarray:
     columns = np.concatenate([a.form.columns * a.form.scale[:, None, None] for a in joint.active])
     size = np.concatenate([a.coefficients / a.form.scale for a in joint.active])
     seen = np.concatenate([space.project(a.form) for a in joint.active], axis=1)
-    spread = np.linalg.inv(seen.T @ seen + np.eye(len(size)) / SIZES[-1] ** 2)
+    spread = np.linalg.inv(seen.T @ seen + np.diag(widths(a.form for a in joint.active) ** -2.0))
     # The unknowns follow a change of the coefficients by (JᵀJ + P)⁻¹ JᵀB; what they cannot follow is left.
     jacobian = result.jacobian.toarray()
     white = np.concatenate([w(jacobian) for w in space._white])
