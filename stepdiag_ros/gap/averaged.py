@@ -16,6 +16,7 @@ from stepdiag_ros.effects.base import Effect, Form
 from stepdiag_ros.estimate.evaluate import solution_of
 from stepdiag_ros.estimate.gauge import reporting_matrix
 from stepdiag_ros.estimate.solution import Solution
+from stepdiag_ros.estimate.standing import with_standing
 from stepdiag_ros.gap.joint import Active, Joint, held_to_log, solve, unexplained, widths
 from stepdiag_ros.gap.search import EffectSet, Screen
 from stepdiag_ros.gap.thresholds import FORM_ERROR
@@ -68,8 +69,9 @@ def averaged_solution(joint: Joint, screen: Screen, best: EffectSet) -> Solution
     """The machine's errors with the effects taken out, averaged over the forms that these may have."""
     rest = unexplained(joint.parity, joint.active)[:joint.parity.stops]
     result = replace(joint.fit, chi2=float(rest @ rest), dof=joint.parity.dof[0])
+    table = joint.observation.table
     if not joint.active:
-        return solution_of(result, joint.observation.table)
+        return with_standing(solution_of(result, table), joint.fit, table)
     pull, covariance = _pull(joint, joint.active)
     other = compositions(screen, best)
     if len(other) > 1:
@@ -82,8 +84,9 @@ def averaged_solution(joint: Joint, screen: Screen, best: EffectSet) -> Solution
         covariance = sum(w * c for w, (_, c) in zip(weight, parts, strict=True)) + away.T @ away
         result = replace(result, theta=result.theta + mean)
         pull = pull - mean
-    solution = solution_of(replace(result, covariance=covariance), joint.observation.table)
-    return replace(solution, covariance=solution.covariance + np.diag(_allowance(joint, pull, rest)))
+    solution = solution_of(replace(result, covariance=covariance), table)
+    solution = replace(solution, covariance=solution.covariance + np.diag(_allowance(joint, pull, rest)))
+    return with_standing(solution, joint.fit, table)
 
 
 def _fitted(joint: Joint, screen: Screen, composition: Composition) -> tuple[Active, ...]:

@@ -7,6 +7,7 @@ import pytest
 
 from stepdiag_ros.effects import effect_class
 from stepdiag_ros.estimate.evaluate import solution_of
+from stepdiag_ros.estimate.standing import with_standing
 from stepdiag_ros.gap.averaged import averaged_solution, compositions
 from stepdiag_ros.gap.search import Candidate
 from stepdiag_ros.model.machine import CURVES
@@ -19,7 +20,8 @@ def found(case):
 
 def test_without_an_effect_the_errors_are_those_of_the_fit(case):
     null = case.diagnose()
-    plain = solution_of(null.joint.fit, null.joint.observation.table)
+    fit, table = null.joint.fit, null.joint.observation.table
+    plain = with_standing(solution_of(fit, table), fit, table)
     assert np.array_equal(null.solution.value, plain.value)
     assert np.array_equal(null.solution.covariance, plain.covariance)
 
