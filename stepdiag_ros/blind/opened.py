@@ -35,6 +35,7 @@ ROWS = (
     ('gap_closed_together', 'the same, all logs together', '–', False),
     ('held_out_chi2', 'reduced χ² on held-out data, median', '≤ 1.05', False),
     ('bias_removed', 'bias of the 21 errors removed', '≥ 95 %', False),
+    ('bias_removed_median', 'the same, median of the logs', '–', False),
     ('en_at_most_1', 'En ≤ 1', '≥ 95 %', True),
     ('settled', 'one recommended extra run settles a set', '≥ 90 %', True),
     ('calibration_error', 'calibration error of the probabilities', '≤ 0.05', False),

@@ -109,6 +109,7 @@ def score(cases: Sequence[Case]) -> dict[str, Any]:
         'held_out_chi2_at_most_1.05': share([c for c in known if c.alarmed],
                                              lambda c: c.extra['closing']['after'] <= 1.05),
         'bias_removed': bias_removed(known),
+        'bias_removed_median': median(v for c in known if np.isfinite(v := bias_removed_of(c))),
         'en_at_most_1': en_within(known),
         'calibration_error': calibration(cases)['error'],
         'seconds': median(c.extra['seconds'] for c in cases)}
@@ -230,6 +231,17 @@ def bias_removed(cases: Sequence[Case]) -> dict[str, Any]:
     if excess['before'] <= 0.0:
         return {'value': None, 'count': len(cases)}
     return {'value': float(1.0 - max(excess['after'], 0.0) / excess['before']), 'count': len(cases)}
+
+
+def bias_removed_of(case: Case) -> float:
+    """The same of one log; NaN: none of its errors is biased beyond three standard deviations of its own noise.
+
+    The sum over all logs is that of the few with the largest effects; their median says what one log may expect.
+    """
+    squares = normalised_errors(case, 'before') ** 2
+    if np.sum(squares - 1.0) < 3.0 * np.sqrt(2.0 * len(squares)):
+        return float('nan')
+    return float(bias_removed([case])['value'])
 
 
 def en_within(cases: Sequence[Case]) -> dict[str, Any]:

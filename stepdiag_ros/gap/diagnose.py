@@ -8,6 +8,7 @@ take turns until the set of effects stands.
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -15,12 +16,13 @@ from stepdiag_ros.effects.base import Effect, Form
 from stepdiag_ros.effects.tuning import tune
 from stepdiag_ros.estimate.noise import estimate_noise
 from stepdiag_ros.estimate.solution import Solution
+from stepdiag_ros.gap.averaged import averaged_solution
 from stepdiag_ros.gap.beyond import beyond_families
 from stepdiag_ros.gap.clocks import late_clocks, put_right
 from stepdiag_ros.gap.closing import Closing, closing, excess_forecast
 from stepdiag_ros.gap.evidence import width_of
 from stepdiag_ros.gap.inside import Timing, apart, steps, timing
-from stepdiag_ros.gap.joint import Joint, fit_jointly, freed_solution, unexplained
+from stepdiag_ros.gap.joint import Joint, fit_jointly, unexplained
 from stepdiag_ros.gap.lines import Unrest, Vibration, unrest
 from stepdiag_ros.gap.next_measurement import advise
 from stepdiag_ros.gap.next_run import NextRun
@@ -120,10 +122,10 @@ class Diagnosis:
                       'source': self.joint.noise.source},
             'warnings': list(self.warnings)}
 
-    @property
+    @cached_property
     def solution(self) -> Solution:
         """The 21 errors with the effects taken out, their uncertainty included."""
-        return freed_solution(self.joint)
+        return averaged_solution(self.joint, self.screen, self.raw[0])
 
 
 def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:

@@ -13,16 +13,17 @@ import numpy as np
 from stepdiag_ros.effects.base import Effect, Form
 from stepdiag_ros.effects.tuning import same_form, tune
 from stepdiag_ros.estimate.enhanced import Fit, readings_of
-from stepdiag_ros.estimate.evaluate import solution_of
 from stepdiag_ros.estimate.noise import NoiseModel, estimate_noise
-from stepdiag_ros.estimate.solution import Solution
-from stepdiag_ros.gap.evidence import judge, width_of
+from stepdiag_ros.gap.evidence import SIZES, judge, width_of
 from stepdiag_ros.gap.observe import Observation, sane_fit, view_of
 from stepdiag_ros.gap.parity import Parity, parity
 
 ROUNDS = 4
 SHAPE_STEP = 1e-3
 """Relative step in a shape parameter for its derivative."""
+FREE = 3.0
+"""Coefficients that are no process are held to this many times the size that the log shows: those that it
+settles hardly feel it, those that nothing settles stay where the model is linear."""
 SETTLED = 0.02
 """Rounds end when no coefficient moves by more than this many standard deviations … or percent."""
 
@@ -121,20 +122,29 @@ def tuned(space: Parity, chosen: list[tuple[Effect, Form]]) -> list[tuple[Effect
             along = columns.T @ rest
             return float(along @ np.linalg.solve(normal, along))
 
-        result.append((effect, _held(space, form, rest) if form.process else tune(form, explained)))
+        result.append((effect, _held(space, form if form.process else tune(form, explained), rest)))
     return result
 
 
+def held_to_log(space: Parity, chosen: list[tuple[Effect, Form]]) -> list[tuple[Effect, Form]]:
+    """The chosen forms, untuned, each held to the size that the log shows."""
+    active = solve(space, chosen)
+    return [(effect, _held(space, form, unexplained(space, active[:k] + active[k + 1:])))
+            for k, (effect, form) in enumerate(chosen)]
+
+
 def _held(space: Parity, form: Form, rest: np.ndarray) -> Form:
-    """An unknown course held to the size that speaks best for it in what the others leave."""
+    """A form held to the size that speaks best for it in what the others leave: an unknown course to that
+    itself, other coefficients to a few times as much."""
     columns = space.project(form)
     judged = judge((columns.T @ columns)[None], (columns.T @ rest)[None], float(rest @ rest),
                    sum(space.dof), float(sum(space.dof)))
-    return replace(form, held=judged[0].size)
+    size = judged[0].size
+    return replace(form, held=size if form.process else min(FREE * size, float(SIZES[-1])))
 
 
 def solve(space: Parity, chosen: list[tuple[Effect, Form]]) -> tuple[Active, ...]:
-    """Coefficients of all chosen forms together, each held to the widest size only."""
+    """Coefficients of all chosen forms together, each held to its form's size."""
     if not chosen:
         return ()
     blocks = [space.project(form) for _, form in chosen]
@@ -204,21 +214,3 @@ def unexplained(space: Parity, active: tuple[Active, ...]) -> np.ndarray:
     for a in active:
         rest = rest - space.project(a.form) @ (a.coefficients / a.form.scale)
     return rest
-
-
-def freed_solution(joint: Joint) -> Solution:
-    """The machine's errors with the effects taken out; what the effects' own uncertainty adds included."""
-    result = joint.fit
-    if joint.active:
-        columns = [joint.parity.white_part(a.form.columns) * a.form.scale for a in joint.active]
-        white = np.concatenate(columns, axis=1)
-        jacobian = np.concatenate([w(result.jacobian.toarray()) for w in joint.parity._white])
-        # The unknowns follow a change of the coefficients by −(JᵀJ + P)⁻¹ JᵀB.
-        normal = jacobian.T @ jacobian + result.precision
-        follow = np.linalg.solve(normal, jacobian.T @ white)
-        left = white.T @ white - white.T @ jacobian @ follow
-        spread = np.linalg.inv(left + np.diag(widths(a.form for a in joint.active) ** -2.0))
-        result = replace(result, covariance=np.linalg.inv(normal) + follow @ spread @ follow.T)
-    rest = unexplained(joint.parity, joint.active)[:joint.parity.stops]
-    result = replace(result, chi2=float(rest @ rest), dof=joint.parity.dof[0])
-    return solution_of(result, joint.observation.table)

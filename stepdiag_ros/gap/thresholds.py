@@ -54,4 +54,7 @@ LEAST_DRIFT_S = 2e-4
 LEAST_SHARE = 0.01
 """Cells with less of the excess than this are not named."""
 CELL_SIGMAS = 3.0
-"""… nor those whose excess noise alone could make, within this many standard deviations."""
+"""… nor those whose excess noise alone could make, within this many standard deviations …"""
+NAMED_CELL_SIGMAS = 1.0
+"""… or this many where an effect that has a name makes it: that it acts is settled, and how much of it lies in a
+cell is estimated without bias; a cell passed over is as wrong as one too many."""

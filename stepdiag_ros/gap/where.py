@@ -13,9 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stepdiag_ros.gap.evidence import SIZES
-from stepdiag_ros.gap.joint import Joint, unexplained
-from stepdiag_ros.gap.thresholds import CELL_SIGMAS, LEAST_SHARE
+from stepdiag_ros.gap.joint import Joint, unexplained, widths
+from stepdiag_ros.gap.thresholds import CELL_SIGMAS, LEAST_SHARE, NAMED_CELL_SIGMAS
 
 CONCENTRATED = 0.85
 """Share of a cell in one axis or direction from which it is said."""
@@ -75,7 +74,7 @@ def _of_effects(joint: Joint) -> np.ndarray:
     columns = np.concatenate([a.form.columns * a.form.scale[:, None, None] for a in joint.active])
     size = np.concatenate([a.coefficients / a.form.scale for a in joint.active])
     seen = np.concatenate([space.project(a.form) for a in joint.active], axis=1)
-    spread = np.linalg.inv(seen.T @ seen + np.eye(len(size)) / SIZES[-1] ** 2)
+    spread = np.linalg.inv(seen.T @ seen + np.diag(widths(a.form for a in joint.active) ** -2.0))
     # The unknowns follow a change of the coefficients by (JᵀJ + P)⁻¹ JᵀB; what they cannot follow is left.
     jacobian = result.jacobian.toarray()
     white = np.concatenate([w(jacobian) for w in space._white])
@@ -90,7 +89,8 @@ def _of_effects(joint: Joint) -> np.ndarray:
         cell = left[rows] @ factor
         return float(np.sqrt(2.0 * np.sum((cell.T @ cell)**2)))
 
-    return _significant(joint, excess, scatter)
+    named = all(a.effect.name for a in joint.active)
+    return _significant(joint, excess, scatter, NAMED_CELL_SIGMAS if named else CELL_SIGMAS)
 
 
 def _of_residuals(joint: Joint) -> np.ndarray:
@@ -101,7 +101,8 @@ def _of_residuals(joint: Joint) -> np.ndarray:
     residual = np.where(result.present, result.residual, 0.0).ravel() / sigma
     expected = np.where(result.present.ravel(), np.clip(1.0 - taken, 0.0, 1.0), 0.0)
     excess = (residual**2 - expected).reshape(result.residual.shape)
-    return _significant(joint, excess, lambda rows: float(np.sqrt(2.0 * np.sum(expected[rows]**2))))
+    return _significant(joint, excess, lambda rows: float(np.sqrt(2.0 * np.sum(expected[rows]**2))),
+                        CELL_SIGMAS)
 
 
 def _inside(joint: Joint) -> np.ndarray:
@@ -114,8 +115,8 @@ def _inside(joint: Joint) -> np.ndarray:
     return result
 
 
-def _significant(joint: Joint, excess: np.ndarray, scatter) -> np.ndarray:
-    """The excess (n, c) without the cells (channel, setup) that noise alone could make.
+def _significant(joint: Joint, excess: np.ndarray, scatter, sigmas: float) -> np.ndarray:
+    """The excess (n, c) without the cells (channel, setup) that noise alone could make, within ``sigmas``.
 
     ``scatter``: standard deviation of a cell's sum by noise alone, from the flat numbers of its readings.
     """
@@ -124,7 +125,7 @@ def _significant(joint: Joint, excess: np.ndarray, scatter) -> np.ndarray:
     for number in np.unique(setup):
         for c in range(channels):
             rows = np.flatnonzero(setup == number)
-            if excess[rows, c].sum() > CELL_SIGMAS * scatter(rows * channels + c):
+            if excess[rows, c].sum() > sigmas * scatter(rows * channels + c):
                 kept[rows, c] = excess[rows, c]
     return kept
 

@@ -1,0 +1,130 @@
+"""The 21 errors with the effects taken out, and how uncertain that leaves them.
+
+What an effect takes of the errors depends on the form that it is given, and forms that explain a log as well as
+each other may take different things: a motion that depends on two axes' places can be laid to either.  The
+errors are therefore averaged over the forms by their evidence; their variance is the mean of the forms'
+own and the variance between them (law of total variance).  No form of the list is right to the last part
+either: of each correction a share remains uncertain that the log would let pass unseen.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from stepdiag_ros.effects.base import Effect, Form
+from stepdiag_ros.estimate.evaluate import solution_of
+from stepdiag_ros.estimate.gauge import reporting_matrix
+from stepdiag_ros.estimate.solution import Solution
+from stepdiag_ros.estimate.standing import with_standing
+from stepdiag_ros.gap.joint import Active, Joint, held_to_log, solve, unexplained, widths
+from stepdiag_ros.gap.search import EffectSet, Screen
+from stepdiag_ros.gap.thresholds import FORM_ERROR
+from stepdiag_ros.gap.unknown import NAME as UNKNOWN
+
+WITHIN = 5.0
+"""Compositions this far behind the best in log evidence (odds of 150) have no part in the average …"""
+MOST = 6
+"""… nor have those beyond so many."""
+
+
+@dataclass(frozen=True)
+class Composition:
+    """Forms that explain a log together, by their candidates' numbers, and their log evidence."""
+
+    candidates: tuple[int, ...]
+    log_bayes: float
+
+
+def compositions(screen: Screen, best: EffectSet) -> list[Composition]:
+    """Compositions of as many forms as ``best`` has that explain the log nearly as well; nameless members stay."""
+    forms: dict[str, int] = {}
+    for candidate in screen.candidates:
+        forms[candidate.effect] = forms.get(candidate.effect, 0) + 1
+    sets = [EffectSet((), 0.0)]
+    for member in best.members:
+        grown: dict[frozenset, EffectSet] = {}
+        for found in sets:
+            judged = screen.judge_all(found.members)
+            for number, candidate in enumerate(screen.candidates):
+                if member.effect == UNKNOWN:
+                    fits = number == member.candidate
+                else:
+                    fits = candidate.effect != UNKNOWN and not candidate.decoy
+                if not fits or any(m.candidate == number for m in found.members):
+                    continue
+                evidence = found.log_bayes + judged[number].log_bayes - np.log(forms[candidate.effect])
+                size = judged[number].size if candidate.form.process else member.size
+                larger = EffectSet((*found.members, replace(
+                    member, effect=candidate.effect, candidate=number, size=size)), float(evidence))
+                key = frozenset(m.candidate for m in larger.members)
+                if key not in grown or grown[key].log_bayes < evidence:
+                    grown[key] = larger
+        leading = sorted(grown.values(), key=lambda s: -s.log_bayes)[:MOST]
+        sets = [s for s in leading if s.log_bayes > leading[0].log_bayes - WITHIN]
+    return [Composition(tuple(m.candidate for m in s.members), s.log_bayes) for s in sets]
+
+
+def averaged_solution(joint: Joint, screen: Screen, best: EffectSet) -> Solution:
+    """The machine's errors with the effects taken out, averaged over the forms that these may have."""
+    rest = unexplained(joint.parity, joint.active)[:joint.parity.stops]
+    result = replace(joint.fit, chi2=float(rest @ rest), dof=joint.parity.dof[0])
+    table = joint.observation.table
+    if not joint.active:
+        return with_standing(solution_of(result, table), joint.fit, table)
+    pull, covariance = _pull(joint, joint.active)
+    other = compositions(screen, best)
+    if len(other) > 1:
+        weight = np.exp([c.log_bayes - other[0].log_bayes for c in other])
+        weight /= weight.sum()
+        parts = [_pull(joint, _fitted(joint, screen, c)) for c in other]
+        shift = np.array([pull - p for p, _ in parts])
+        mean = weight @ shift
+        away = (shift - mean) * np.sqrt(weight)[:, None]
+        covariance = sum(w * c for w, (_, c) in zip(weight, parts, strict=True)) + away.T @ away
+        result = replace(result, theta=result.theta + mean)
+        pull = pull - mean
+    solution = solution_of(replace(result, covariance=covariance), table)
+    solution = replace(solution, covariance=solution.covariance + np.diag(_allowance(joint, pull, rest)))
+    return with_standing(solution, joint.fit, table)
+
+
+def _fitted(joint: Joint, screen: Screen, composition: Composition) -> tuple[Active, ...]:
+    chosen: list[tuple[Effect, Form]] = [(Effect(), screen.candidates[c].form) for c in composition.candidates]
+    return solve(joint.parity, held_to_log(joint.parity, chosen))
+
+
+def _pull(joint: Joint, active: Sequence[Active]) -> tuple[np.ndarray, np.ndarray]:
+    """What effects, if not taken out, do to the unknowns (size,), and the unknowns' covariance beside them."""
+    result, space = joint.fit, joint.parity
+    white = np.concatenate([space.white_part(a.form.columns) * a.form.scale for a in active], axis=1)
+    size = np.concatenate([a.coefficients / a.form.scale for a in active])
+    jacobian = np.concatenate([w(result.jacobian.toarray()) for w in space._white])
+    # The unknowns follow a change of the coefficients by −(JᵀJ + P)⁻¹ JᵀB.
+    normal = jacobian.T @ jacobian + result.precision
+    follow = np.linalg.solve(normal, jacobian.T @ white)
+    left = white.T @ white - white.T @ jacobian @ follow
+    spread = np.linalg.inv(left + np.diag(widths(a.form for a in active) ** -2.0))
+    return follow @ size, np.linalg.inv(normal) + follow @ spread @ follow.T
+
+
+def _allowance(joint: Joint, pull: np.ndarray, rest: np.ndarray) -> np.ndarray:
+    """Variance (p,) of the reported values because the effects' forms are not quite right.
+
+    The share of their variance by which the forms may err without the log telling: what is left beyond
+    its expectation, and one standard deviation of that, over what they explain.  It is taken to be as large in
+    what the fit absorbs, evenly over each curve.
+    """
+    data, dof = joint.parity.data[:joint.parity.stops], joint.parity.dof[0]
+    explained = max(float(data @ data - rest @ rest), 1e-12)
+    share = min((max(float(rest @ rest) - dof, 0.0) + np.sqrt(2.0 * dof)) / explained, FORM_ERROR)
+    parameters = joint.fit.parameters
+    names, reporting = reporting_matrix(parameters.knots, parameters.first, parameters.size)
+    square = (reporting @ pull) ** 2
+    result = np.zeros(len(square))
+    for name in {n for n, _ in names}:
+        rows = np.flatnonzero([n == name for n, _ in names])
+        moving = rows[np.any(reporting[rows] != 0.0, axis=1)]
+        if len(moving):
+            result[moving] = share * square[moving].mean()
+    return result
