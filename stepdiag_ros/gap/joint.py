@@ -149,7 +149,7 @@ def solve(space: Parity, chosen: list[tuple[Effect, Form]]) -> tuple[Active, ...
             owed, width = space.own_noise(form)
             along[part] -= owed
             normal[part, part] += width
-    covariance = np.linalg.inv(normal)
+    covariance = inverse(normal)
     values = covariance @ along
     result, start = [], 0
     for (effect, form), block in zip(chosen, blocks, strict=True):
@@ -186,7 +186,7 @@ def with_shapes(space: Parity, active: tuple[Active, ...]) -> tuple[Active, ...]
     linear = np.concatenate(blocks, axis=1)
     whole = np.column_stack([linear, *columns])
     width = np.concatenate([widths(a.form for a in active), np.full(len(columns), np.log(10.0))])
-    covariance = np.linalg.inv(whole.T @ whole + np.diag(width**-2.0))
+    covariance = inverse(whole.T @ whole + np.diag(width**-2.0))
     result, start = [], 0
     for k, (a, block) in enumerate(zip(active, blocks, strict=True)):
         part = slice(start, start + block.shape[1])
@@ -196,6 +196,24 @@ def with_shapes(space: Parity, active: tuple[Active, ...]) -> tuple[Active, ...]
         result.append(replace(a, covariance=covariance[part, part] * np.outer(a.form.scale, a.form.scale),
                               shape_sigma=own))
     return tuple(result)
+
+
+def inverse_root(normal: np.ndarray) -> np.ndarray:
+    """``F`` (k, k) with ``FFᵀ`` the inverse of a positive definite matrix (k, k), its units evened out.
+
+    Forms that a gross effect blew up may differ by eleven orders; a direction that only rounding leaves
+    is held at the rounding's size instead of getting a negative variance.
+    """
+    scale = 1.0 / np.sqrt(np.diag(normal))
+    value, vector = np.linalg.eigh(normal * np.outer(scale, scale))
+    value = np.maximum(value, np.finfo(float).eps * len(value) * value[-1])
+    return scale[:, None] * vector / np.sqrt(value)
+
+
+def inverse(normal: np.ndarray) -> np.ndarray:
+    """Inverse of a positive definite matrix (k, k), as :func:`inverse_root` gives it."""
+    root = inverse_root(normal)
+    return root @ root.T
 
 
 def unexplained(space: Parity, active: tuple[Active, ...]) -> np.ndarray:
@@ -217,8 +235,8 @@ def freed_solution(joint: Joint) -> Solution:
         normal = jacobian.T @ jacobian + result.precision
         follow = np.linalg.solve(normal, jacobian.T @ white)
         left = white.T @ white - white.T @ jacobian @ follow
-        spread = np.linalg.inv(left + np.diag(widths(a.form for a in joint.active) ** -2.0))
-        result = replace(result, covariance=np.linalg.inv(normal) + follow @ spread @ follow.T)
+        spread = inverse(left + np.diag(widths(a.form for a in joint.active) ** -2.0))
+        result = replace(result, covariance=inverse(normal) + follow @ spread @ follow.T)
     rest = unexplained(joint.parity, joint.active)[:joint.parity.stops]
     result = replace(result, chi2=float(rest @ rest), dof=joint.parity.dof[0])
     return solution_of(result, joint.observation.table)
