@@ -17,7 +17,7 @@ from stepdiag_ros.estimate.evaluate import solution_of
 from stepdiag_ros.estimate.gauge import reporting_matrix
 from stepdiag_ros.estimate.solution import Solution
 from stepdiag_ros.estimate.standing import with_standing
-from stepdiag_ros.gap.joint import Active, Joint, held_to_log, solve, unexplained, widths
+from stepdiag_ros.gap.joint import Active, Joint, held_to_log, inverse, solve, unexplained, widths
 from stepdiag_ros.gap.search import EffectSet, Screen
 from stepdiag_ros.gap.thresholds import FORM_ERROR
 from stepdiag_ros.gap.unknown import NAME as UNKNOWN
@@ -104,8 +104,8 @@ def _pull(joint: Joint, active: Sequence[Active]) -> tuple[np.ndarray, np.ndarra
     normal = jacobian.T @ jacobian + result.precision
     follow = np.linalg.solve(normal, jacobian.T @ white)
     left = white.T @ white - white.T @ jacobian @ follow
-    spread = np.linalg.inv(left + np.diag(widths(a.form for a in active) ** -2.0))
-    return follow @ size, np.linalg.inv(normal) + follow @ spread @ follow.T
+    spread = inverse(left + np.diag(widths(a.form for a in active) ** -2.0))
+    return follow @ size, inverse(normal) + follow @ spread @ follow.T
 
 
 def _allowance(joint: Joint, pull: np.ndarray, rest: np.ndarray) -> np.ndarray:

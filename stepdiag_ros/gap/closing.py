@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
-from stepdiag_ros.gap.joint import Joint, widths
+from stepdiag_ros.gap.joint import Joint, inverse, widths
 
 RESET_WIDTH_M = 1e-4
 
@@ -121,11 +121,8 @@ def _forecast(design: np.ndarray, residual: np.ndarray, held: np.ndarray,
     """χ² of the held-out rows foretold from the others."""
     train = ~held
     normal = design[train].T @ design[train] + precision
-    scale = 1.0 / np.sqrt(np.diag(normal))
-    factor = linalg.cho_factor(normal * np.outer(scale, scale), lower=True)
-    mean = scale * linalg.cho_solve(factor, scale * (design[train].T @ residual[train]))
-    left = residual[held] - design[held] @ mean
-    spread = design[held] * scale
-    predicted = np.eye(held.sum()) + spread @ linalg.cho_solve(factor, spread.T)
+    covariance = inverse(normal)
+    left = residual[held] - design[held] @ (covariance @ (design[train].T @ residual[train]))
+    predicted = np.eye(held.sum()) + design[held] @ covariance @ design[held].T
     white = linalg.solve_triangular(linalg.cholesky(predicted, lower=True), left, lower=True)
     return float(white @ white)

@@ -21,6 +21,7 @@ from stepdiag_ros.gap.beyond import beyond_families
 from stepdiag_ros.gap.clocks import late_clocks, put_right
 from stepdiag_ros.gap.closing import Closing, closing, excess_forecast
 from stepdiag_ros.gap.evidence import width_of
+from stepdiag_ros.gap.gross import GROSS, misfit, place_to_begin
 from stepdiag_ros.gap.inside import Timing, apart, steps, timing
 from stepdiag_ros.gap.joint import Joint, fit_jointly, unexplained
 from stepdiag_ros.gap.lines import Unrest, Vibration, unrest
@@ -205,7 +206,7 @@ def _with_unrest(observation: Observation, samples: Unrest) -> Observation:
 def _settle(observation: Observation,
             effects: Mapping[str, Effect]) -> tuple[Joint, list[EffectSet], Screen]:
     """Search and fit in turns until the chosen set stays the same."""
-    joint = fit_jointly(observation, [], _noise(observation))
+    joint = place_to_begin(fit_jointly(observation, [], _noise(observation)), effects)
     previous: tuple = ()
     for _ in range(ROUNDS):
         screen = _screen(joint, effects)
@@ -226,8 +227,13 @@ def _settle(observation: Observation,
         if identity == previous:
             break
         previous = identity
-        start = joint.observation
-        joint = fit_jointly(start, chosen, joint.noise)
+        fitted = fit_jointly(joint.observation, chosen, joint.noise)
+        if joint.active and misfit(fitted) > max(GROSS, misfit(joint)):
+            # The search foretold from its place what the joint fit does not hold: what did hold is kept.
+            screen = Screen(joint.parity, [Candidate(a.effect.name or UNKNOWN, '', a.form) for a in joint.active],
+                            float(sum(joint.noise.dof)))
+            return joint, search(screen), screen
+        joint = fitted
         if not chosen:
             break
     return joint, sets, screen

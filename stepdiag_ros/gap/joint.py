@@ -159,7 +159,7 @@ def solve(space: Parity, chosen: list[tuple[Effect, Form]]) -> tuple[Active, ...
             owed, width = space.own_noise(form)
             along[part] -= owed
             normal[part, part] += width
-    covariance = np.linalg.inv(normal)
+    covariance = inverse(normal)
     values = covariance @ along
     result, start = [], 0
     for (effect, form), block in zip(chosen, blocks, strict=True):
@@ -196,7 +196,7 @@ def with_shapes(space: Parity, active: tuple[Active, ...]) -> tuple[Active, ...]
     linear = np.concatenate(blocks, axis=1)
     whole = np.column_stack([linear, *columns])
     width = np.concatenate([widths(a.form for a in active), np.full(len(columns), np.log(10.0))])
-    covariance = np.linalg.inv(whole.T @ whole + np.diag(width**-2.0))
+    covariance = inverse(whole.T @ whole + np.diag(width**-2.0))
     result, start = [], 0
     for k, (a, block) in enumerate(zip(active, blocks, strict=True)):
         part = slice(start, start + block.shape[1])
@@ -206,6 +206,24 @@ def with_shapes(space: Parity, active: tuple[Active, ...]) -> tuple[Active, ...]
         result.append(replace(a, covariance=covariance[part, part] * np.outer(a.form.scale, a.form.scale),
                               shape_sigma=own))
     return tuple(result)
+
+
+def inverse_root(normal: np.ndarray) -> np.ndarray:
+    """``F`` (k, k) with ``FFᵀ`` the inverse of a positive definite matrix (k, k), its units evened out.
+
+    Forms that a gross effect blew up may differ by eleven orders; a direction that only rounding leaves
+    is held at the rounding's size instead of getting a negative variance.
+    """
+    scale = 1.0 / np.sqrt(np.diag(normal))
+    value, vector = np.linalg.eigh(normal * np.outer(scale, scale))
+    value = np.maximum(value, np.finfo(float).eps * len(value) * value[-1])
+    return scale[:, None] * vector / np.sqrt(value)
+
+
+def inverse(normal: np.ndarray) -> np.ndarray:
+    """Inverse of a positive definite matrix (k, k), as :func:`inverse_root` gives it."""
+    root = inverse_root(normal)
+    return root @ root.T
 
 
 def unexplained(space: Parity, active: tuple[Active, ...]) -> np.ndarray:

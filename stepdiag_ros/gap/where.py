@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stepdiag_ros.gap.joint import Joint, unexplained, widths
+from stepdiag_ros.gap.joint import Joint, inverse_root, unexplained, widths
 from stepdiag_ros.gap.thresholds import CELL_SIGMAS, LEAST_SHARE, NAMED_CELL_SIGMAS
 
 CONCENTRATED = 0.85
@@ -74,7 +74,8 @@ def _of_effects(joint: Joint) -> np.ndarray:
     columns = np.concatenate([a.form.columns * a.form.scale[:, None, None] for a in joint.active])
     size = np.concatenate([a.coefficients / a.form.scale for a in joint.active])
     seen = np.concatenate([space.project(a.form) for a in joint.active], axis=1)
-    spread = np.linalg.inv(seen.T @ seen + np.diag(widths(a.form for a in joint.active) ** -2.0))
+    factor = inverse_root(seen.T @ seen + np.diag(widths(a.form for a in joint.active) ** -2.0))
+    spread = factor @ factor.T
     # The unknowns follow a change of the coefficients by (JᵀJ + P)⁻¹ JᵀB; what they cannot follow is left.
     jacobian = result.jacobian.toarray()
     white = np.concatenate([w(jacobian) for w in space._white])
@@ -82,7 +83,6 @@ def _of_effects(joint: Joint) -> np.ndarray:
     left = columns.reshape(len(size), -1).T - jacobian @ follow
     left = np.where(result.present.ravel(), 1.0, 0.0)[:, None] * left / _sigma(joint).ravel()[:, None]
     excess = ((left @ size)**2 - np.einsum('rk,kl,rl->r', left, spread, left, optimize=True)).reshape(shape)
-    factor = np.linalg.cholesky(spread)
 
     def scatter(rows: np.ndarray) -> float:
         # Of a sum of squares of what is noise alone: twice the sum of its squared eigenvalues.
