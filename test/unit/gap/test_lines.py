@@ -12,13 +12,13 @@ from stepdiag_ros.gap.lines import dwells_of, find_lines, unrest
 COUNT, SIZE, PERIOD_S = 300, 30, 0.02
 
 
-def _dwells(extra=0.0, seed=3):
+def _dwells(extra=0.0, seed=3, begin=None):
     """White dwells of unit noise with ``extra`` (COUNT, SIZE) on top."""
     rng = np.random.default_rng(seed)
     values = rng.standard_normal((COUNT, SIZE)) + extra
     rows = np.arange(COUNT)[:, None] * SIZE + np.array([0, SIZE])
     return dwells_of(values.ravel(), np.arange(values.size) * round(PERIOD_S * 1e9), rows,
-                     np.arange(COUNT) % 12)
+                     np.arange(COUNT) % 12, rows[:, 0] * round(PERIOD_S * 1e9) if begin is None else begin)
 
 
 def _line(frequency, amplitude, seed=5):
