@@ -17,10 +17,8 @@ MIXED = (1, 5, 9)
 """Numbers of those that are tried together."""
 SWINGS = (1.5, 3.0, 5.0, 8.0)
 """Frequencies [Hz] tried of a servo that swings in …"""
-SWING_TAUS = (0.05, 0.12)
-"""… and the time constants [s] with which that dies away …"""
-CREEP_TAU = 0.3
-"""… beside a creep with this one."""
+SWING_TAU, CREEP_TAU = 0.1, 0.3
+"""… which dies away with the first time constant [s], beside a creep with the second; both are tuned."""
 
 
 class ServoSettling(Effect):
@@ -59,8 +57,7 @@ class ServoSettling(Effect):
             forms += [form for pair in each for form in pair]
             # Servo and structure have time constants of their own.
             forms += [self._sum([each[k][which] for k in MIXED]) for which in range(2)]
-            forms += [self._swinging(along, since, start, tau, swing, CREEP_TAU)
-                      for tau in SWING_TAUS for swing in SWINGS]
+            forms += [self._swinging(along, since, start, SWING_TAU, swing, CREEP_TAU) for swing in SWINGS]
         return forms
 
     @staticmethod
