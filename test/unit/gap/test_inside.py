@@ -65,7 +65,7 @@ def test_the_sensor_that_is_off_is_named(case):
 
 
 def test_moves_to_and_fro_tell_a_delay_from_a_bend(case):
-    """Spots that see each move two hundredths of a second of noise apart tell a delay of 5 ms together."""
+    """Spots with noise of a micrometre tell a delay of 5 ms to a tenth of it, all moves together."""
     log = case.log()
     noise = 1e-6 * np.random.default_rng(4).standard_normal(log.spot.values.shape)
     spot = replace(_stamped(log.spot, -5e-3), values=log.spot.values + noise)
