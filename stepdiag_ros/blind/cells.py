@@ -162,3 +162,9 @@ def without_weather(cell: Cell) -> Cell:
     """The cell with an instrument that keeps to one index of air."""
     return replace(cell, air=replace(cell.air, temperature_drift=0.0, pressure_drift=0.0,
                                      humidity_drift=0.0))
+
+
+def without_sensor_noise(cell: Cell) -> Cell:
+    """The cell with sensors that read the truth; arrivals err as they do."""
+    noise = replace(cell.description.noise, displacement=0.0, spot=0.0)
+    return replace(cell, description=replace(cell.description, noise=noise))

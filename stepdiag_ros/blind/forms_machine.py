@@ -168,7 +168,7 @@ class ClockSkew(Hidden):
     """one sensor's stamps are off, by an offset and by a clock that runs a little wrong"""
 
     name, unit, typical, largest = 'clock_skew', 's', 0.01, 0.08
-    inside, drawn = 'coherent', (3e-3, 6e-2)
+    inside, drawn = 'stamps', (3e-3, 6e-2)
 
     def __init__(self, stage: Stage, rng: np.random.Generator):
         super().__init__(stage, rng)

@@ -46,7 +46,8 @@ class Hidden(Effect):
     A subclass draws its shape in ``__init__(stage, rng)`` and acts in proportion to ``size``
     (in ``unit``), which the sealer sets so that the effect is seen as well as was drawn.
     ``inside``: ``'coherent'`` or ``'random'`` if it acts inside the dwells, alike in all of them or
-    with other phases in each.  ``random``: the stops' means are changed at random.
+    with other phases in each; ``'stamps'`` if it changes no sample but when it seems taken.
+    ``random``: the stops' means are changed at random.
     ``drawn``: sizes between which one is drawn, for an effect whose visibility follows no plausible
     size (stamps that are off by less than a control's own delays are nobody's concern).
     """

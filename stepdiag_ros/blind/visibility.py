@@ -17,6 +17,16 @@ dwell's samples minus their mean, averaged in bins, give a norm as above.  Where
 mean spectrum of the dwells that tells: its departure from a white one, in standard deviations,
 because more of white noise would only count as noise.  Other effects move a little during a dwell
 too; that is reported, but not counted.
+
+Wrong stamps change no sample, only where it counts to.  Their change is that of logs without the sensors' noise:
+a noisy sample that goes to another bin would bring an exchange of noise, which is no sign of anything.  And
+they are seen in motion, where a reading r that is late by τ is off by −ṙτ.  How long a control takes over a
+kind of move is not known, so that of the interferometer's τ only differences between equal moves are seen; of
+the spot's, differences to the interferometer's (how guides bend a move turns with its direction, a delay does not):
+
+    visibility² += Σ (τᵢ − τ̄ᵢ)² / (1/wᵢ + j²) + Σ (τₛ − τᵢ)² / (1/wₛ + j²),     w = Σ (ṙ/σ)²,
+
+summed over the moves, j what equal moves of a control repeat to.
 """
 
 from dataclasses import dataclass
@@ -34,6 +44,8 @@ from stepdiag_ros.model.machine import AXES
 from stepdiag_ros.virtual.cell import Cell
 
 BINS = 8
+JITTER_S = 1e-4
+"""What a control's equal moves repeat to in time."""
 
 
 @dataclass(frozen=True)
@@ -51,11 +63,12 @@ class Visibility:
 class Yardstick:
     """The undisturbed log of a cell: what every effect in that cell is measured by.
 
-    The Jacobian is that at the truth; nothing has to be fitted for it.
+    The Jacobian is that at the truth; nothing has to be fitted for it.  ``still``: the same log without the
+    sensors' noise, against which wrong stamps are held.
     """
 
-    def __init__(self, cell: Cell, log: CalibrationLog):
-        self.log, self.noise = log, cell.description.noise
+    def __init__(self, cell: Cell, log: CalibrationLog, still: CalibrationLog | None = None):
+        self.log, self.still, self.noise = log, still, cell.description.noise
         self.table = table = reduce_log(log)
         parameters = parameters_of(log.description, table)
         _, self._jacobian, self._arrival = ForwardModel(log.description, table, parameters).jacobian(
@@ -75,14 +88,16 @@ class Yardstick:
         self._dof = int(self._present.sum()) - np.linalg.matrix_rank(
             data * self._scale[:, None] * self._scale, tol=1e-9, hermitian=True)
 
-    def change(self, log: CalibrationLog) -> np.ndarray:
-        """Change of the stops' means (n, c) [m] against the undisturbed log, 0 where absent."""
+    def change(self, log: CalibrationLog, before: CalibrationLog | None = None) -> np.ndarray:
+        """Change of the stops' means (n, c) [m] against the undisturbed log or ``before``, 0 where absent."""
+        delta = self._stops(log) - (self._readings if before is None else self._stops(before))
+        return np.where(self._present & np.isfinite(delta), delta, 0.0)
+
+    def _stops(self, log: CalibrationLog) -> np.ndarray:
         beams = self.table.displacement.shape[1]
-        means = np.concatenate([
+        return np.concatenate([
             _means(log.displacement, _rows(log.displacement, self.table), beams),
             _means(log.spot, _rows(log.spot, self.table), 2)], axis=1)
-        delta = means - self._readings
-        return np.where(self._present & np.isfinite(delta), delta, 0.0)
 
     def absorbed(self, delta: np.ndarray) -> np.ndarray:
         """The parameters (size,) by which the fit imitates the change ``delta`` (n, c)."""
@@ -103,12 +118,15 @@ class Yardstick:
         """Of the effect that makes ``log`` of the undisturbed one.
 
         ``random``: it strikes at random; ``inside``: ``'coherent'`` or ``'random'`` for one that acts
-        inside the dwells.
+        inside the dwells, ``'stamps'`` for wrong stamps, of which ``log`` is without the sensors' noise.
         """
-        white = self.white(self.left(self.change(log)))
+        before = self.still if inside == 'stamps' else self.log
+        white = self.white(self.left(self.change(log, self.still if inside == 'stamps' else None)))
         power = float(white @ white)
         seen = power / np.sqrt(2.0 * self._dof) if random else float(np.sqrt(power))
-        within = self._spectral(log) if inside == 'random' else self._patterns(log)
+        within = self._spectral(log) if inside == 'random' else self._patterns(log, before)
+        if inside == 'stamps':
+            within = float(np.hypot(within, self._in_motion(log)))
         return Visibility(seen, within, float(np.hypot(seen, within)) if inside else seen)
 
     def shares(self, delta: np.ndarray) -> list[dict]:
@@ -144,17 +162,17 @@ class Yardstick:
             + noise.position ** 2 * np.sum(arrival[2:] ** 2, axis=0)
         return np.sqrt(variance)
 
-    def _channels(self, log: CalibrationLog):
+    def _channels(self, log: CalibrationLog, before: CalibrationLog):
         """Samples and dwells now and before, and the noise of a sample, of both sensors."""
-        yield (log.displacement, _rows(log.displacement, self.table), self.log.displacement,
+        yield (log.displacement, _rows(log.displacement, self.table), before.displacement,
                self.table.displacement_rows, self.noise.displacement)
-        yield (log.spot, _rows(log.spot, self.table), self.log.spot, self.table.spot_rows,
+        yield (log.spot, _rows(log.spot, self.table), before.spot, self.table.spot_rows,
                self.noise.spot)
 
-    def _patterns(self, log: CalibrationLog) -> float:
+    def _patterns(self, log: CalibrationLog, undisturbed: CalibrationLog) -> float:
         """Norm of the change of the dwells' bins."""
         power = 0.0
-        for now, rows, before, rows_before, sigma in self._channels(log):
+        for now, rows, before, rows_before, sigma in self._channels(log, undisturbed):
             mean, number = _bins(now, rows, self.table)
             mean_before, number_before = _bins(before, rows_before, self.table)
             weight = np.minimum(number, number_before).astype(float)
@@ -167,7 +185,7 @@ class Yardstick:
     def _spectral(self, log: CalibrationLog) -> float:
         """Departure of the dwells' mean spectrum from a white one."""
         power = 0.0
-        for now, rows, before, rows_before, sigma in self._channels(log):
+        for now, rows, before, rows_before, sigma in self._channels(log, self.log):
             size = int(min((rows[:, 1] - rows[:, 0]).min(), (rows_before[:, 1] - rows_before[:, 0]).min()))
             if size < 4:
                 continue
@@ -178,6 +196,24 @@ class Yardstick:
             excess = np.nansum(spectrum, axis=0) / np.sqrt(len(rows))
             power += float(np.sum((excess - excess.mean(axis=0)) ** 2))
         return float(np.sqrt(power))
+
+
+    def _in_motion(self, log: CalibrationLog) -> float:
+        """How well wrong stamps are seen while the axes move, in standard deviations."""
+        table, late, known = self.table, [], []
+        moves = np.flatnonzero((table.move_ns >= 0) & (np.diff(table.run, prepend=-1) == 0))
+        for now, before, sigma in ((log.displacement, self.still.displacement, self.noise.displacement),
+                                   (log.spot, self.still.spot, self.noise.spot)):
+            offset = (now.time_ns - before.time_ns) * 1e-9
+            lo, hi = np.searchsorted(before.time_ns, [table.move_ns[moves], table.dwell_ns[moves]])
+            late.append([offset[a:b].mean() if b > a else 0.0 for a, b in zip(lo, hi, strict=True)])
+            known.append([_timed(before, a, b, sigma) for a, b in zip(lo, hi, strict=True)])
+        (length, spot), (sharp, dull) = np.array(late), 1.0 / (1.0 / np.maximum(known, 1e-9) + JITTER_S**2)
+        kinds = np.stack([table.setup, table.axis, table.direction], axis=1)[moves]
+        _, kind = np.unique(kinds, axis=0, return_inverse=True)
+        kind = kind.ravel()
+        middle = (np.bincount(kind, sharp * length) / np.bincount(kind, sharp))[kind]
+        return float(np.sqrt(np.sum(sharp * (length - middle) ** 2) + np.sum(dull * (spot - length) ** 2)))
 
 
 def true_parameters(cell: Cell, parameters: Parameters) -> np.ndarray:
@@ -197,6 +233,14 @@ def true_parameters(cell: Cell, parameters: Parameters) -> np.ndarray:
         first, turns = parameters.setup_first[setup], cell.misalignments[setup]
         theta[first:first + 4] = *turns.laser, *turns.mirror
     return theta
+
+
+def _timed(samples: Samples, lo: int, hi: int, sigma: float) -> float:
+    """Fisher information [1/s²] of a move's samples ``lo … hi`` about when it took place."""
+    if hi - lo < 4:
+        return 0.0
+    time = (samples.time_ns[lo:hi] - samples.time_ns[lo]) * 1e-9
+    return float(np.sum(np.gradient(samples.values[lo:hi], time, axis=0) ** 2)) / sigma**2
 
 
 def _rows(samples: Samples, table: StopTable) -> np.ndarray:

@@ -4,13 +4,13 @@ Everything follows from (purpose, seed, number).  The purpose is part of the see
 thresholds were tuned on can never be what they are judged on.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from stepdiag_ros.blind.cells import Conditions, draw_cell, without_weather
+from stepdiag_ros.blind.cells import Conditions, draw_cell, without_sensor_noise, without_weather
 from stepdiag_ros.blind.hidden import Hidden
 from stepdiag_ros.blind.logs import measure, stage_of
 from stepdiag_ros.blind.outside import OUTSIDE
@@ -88,13 +88,13 @@ def _attempt(order: Order, rng: np.random.Generator, last: bool) -> SealedWorld 
     if not kinds:
         return _finish(order, cell, conditions, None, (), ())
     bare = measure(cell, conditions)
-    yardstick = Yardstick(cell, bare)
+    yardstick = Yardstick(cell, bare, measure(without_sensor_noise(cell), conditions))
     stage = stage_of(cell, bare, conditions.start_ns)
     effects, seen = [], []
     for kind in kinds:
         effect = kind(stage, rng)
         def see(effect: Hidden) -> Visibility:
-            return yardstick.visibility(measure(cell, conditions, [effect]), effect.random, effect.inside)
+            return _seen(yardstick, cell, conditions, [effect])
         target = draw_target(rng, order.category == 'pair')
         if effect.drawn is not None:
             effect.size = float(np.exp(rng.uniform(*np.log(effect.drawn))))
@@ -106,6 +106,13 @@ def _attempt(order: Order, rng: np.random.Generator, last: bool) -> SealedWorld 
         effects.append(effect)
         seen.append(visible)
     return _finish(order, cell, conditions, yardstick, tuple(effects), tuple(seen))
+
+
+def _seen(yardstick: Yardstick, cell: Cell, conditions: Conditions, effects: Sequence[Hidden]) -> Visibility:
+    inside = next((e.inside for e in effects if e.inside), None)
+    # Wrong stamps are told from an exchange of noise by doing without noise.
+    cell = without_sensor_noise(cell) if inside == 'stamps' else cell
+    return yardstick.visibility(measure(cell, conditions, effects), all(e.random for e in effects), inside)
 
 
 def _size(effect: Hidden, target: float, see: Callable[[Hidden], Visibility]) -> Visibility:
@@ -142,9 +149,6 @@ def _finish(order: Order, cell, conditions, yardstick, effects, seen) -> SealedW
         'noise': vars(cell.description.noise), 'errors': truth(cell)['errors'],
         'misalignments': truth(cell)['misalignments']}
     if effects:
-        random = all(e.random for e in effects)
-        inside = next((e.inside for e in effects if e.inside), None)
-        joint = yardstick.visibility(log, random, inside)
-        entry['visibility'] = joint.total
+        entry['visibility'] = _seen(yardstick, cell, conditions, effects).total
         entry['shares'] = yardstick.shares(yardstick.change(log))
     return SealedWorld(log, entry, effects, yardstick, cell, conditions)

@@ -3,8 +3,12 @@
 Stray reflections and mixed polarisations add to the beam that is counted; the reading then errs by
 ``A cos φ + B sin φ`` with ``φ = 2π·(optical length)/(λ/2)``, and at twice the phase where quadrature
 signals are not round.  The phase of each stop is in the reading itself, to nanometres; the phase at a
-run's reset is not, because every arrival errs by more than a fringe, so that it may be free in each run.
+run's reset is not, because every arrival errs.  All stops that the runs of a setup have in common tell how
+far apart their resets were, better than any arrival repeats: where that is a fraction of a fringe, one phase
+holds for the setup; where arrivals err by fringes, each run has its own.
 """
+
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -15,6 +19,7 @@ WAVELENGTHS = (632.8e-9, 632.991e-9, 1530e-9, 1550e-9)
 """Vacuum wavelengths [m] of common sources: He-Ne (rounded, exact), diode lasers of the IDS3010 kind."""
 DECOYS = (5.1e-7, 5.7e-7, 7.03e-7, 8.11e-7, 9.47e-7, 1.083e-6, 1.237e-6, 1.417e-6, 1.703e-6, 1.97e-6)
 """Wavelengths [m] beside those, their halves and doubles: a swing that shows at these too is no fringe's."""
+PARTS = ('cos', 'sin', 'cos 2', 'sin 2')
 MIN_STOPS = 6
 """A run with fewer stops has none to spare for a phase of its own."""
 
@@ -57,13 +62,16 @@ class CyclicNonlinearity(Effect):
         reading, forms = self._reading(view), []
         for wavelength in DECOYS:
             forms += self._of_length(view, f'displacement: swings as no laser does, λ = {wavelength * 1e9:.0f} nm',
-                                     reading, np.ones((len(reading), 1)), wavelength)[-1:]
+                                     reading, np.ones((len(reading), 1)), wavelength)[1:]
         return forms
 
     @staticmethod
     def _reading(view: StopView) -> np.ndarray:
+        """Length (n, beams) [m] by the readings, counted for all runs of a setup from one unknown point: what the
+        stops of all runs say of each reset is taken off."""
         measured = view.reading[:, :view.beams]
-        return np.where(np.isfinite(measured), measured, view.model[:, :view.beams])
+        reset = view.model[:, :view.beams] - view.distance
+        return np.where(np.isfinite(measured), measured, view.model[:, :view.beams]) - reset
 
     def _of_length(self, view: StopView, label: str, length: np.ndarray, rise: np.ndarray,
                    wavelength: float) -> list[Form]:
@@ -78,12 +86,15 @@ class CyclicNonlinearity(Effect):
 
         once, by_once = self._swing(view, 4.0 * np.pi * length / wavelength, slope)
         twice, by_twice = self._swing(view, 8.0 * np.pi * length / wavelength, 2.0 * slope)
-        names = ('cos', 'sin')
-        forms = [form('one phase', np.concatenate([once, twice]), np.concatenate([by_once, by_twice]),
-                      (*names, 'cos 2', 'sin 2'))]
-        columns, own = self._by_run(view, once)
-        if own:
-            forms.append(form('phase by run', columns, self._by_run(view, by_once)[0], own))
+        both, by_both = np.concatenate([once, twice]), np.concatenate([by_once, by_twice])
+        forms = [form('one phase', both, by_both, PARTS)]
+        for kind, group, own, columns, slopes in (
+                ('phase by setup', view.setup, view.setup_names, once, by_once),
+                ('phase by setup, twice a fringe too', view.setup, view.setup_names, both, by_both),
+                ('phase by run', view.run, view.run_ids, once, by_once)):
+            split, names = self._by_group(columns, group, own)
+            if names:
+                forms.append(form(kind, split, self._by_group(slopes, group, own)[0], names))
         return forms
 
     @staticmethod
@@ -96,8 +107,13 @@ class CyclicNonlinearity(Effect):
         return columns, derivatives
 
     @staticmethod
-    def _by_run(view: StopView, once: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
-        runs = [r for r in np.unique(view.run) if np.sum(view.run == r) >= MIN_STOPS]
-        parts = [once * (view.run == r)[:, None] for r in runs]
-        names = tuple(f'{view.run_ids[r]} {part}' for r in runs for part in ('cos', 'sin'))
-        return (np.concatenate(parts) if parts else view.zeros(0)), names
+    def _by_group(swings: np.ndarray, group: np.ndarray,
+                  labels: Sequence[str]) -> tuple[np.ndarray, tuple[str, ...]]:
+        """Columns (k, n, c) split by ``group`` (n,), one of the ``labels`` each, and their names."""
+        parts, names = [np.zeros((0, *swings.shape[1:]))], []
+        for number in np.unique(group):
+            mine = group == number
+            if np.sum(mine) >= MIN_STOPS:
+                parts.append(swings * mine[:, None])
+                names += [f'{labels[number]} {part}' for part in PARTS[:len(swings)]]
+        return np.concatenate(parts), tuple(names)

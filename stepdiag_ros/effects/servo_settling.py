@@ -15,6 +15,10 @@ TAUS = (0.025, 0.036, 0.05, 0.07, 0.1, 0.14, 0.2, 0.29, 0.41, 0.58, 0.83, 1.2)
 """Time constants [s] that are tried."""
 MIXED = (1, 5, 9)
 """Numbers of those that are tried together."""
+SWINGS = (1.5, 3.0, 5.0, 8.0)
+"""Frequencies [Hz] tried of a servo that swings in …"""
+SWING_TAU, CREEP_TAU = 0.1, 0.3
+"""… which dies away with the first time constant [s], beside a creep with the second; both are tuned."""
 
 
 class ServoSettling(Effect):
@@ -46,12 +50,14 @@ class ServoSettling(Effect):
 
     def appearance(self, view: StopView) -> list[Form]:
         forms = []
-        for start, along in self._directions(view).items():
-            each = [[self._form(view, along, start, tau, alike) for alike in (True, False)]
+        for start, (along, before) in self._directions(view).items():
+            since = view.bin_time + before[:, None]
+            each = [[self._form(along, since, start, tau, alike) for alike in (True, False)]
                     for tau in TAUS]
             forms += [form for pair in each for form in pair]
             # Servo and structure have time constants of their own.
             forms += [self._sum([each[k][which] for k in MIXED]) for which in range(2)]
+            forms += [self._swinging(along, since, start, SWING_TAU, swing, CREEP_TAU) for swing in SWINGS]
         return forms
 
     @staticmethod
@@ -63,21 +69,27 @@ class ServoSettling(Effect):
                     inside=np.concatenate([f.inside for f in forms]))
 
     @staticmethod
-    def _directions(view: StopView) -> dict[str, np.ndarray]:
-        """Where the lag points, by what happens at a run's first stop: (3, n, c) of readings per metre."""
-        moved = view.axis[:, None] == np.arange(3)
-        found = {'': -(moved * view.approach).T[:, :, None] * view.by_shift}
+    def _directions(view: StopView) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+        """Where the lag points, (3, n, c) of readings per metre, and how long [s] (n,) before the dwell the axis
+        arrived; by what happens at a run's first stop."""
+        moved, before = view.axis[:, None] == np.arange(3), np.zeros(len(view.axis))
+        # A run that begins where the last one ended has what is left of its last arrival.
+        step = np.diff(view.commanded, axis=0, prepend=np.inf)
+        stayed = (view.axis == NONE) & (step == 0.0).all(axis=1) & (np.diff(view.setup, prepend=-1) == 0)
+        for i in np.flatnonzero(stayed):
+            moved[i], before[i] = moved[i - 1], before[i - 1] + view.time[i] - view.time[i - 1]
+        found = {'': (-(moved * view.approach).T[:, :, None] * view.by_shift, before)}
         # The move to a run's start may be a short while ago too; where several axes moved there was time.
-        step = np.sign(np.diff(view.commanded, axis=0, prepend=view.commanded[:1]))
+        step = np.sign(np.nan_to_num(step, posinf=0.0))
         single = (np.abs(step).sum(axis=1) == 1.0) & (view.axis == NONE)
         if single.any():
             sign = np.where(single[:, None], step, moved * view.approach)
-            found[', at the first stops too'] = -sign.T[:, :, None] * view.by_shift
+            found[', at the first stops too'] = -sign.T[:, :, None] * view.by_shift, before
         return found
 
-    def _form(self, view: StopView, along: np.ndarray, start: str, tau: float, alike: bool) -> Form:
+    def _form(self, along: np.ndarray, since: np.ndarray, start: str, tau: float, alike: bool) -> Form:
         """One time constant; ``alike``: one size for all axes, or else each its own."""
-        binned = self._bin_means(view.bin_time, tau)
+        binned = self._bin_means(since, tau)
         mean = binned.mean(axis=1)
         columns = along * mean[:, None]
         inside = along[:, :, None, :] * (binned - mean[:, None])[:, :, None]
@@ -86,12 +98,29 @@ class ServoSettling(Effect):
         names = ('all',) if alike else ('X', 'Y', 'Z')
         return Form(f'τ = {tau:.3g} s{start}, {"all axes alike" if alike else "each axis"}', columns, names,
                     np.full(len(names), 3e-6), inside=inside, shape={'tau_s': tau},
-                    retune=lambda shape: self._form(view, along, start, shape['tau_s'], alike))
+                    retune=lambda shape: self._form(along, since, start, shape['tau_s'], alike))
+
+    def _swinging(self, along: np.ndarray, since: np.ndarray, start: str, tau: float, swing: float,
+                  creep: float) -> Form:
+        """A loop of low damping swings to its goal, and something slower creeps after it; each axis for itself."""
+        turning = self._bin_means(since, 1.0 / (1.0 / tau - 2.0j * np.pi * swing))
+        courses = np.stack([turning.real, turning.imag, self._bin_means(since, creep)])
+        mean = courses.mean(axis=2)
+        columns = np.einsum('anc,kn->aknc', along, mean)
+        inside = np.einsum('anc,knb->aknbc', along, courses - mean[:, :, None])
+        names = tuple(f'{axis} {part}' for axis in 'XYZ' for part in ('cos', 'sin', 'creep'))
+        return Form(f'swings at {swing:.3g} Hz, τ = {tau:.3g} s, creeps with {creep:.3g} s{start}, each axis',
+                    columns.reshape(9, *columns.shape[2:]), names, np.full(9, 3e-6),
+                    inside=inside.reshape(9, *inside.shape[2:]),
+                    shape={'tau_s': tau, 'swing_Hz': swing, 'creep_s': creep},
+                    retune=lambda shape: self._swinging(along, since, start, shape['tau_s'],
+                                                        shape['swing_Hz'], shape['creep_s']))
 
     @staticmethod
-    def _bin_means(middle: np.ndarray, tau: float) -> np.ndarray:
-        """Means of ``exp(−t/τ)`` (n, b) over bins of equal width around ``middle`` (n, b) [s]."""
+    def _bin_means(middle: np.ndarray, tau: complex) -> np.ndarray:
+        """Means of ``exp(−t/τ)`` (n, b), which swings where ``tau`` is complex, over bins of equal width around
+        ``middle`` (n, b) [s]."""
         width = np.mean(np.diff(middle, axis=1), axis=1, keepdims=True) if middle.shape[1] > 1 \
             else 2.0 * middle
-        half = np.maximum(width, 1e-9 * tau) / (2.0 * tau)
+        half = np.maximum(width, 1e-9 * abs(tau)) / (2.0 * tau)
         return np.exp(-middle / tau) * np.sinh(half) / half

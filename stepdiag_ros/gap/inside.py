@@ -17,6 +17,8 @@ ONSET_SIGMAS = 8.0
 """Standard deviations of a reading at rest beyond which it moves."""
 LEAST_MOVES = 24
 """Fewest moves from which the delay between two sensors is told."""
+LEAST_STRETCHES = 6
+"""Fewest stretches by which those moves must agree."""
 FAINT = 1e-5
 """Noise over step, above which a jerk-limited move is well under way before it is seen."""
 
@@ -73,8 +75,8 @@ def timing(samples: Samples, table: StopTable, columns: np.ndarray) -> Timing | 
             continue  # a reading that moves in steps tells no time
         noise = max(level[1], goal[1]) / abs(goal[0] - level[0])
         # Readings in steps hide their noise where a dwell sees one step only.
-        apart = np.diff(np.unique(values[~inside]))
-        if noise < 1e-11 and len(apart) < 3:
+        levels = np.unique(values[~inside])
+        if noise < 1e-11 and len(levels) < 4:
             noise = np.inf
         if noise > 0.01:
             continue
@@ -124,9 +126,10 @@ def apart(log: CalibrationLog, table: StopTable) -> tuple[float, float] | None:
 
     In each move the spot's progress p is the displacement's, later by τ and bent by the guides:
     p_spot − p = −τ dp/dt + κ p (1 − p), over all samples of the move.  A bend changes its sign with the
-    direction of motion, a delay does not.
+    direction of motion, a delay does not: the moves to and fro over one stretch share a bend, which by one of
+    them alone is hardly told from a delay.
     """
-    delays, sigmas = [], []
+    stretches: dict[tuple, list[np.ndarray]] = {}
     rests = [cache(partial(_rest, samples, table)) for samples in (log.displacement, log.spot)]
     for i in range(1, len(table)):
         if table.move_ns[i] < 0 or table.run[i] != table.run[i - 1]:
@@ -141,22 +144,30 @@ def apart(log: CalibrationLog, table: StopTable) -> tuple[float, float] | None:
         inside = (place > 0.02) & (place < 0.98)
         if inside.sum() < 4 or len(np.unique(spot[inside])) < 0.8 * inside.sum():
             continue
-        columns = np.column_stack([rate, place * (1.0 - place)])[inside]
-        size = np.linalg.norm(columns, axis=0)
-        normal = (columns / size).T @ (columns / size)
+        ends = tuple(np.round(table.commanded[i - 1], 9)), tuple(np.round(table.commanded[i], 9))
+        forth = 1.0 if ends[0] < ends[1] else -1.0
+        rows = np.column_stack([rate, forth * place * (1.0 - place), spot - place])[inside] / noise
+        stretches.setdefault((table.setup[i], *sorted(ends)), []).append(rows)
+    delays, sigmas, moves = [], [], 0
+    for alike in stretches.values():
+        rows = np.concatenate(alike)
+        size = np.linalg.norm(rows[:, :2], axis=0)
+        columns = rows[:, :2] / size
+        normal = columns.T @ columns
         if np.linalg.cond(normal) > 1e8:
             continue
         spread = np.linalg.inv(normal)
-        delays.append(-float((spread @ ((columns / size).T @ (spot - place)[inside]))[0] / size[0]))
-        sigmas.append(noise * float(np.sqrt(spread[0, 0])) / size[0])
-    if len(delays) < LEAST_MOVES:
+        delays.append(-float((spread @ (columns.T @ rows[:, 2]))[0] / size[0]))
+        sigmas.append(float(np.sqrt(spread[0, 0])) / size[0])
+        moves += len(alike)
+    if moves < LEAST_MOVES or len(delays) < LEAST_STRETCHES:
         return None
     delay, sigma = np.array(delays), np.array(sigmas)
     more, middle = 0.0, float(np.median(delay))
     for _ in range(8):
         weight = 1.0 / (sigma**2 + more)
         kept = (delay - middle) ** 2 * weight < 25.0
-        if kept.sum() < LEAST_MOVES // 2:
+        if kept.sum() < LEAST_STRETCHES:
             kept[:] = True
         middle = float(np.sum((weight * delay)[kept]) / weight[kept].sum())
         excess = float(np.median((delay - middle) ** 2 * weight)) / 0.455 - 1.0

@@ -27,7 +27,9 @@ from stepdiag_ros.gap.thresholds import (
 )
 from stepdiag_ros.model.log import CalibrationLog
 
-LEAST_SAMPLES = 8
+LEAST_SAMPLES = 5
+LEAST_RANK = 3
+"""Dimensions that a dwell must have left: in two a line cannot be told from a smooth spectrum."""
 LEAST_DWELLS = 24
 MOST_SAMPLES = 128
 """Of a dwell; of a longer one the first are taken."""
@@ -38,6 +40,9 @@ LEAST_CYCLES = 1.0
 COHERENT = 4.0
 """Variance between kinds of dwells over that within, above which a pattern belongs to the move."""
 MOST_PATTERNS = 5
+LATER = 3
+"""Powers of the time between a dwell's begin and its first sample with which a move's pattern may go: what creeps
+or rings out is seen at other times in each dwell."""
 HELD = 4.0
 """Powers of single dwells are held to this many medians: a dwell that jumps is no line."""
 MOST_LINES = 3
@@ -127,13 +132,13 @@ def unrest(log: CalibrationLog, table: StopTable, distance: np.ndarray) -> Unres
     """What the samples inside the dwells show; ``distance`` (n,) [m] of the stops to the mirror."""
     kind = (table.setup * 256 + table.axis) * 3 + table.direction
     beams = dwells_of(log.displacement.values.mean(axis=1), log.displacement.time_ns,
-                      table.displacement_rows, kind)
+                      table.displacement_rows, kind, table.dwell_ns)
     lines, slow = find_lines(beams) if beams else (None, 0.0)
     growth, sigma, variance = growth_with(beams, distance) if beams else \
         (0.0, np.inf, np.zeros(len(table)))
     spots = [(None, 0.0)]
     for column in log.spot.values.T:
-        dwells = dwells_of(column, log.spot.time_ns, table.spot_rows, kind)
+        dwells = dwells_of(column, log.spot.time_ns, table.spot_rows, kind, table.dwell_ns)
         if dwells is not None:
             spots.append(find_lines(dwells))
     spot, slow_spot = max(spots, key=lambda s: s[0].log_bayes - MISFIT * s[1] if s[0] else -np.inf)
@@ -141,8 +146,9 @@ def unrest(log: CalibrationLog, table: StopTable, distance: np.ndarray) -> Unres
 
 
 def dwells_of(values: np.ndarray, time_ns: np.ndarray, rows: np.ndarray,
-              kind: np.ndarray) -> Dwells | None:
-    """Dwells ``rows`` (k, 2) of one channel ``values`` (N,); ``kind`` (k,) numbers moves alike."""
+              kind: np.ndarray, begin_ns: np.ndarray) -> Dwells | None:
+    """Dwells ``rows`` (k, 2) of one channel ``values`` (N,); ``kind`` (k,) numbers moves alike, ``begin_ns`` (k,):
+    when the dwells began."""
     counts = rows[:, 1] - rows[:, 0]
     sizes = np.unique(counts[counts >= LEAST_SAMPLES])
     if not len(sizes):
@@ -162,7 +168,8 @@ def dwells_of(values: np.ndarray, time_ns: np.ndarray, rows: np.ndarray,
     dwells = values[index] - values[index[:, :1]]
     fixed, _ = np.linalg.qr(np.vander(place, 2))
     dwells = dwells - (dwells @ fixed) @ fixed.T
-    patterns = _of_the_move(dwells, kind[chosen])
+    later = (time_ns[index[:, 0]] - begin_ns[chosen]) * 1e-9 / period
+    patterns = _of_the_move(dwells, kind[chosen], later)
     full_basis, _ = np.linalg.qr(np.column_stack([fixed, patterns]), mode='complete')
     basis = full_basis[:, 2 + patterns.shape[1]:]
     inside = dwells @ basis
@@ -174,20 +181,23 @@ def dwells_of(values: np.ndarray, time_ns: np.ndarray, rows: np.ndarray,
     return Dwells(inside, basis, chosen, period)
 
 
-def _of_the_move(dwells: np.ndarray, kind: np.ndarray) -> np.ndarray:
-    """Orthonormal patterns (n, p) in which dwells (K, n) differ more from kind to kind than within one."""
-    _, group = np.unique(kind, return_inverse=True)
-    number = np.bincount(group)
+def _of_the_move(dwells: np.ndarray, kind: np.ndarray, later: np.ndarray) -> np.ndarray:
+    """Orthonormal patterns (n, p) in which dwells (K, n) differ more from kind to kind, and with the time
+    ``later`` (K,) [samples] at which their first sample was taken, than otherwise."""
     power = np.sum(dwells**2, axis=1)
     calm = dwells * np.sqrt(np.minimum(1.0, HELD * np.median(power) / np.maximum(power, 1e-300)))[:, None]
-    mean = np.stack([np.bincount(group, column, len(number)) for column in calm.T], axis=1) \
-        / number[:, None]
-    within = calm - mean[group]
-    _, _, pattern = np.linalg.svd(mean * np.sqrt(number)[:, None], full_matrices=False)
+    alike, terms = np.empty_like(calm), 0
+    for number in np.unique(kind):
+        mine = kind == number
+        courses = np.vander(later[mine], LATER) if mine.sum() > 2 * LATER else np.ones((mine.sum(), 1))
+        directions, size, _ = np.linalg.svd(courses, full_matrices=False)
+        directions = directions[:, size > 1e-6 * size[0]]
+        alike[mine] = directions @ (directions.T @ calm[mine])
+        terms += directions.shape[1]
+    _, _, pattern = np.linalg.svd(alike, full_matrices=False)
     pattern = pattern[:MOST_PATTERNS]
-    between = np.sum(number[:, None] * (mean @ pattern.T) ** 2, axis=0) / len(number)
-    free = max(len(calm) - len(number), 1)
-    inside = np.sum((within @ pattern.T) ** 2, axis=0) / free
+    between = np.sum((alike @ pattern.T) ** 2, axis=0) / terms
+    inside = np.sum(((calm - alike) @ pattern.T) ** 2, axis=0) / max(len(calm) - terms, 1)
     return pattern[between > COHERENT * np.maximum(inside, 1e-300)].T
 
 
@@ -224,9 +234,9 @@ def find_lines(dwells: Dwells) -> tuple[Vibration | None, float]:
     count, size = len(dwells.values), len(dwells.basis)
     rank = dwells.basis.shape[1]
     moment = dwells.values.T @ dwells.values / count
-    top = size // 2
-    cycles = np.arange(LEAST_CYCLES, top, 1.0 / PADDING)
-    if rank < 5 or len(cycles) < 4:
+    # At half the sampling rate itself a sine is not seen.
+    cycles = np.arange(LEAST_CYCLES, (size - 0.5) / 2.0, 1.0 / PADDING)
+    if rank < LEAST_RANK or len(cycles) < 4:
         return None, 0.0
     turn = 2.0 * np.pi * np.outer(np.arange(size), cycles) / size
     waves = np.stack([dwells.basis.T @ np.cos(turn), dwells.basis.T @ np.sin(turn)], axis=2)

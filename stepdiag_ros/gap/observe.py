@@ -187,7 +187,7 @@ def _bins(log: CalibrationLog, table: StopTable) -> tuple[np.ndarray, np.ndarray
                                    (log.spot, table.spot_rows, slice(beams, None))):
         differences = []
         for i, (lo, hi) in enumerate(rows):
-            if hi - lo < 2 * BINS or length[i] <= 0.0:
+            if hi - lo < BINS or length[i] <= 0.0:
                 continue
             values = samples.values[lo:hi]
             values = values - values[0]
@@ -203,7 +203,7 @@ def _bins(log: CalibrationLog, table: StopTable) -> tuple[np.ndarray, np.ndarray
             if columns.start == 0:
                 time[i] = np.bincount(place, since * 1e-9, BINS) / count
             differences.append((i, np.median(np.abs(np.diff(values, axis=0)), axis=0),
-                                count.mean()))
+                                1.0 / np.mean(1.0 / count)))
         if differences:
             # The noise of one sample from neighbours in time, which creep and slow motion leave alone.
             middle = np.median([d for _, d, _ in differences], axis=0) / (0.6745 * np.sqrt(2.0))

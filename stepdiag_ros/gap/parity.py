@@ -22,6 +22,8 @@ DISCREPANCY = 0.3
 """What happens inside the dwells is seen to nanometres; no form describes it to better than this share."""
 CLIP = 6.0
 """Robust standard deviations to which contrasts of bins are held."""
+LEAST_ALIKE = 3
+"""Fewest dwells of one kind from which a size typical of them is told: the median of three stands one that errs."""
 
 
 @dataclass(frozen=True)
@@ -127,9 +129,11 @@ def parity(observation: Observation, result: Fit, noise: NoiseModel,
     values = np.einsum('hb,nbc->nhc', contrast, observation.bins) / observation.bin_sigma[:, None, :]
     rough = np.ones(values.shape[1:])
     rough[0] = _roughness(values[:, 0], observation)
-    typical = _median(np.abs(values), axis=0) / 0.6745
+    typical = _typical(values, observation)
     rough = np.hypot(rough, DISCREPANCY * typical)
-    values = _clipped(values / rough)
+    # One dwell in which something happened must not speak for all of its kind.
+    limit = CLIP * np.maximum(typical.max(axis=1, keepdims=True) / rough, 1.0)
+    values = np.clip(values / rough, -limit, limit)
     bin_present = np.isfinite(values)
     inside = values[bin_present]
     if bin_scale is None:
@@ -145,11 +149,26 @@ def parity(observation: Observation, result: Fit, noise: NoiseModel,
                   observation.bin_sigma[:, None, :] * rough, bin_present)
 
 
-def _median(values: np.ndarray, axis: int | tuple[int, ...]) -> np.ndarray:
-    """Median over what is there; 0 where nothing is (a channel that was not measured)."""
-    absent = np.isnan(values).all(axis=axis)
-    filled = np.where(np.isnan(values).all(axis=axis, keepdims=True), 0.0, values)
-    return np.where(absent, 0.0, np.nanmedian(filled, axis=axis))
+def _typical(values: np.ndarray, observation: Observation) -> np.ndarray:
+    """Sizes (n, h, c) typical of white contrasts in the dwells that one axis led to in one setup.
+
+    What settles does so after moves of its axis, and seen by a setup's beam: a size typical of all dwells
+    would say that it hardly happens.
+    """
+    table, size = observation.table, np.abs(values) / 0.6745
+    typical = np.empty_like(size)
+    for setup in np.unique(table.setup):
+        for axis in np.unique(table.axis):
+            mine = (table.setup == setup) & (table.axis == axis)
+            few = np.isfinite(size[mine]).any(axis=(1, 2)).sum() < LEAST_ALIKE
+            typical[mine] = _median(size if few else size[mine])
+    return typical
+
+
+def _median(values: np.ndarray) -> np.ndarray:
+    """Median over the first axis of what is there; 0 where nothing is (a channel that was not measured)."""
+    absent = np.isnan(values).all(axis=0)
+    return np.where(absent, 0.0, np.nanmedian(np.where(absent, 0.0, values), axis=0))
 
 
 def _contrasts(bins: int) -> np.ndarray:
@@ -182,10 +201,3 @@ def _roughness(slope: np.ndarray, observation: Observation) -> np.ndarray:
         if len(own) > 8:
             result[c] = max(1.0, float(np.median(own)) / 0.6745)
     return result
-
-
-def _clipped(values: np.ndarray) -> np.ndarray:
-    """White contrasts (n, h, c), each channel's held to some of its own typical sizes: one dwell in
-    which something happened must not speak for all."""
-    limit = CLIP * np.maximum(_median(np.abs(values), axis=(0, 1)) / 0.6745, 1.0)
-    return np.clip(values, -limit, limit)

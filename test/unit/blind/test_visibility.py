@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from stepdiag_ros.blind.cells import draw_cell
-from stepdiag_ros.blind.forms_machine import Backlash
+from stepdiag_ros.blind.cells import draw_cell, without_sensor_noise
+from stepdiag_ros.blind.forms_machine import Backlash, ClockSkew
 from stepdiag_ros.blind.logs import measure, stage_of
 from stepdiag_ros.blind.visibility import Yardstick, true_parameters
 from stepdiag_ros.estimate.enhanced import fit, readings_of
@@ -72,3 +72,18 @@ def test_visibility_grows_with_size(scene) -> None:
         values.append(yardstick.visibility(measure(cell, conditions, [effect])).total)
     effect.size = 1.5e-6
     assert values[1] == pytest.approx(3.0 * values[0], rel=0.05)
+
+def test_wrong_stamps_are_no_exchange_of_noise(scene) -> None:
+    """Stamps off by so little that no dwell shows a move: nothing is seen inside the dwells, and in motion only
+    what the two sensors' clocks differ by."""
+    cell, conditions, _, _ = scene
+    quiet = without_sensor_noise(cell)
+    yardstick = Yardstick(cell, measure(cell, conditions), measure(quiet, conditions))
+    effect = ClockSkew(stage_of(cell, yardstick.log, conditions.start_ns), np.random.default_rng(2))
+    effect._drift, effect._sign, effect.size = 0.0, -1.0, 2e-3
+    seen = {}
+    for effect._sensor in ('psd', 'both'):
+        seen[effect._sensor] = yardstick.visibility(measure(quiet, conditions, [effect]), inside='stamps').total
+    assert yardstick._patterns(measure(quiet, conditions, [effect]), yardstick.still) < 0.1
+    assert yardstick._patterns(measure(cell, conditions, [effect]), yardstick.log) > 3.0
+    assert seen['psd'] > 3.0 and seen['both'] < 0.1

@@ -6,6 +6,7 @@ import pytest
 
 from stepdiag_ros.effects import VOCABULARY, effect_class
 from stepdiag_ros.effects.base import Form, StopView
+from stepdiag_ros.effects.servo_settling import ServoSettling
 
 
 def drift_tau(view: StopView) -> float:
@@ -53,9 +54,11 @@ def test_air_that_the_instrument_divides_out_is_no_candidate(bench):
     assert not any('logged' in form.label for form in forms)
 
 
-def test_cyclic_nonlinearity(bench):
+@pytest.mark.parametrize('kind', ['phase by run', 'phase by setup'])
+def test_cyclic_nonlinearity(bench, kind):
+    """Arrivals of the quiet cell repeat to far less than a fringe, so that a setup has one phase."""
     given = {'amp': 2e-8, 'amp2': 0.0, 'phase': 0.4, 'wavelength': 1530e-9}
-    found = compare(bench, 'cyclic_nonlinearity', given, '1530', 'optical', 'phase by run', limit=0.03)
+    found = compare(bench, 'cyclic_nonlinearity', given, '1530', 'optical', kind, limit=0.03)
     swing = np.hypot(found[0::2], found[1::2])
     # Runs are short here and what the errors can take is not seen: the middle of them tells.
     assert np.median(swing) == pytest.approx(2e-8, rel=0.2)
@@ -178,6 +181,33 @@ def test_servo_settling(bench):
     size = np.array([np.sum(c * inside) / np.sum(c * c) for c in seen])
     np.testing.assert_allclose(size, amp, rtol=0.1)
     assert np.abs(inside - np.tensordot(size, seen, 1)).max() < 0.1 * np.abs(inside).max()
+
+
+class Swinging(ServoSettling):
+    """Swings at 2.5 Hz while it dies away, and creeps more slowly."""
+
+    def before_pose(self, moment):
+        since = np.maximum(moment.since_arrival, 0.0)
+        left = 0.6 * np.exp(-since / 0.1) * np.cos(5.0 * np.pi * since) + 0.4 * np.exp(-since / 0.4)
+        moving = moment.moved[:, None] == np.arange(3)
+        moment.position = moment.position - self.amp * left[:, None] * moving * moment.approach
+
+
+def test_a_servo_that_swings_and_creeps_into_the_next_run(bench):
+    acting = bench.with_effect(Swinging(amp=1e-6, tau=0.1))
+    view = acting.view
+    form = pick(Swinging().appearance(view), 'swings at 3 Hz', 'at the first stops')
+    form = form.at({'tau_s': 0.1, 'swing_Hz': 2.5, 'creep_s': 0.4})
+    inside = (acting.bins - bench.plain.bins)[:, :, 0]
+    # A run that begins where the last one ended; the move to the others is not in the log.
+    stays = np.concatenate([[False], (np.diff(view.commanded, axis=0) == 0.0).all(axis=1)])
+    assert stays.sum() >= 4 and np.abs(inside[stays]).max() > 1e-9
+    rows = stays | (view.axis < 3)
+    columns = form.inside[..., 0][:, rows].reshape(9, -1).T
+    size, *_ = np.linalg.lstsq(columns, inside[rows].ravel(), rcond=None)
+    np.testing.assert_allclose(size.reshape(3, 3), [[6e-7, 0.0, 4e-7]] * 3, atol=5e-8)
+    rest = inside[rows] - (columns @ size).reshape(-1, inside.shape[1])
+    assert np.abs(rest[stays[rows]]).max() < 0.2 * np.abs(inside[stays]).max()
 
 
 @pytest.mark.parametrize(('motion', 'by', 'power'), [

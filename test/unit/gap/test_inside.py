@@ -64,6 +64,16 @@ def test_the_sensor_that_is_off_is_named(case):
         assert seen[sensor].offset == pytest.approx(0.06, abs=0.01)
 
 
+def test_moves_to_and_fro_tell_a_delay_from_a_bend(case):
+    """Spots with noise of a micrometre tell a delay of 5 ms to a tenth of it, all moves together."""
+    log = case.log()
+    noise = 1e-6 * np.random.default_rng(4).standard_normal(log.spot.values.shape)
+    spot = replace(_stamped(log.spot, -5e-3), values=log.spot.values + noise)
+    delay, sigma = apart(replace(log, spot=spot), reduce_log(log))
+    assert abs(delay + 5e-3) < 4.0 * sigma
+    assert sigma < 5e-4
+
+
 @pytest.mark.parametrize('offset', [-0.08, 0.05])
 def test_stamps_that_are_off_are_measured(case, offset):
     log = case.log()

@@ -12,13 +12,13 @@ from stepdiag_ros.gap.lines import dwells_of, find_lines, unrest
 COUNT, SIZE, PERIOD_S = 300, 30, 0.02
 
 
-def _dwells(extra=0.0, seed=3):
+def _dwells(extra=0.0, seed=3, begin=None):
     """White dwells of unit noise with ``extra`` (COUNT, SIZE) on top."""
     rng = np.random.default_rng(seed)
     values = rng.standard_normal((COUNT, SIZE)) + extra
     rows = np.arange(COUNT)[:, None] * SIZE + np.array([0, SIZE])
     return dwells_of(values.ravel(), np.arange(values.size) * round(PERIOD_S * 1e9), rows,
-                     np.arange(COUNT) % 12)
+                     np.arange(COUNT) % 12, rows[:, 0] * round(PERIOD_S * 1e9) if begin is None else begin)
 
 
 def _line(frequency, amplitude, seed=5):
@@ -43,7 +43,7 @@ def test_white_noise_has_no_line_and_no_background():
     assert max(slow for _, slow in evidence) < 8.0
 
 
-@pytest.mark.parametrize('frequency', [4.3, 11.7, 22.0])
+@pytest.mark.parametrize('frequency', [4.3, 11.7, 22.0, 24.6])
 def test_a_line_well_below_the_noise_is_found(frequency):
     lines, _ = find_lines(_dwells(_line(frequency, 0.4)))
     assert lines.log_bayes > 12.0
@@ -64,6 +64,27 @@ def test_what_every_move_leaves_behind_is_no_line():
     creep = np.exp(-np.arange(SIZE) / 4.0)[None] * np.where(np.arange(COUNT) % 12 < 6, 8.0, -5.0)[:, None]
     lines, slow = find_lines(_dwells(creep))
     assert lines.log_bayes < 6.0 and slow < 12.0
+
+
+def test_a_swing_that_dies_out_is_no_line_though_it_is_sampled_later_in_each_dwell():
+    later = np.random.default_rng(9).uniform(0.0, 1.0, (COUNT, 1))
+    time = (np.arange(SIZE) + later) * PERIOD_S
+    swing = np.exp(-time / 0.1) * np.cos(2.0 * np.pi * 5.0 * time)
+    extra = swing * np.where(np.arange(COUNT) % 12 < 4, 30.0, 0.0)[:, None]
+    begin = (np.arange(COUNT) * SIZE - later[:, 0]) * PERIOD_S * 1e9
+    lines, slow = find_lines(_dwells(extra, begin=np.rint(begin).astype(np.int64)))
+    assert lines.log_bayes < 6.0 and slow < 12.0
+
+
+def test_a_dwell_of_six_samples_tells_a_line_from_noise():
+    def short(extra):
+        values = np.random.default_rng(3).standard_normal((COUNT, 6)) + extra[:, :6]
+        begin = np.arange(COUNT) * 6
+        return dwells_of(values.ravel(), np.arange(values.size) * round(PERIOD_S * 1e9),
+                         begin[:, None] + np.array([0, 6]), np.arange(COUNT) % 12, begin * round(PERIOD_S * 1e9))
+    assert find_lines(short(_line(12.0, 1.0)))[0].log_bayes > 8.0
+    assert find_lines(short(np.zeros((COUNT, 6))))[0].log_bayes < 4.0
+    assert find_lines(short(_pink(2.0, 2.0)))[0].log_bayes < 4.0
 
 
 def _seen(log):

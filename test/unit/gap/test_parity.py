@@ -1,5 +1,7 @@
 """Parity space holds what the fit leaves free, in units of the noise, and nothing else."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from stepdiag_ros.effects.base import Form
@@ -60,3 +62,23 @@ def test_what_columns_of_readings_owe_to_noise(case):
     error = np.std(found) / np.sqrt(len(found))
     assert np.mean(owed) > 20.0 * error
     assert abs(np.mean(found) - np.mean(owed)) < 5.0 * error
+
+
+def test_what_one_axis_always_leaves_keeps_its_shape(case):
+    """Gross contrasts in all dwells after moves of one axis are no outliers, though most dwells are still."""
+    observation = case.observe()
+    shape = np.array([4.0, -1.0, -1.0, -1.0, -1.0])
+    mine = observation.table.axis == 2
+    bins = observation.bins.copy()
+    bins[mine, :, 0] += 100.0 * observation.bin_sigma[mine, :1] * shape
+    space = _space(replace(observation, bins=bins))
+    form = Form('creep', np.zeros((1, *observation.view.reading.shape)), ('a',), np.ones(1),
+                inside=np.where(mine[:, None, None], shape[:, None] * np.eye(3)[0], 0.0)[None])
+    column, data = space.bin_part(form.inside)[:, 0], space.data[space.stops:]
+    rows = column != 0.0
+    rest = data - column * (column @ data) / (column @ column)
+    assert np.sum(rest[rows] ** 2) < 0.01 * np.sum(data[rows] ** 2)
+    # A single dwell in which something happened is held down.
+    bins = observation.bins.copy()
+    bins[np.flatnonzero(mine)[3], :, 0] += 1e3 * observation.bin_sigma[0, 0] * shape
+    assert np.abs(_space(replace(observation, bins=bins)).data[space.stops:]).max() < 20.0
