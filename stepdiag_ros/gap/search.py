@@ -207,11 +207,14 @@ class Screen:
         judged = self.judge_all(members)
         groups: dict[str, dict[str, list[int]]] = {}
         present = {m.effect for m in members}
-        sources = {self.candidates[m.candidate].form.source for m in members} - {''}
+        sources = {(m.effect, self.candidates[m.candidate].form.source) for m in members
+                   if self.candidates[m.candidate].form.source}
+        settled = {effect for effect, _ in sources}
         for number, candidate in enumerate(self.candidates):
             if candidate.decoy and candidate.family in present:
                 continue  # beside the name its decoys are no rivals
-            if sources and candidate.form.source and candidate.form.source not in sources:
+            if (candidate.effect in settled and candidate.form.source
+                    and (candidate.effect, candidate.form.source) not in sources):
                 continue
             groups.setdefault(candidate.effect, {}).setdefault(candidate.family, []).append(number)
         result = {}

@@ -1,5 +1,7 @@
 """What a set's members explain of the rest, and the size that an unknown course is held to."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -68,3 +70,17 @@ def test_the_joint_fit_holds_a_process_to_the_size_it_shows(wide):
     loose, = solve(space(data), [(None, bigger)])
     error = np.sum((columns @ (found.coefficients / wide.scale - truth)) ** 2)
     assert error < np.sum((columns @ (loose.coefficients / wide.scale - truth)) ** 2)
+
+
+def test_forms_of_two_sources_are_not_of_one_effect():
+    """A beam has one dead path; that another effect has a source of its own is another matter."""
+    rng = np.random.default_rng(4)
+    columns = np.linalg.qr(rng.normal(size=(N, 3)))[0].T
+    here, there, laser = (replace(form(label, columns[[i]], np.ones(1)), source=label)
+                          for i, label in enumerate(('here', 'there', 'laser')))
+    data = 30.0 * columns.sum(axis=0) + rng.normal(size=N)
+    screen = Screen(space(data), [Candidate('air', '', here), Candidate('air', '', there),
+                                  Candidate('fringes', '', laser)], 1e9)
+    further = screen.by_effect([Member('air', 0, 10.0)])
+    assert further['fringes'].log_bayes > 20.0
+    assert 'air' not in further or further['air'].log_bayes < 1.0
