@@ -6,6 +6,8 @@ that air fills, dead path included, is read as displacement.  1 K is about −0.
 The spot does not notice.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
@@ -15,6 +17,9 @@ from stepdiag_ros.model.air import refractive_index
 
 TEMPERATURE, PRESSURE, HUMIDITY = 20.0, 101325.0, 0.5
 """Air from which the parameters' changes are counted [°C, Pa, 1]: what a kelvin does hardly depends on it."""
+DEAD_PATHS = (0.0, 0.5, 2.0)
+"""Dead paths tried beside the described one, as shares of it: sources that take their own out of the reading,
+or stand elsewhere than the description says."""
 NOTICEABLE = 2.0e-8
 """Standard deviation of an index over the log that is more than a sensor's noise."""
 
@@ -50,12 +55,13 @@ class AirRefractionDrift(Effect):
             / refractive_index(TEMPERATURE, PRESSURE, HUMIDITY))
 
     def appearance(self, view: StopView) -> list[Form]:
-        way = on_lengths(view, view.distance)[None]
-        forms = [follow(view, course, way, ('index',), 1e-6, '1') for course in courses(view.elapsed)]
-        # Sources that hold or correct their own dead path, or stand elsewhere than the description says.
-        both = np.concatenate([way, on_lengths(view, np.ones(len(view.time)))[None]])
-        forms += [follow(view, course, both, ('index', 'dead path'), 1e-6, '1, m', 'dead path unknown')
-                  for course in courses(view.elapsed) if course.label in ('linear', *ROUGHNESS)]
+        way, forms = on_lengths(view, view.distance)[None], []
+        for share in (1.0, *DEAD_PATHS):
+            # The air of the dead path changes as that of the way does: one course, and one dead path a log.
+            label = '' if share == 1.0 else f'dead path {share:g} times as described'
+            path = on_lengths(view, view.distance + (share - 1.0) * float(np.nanmin(view.distance)))[None]
+            forms += [replace(follow(view, course, path, ('index',), 1e-6, '1', label), source=f'dead path {share}')
+                      for course in courses(view.elapsed) if share == 1.0 or course.label in ('linear', *ROUGHNESS)]
         logged = self._logged(view)
         if logged is not None:
             course = recorded(view, logged[None], 'logged air, not divided out')

@@ -167,7 +167,7 @@ class Form:
     unknown course; it is held to the size that the log shows, other coefficients are free.  ``held``:
     that size, in scales, once it is known.  ``by_reading`` (k, n, c): derivatives of columns that are made of the
     readings themselves, by the reading.  ``source``: what it comes from where a cell has but one, as its
-    laser; forms of two sources do not act together.
+    laser or its dead path; two forms of an effect with different sources do not act together.
     """
 
     label: str
@@ -186,7 +186,7 @@ class Form:
 
     def at(self, shape: Mapping[str, float]) -> 'Form':
         """The same form with other shape parameters; only where there is something to tune."""
-        return replace(self.retune(shape), tuned_from=self.tuned_from or self.label)
+        return replace(self.retune(shape), tuned_from=self.tuned_from or self.label, source=self.source)
 
 
 class Effect:

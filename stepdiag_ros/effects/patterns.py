@@ -1,6 +1,6 @@
 """Columns that several effects share: a signature that follows a course in time, one for each setup."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 
@@ -15,6 +15,18 @@ def follow(view: StopView, course: Course, signature: np.ndarray, names: tuple[s
            units: str = 'm', label: str = '') -> Form:
     """:func:`~stepdiag_ros.effects.timeforms.drift_form` with one typical size for all coefficients."""
     return drift_form(view, course, signature, names, np.full(len(names), scale), label, units)
+
+
+def each_alone(view: StopView, pace: Iterable[Course], signature: np.ndarray, names: tuple[str, ...],
+               scale: float, units: str = 'm', label: str = '') -> list[Form]:
+    """Forms for each row of ``signature`` (m, n, c) by itself: often one axis warms and the others hardly.
+
+    Rows that this log cannot show, an axis that never moved, have none; nor have cycles, which an unknown
+    course follows as well.
+    """
+    return [follow(view, course, row[None], (name,), scale, units, f'{name} alone{label}')
+            for course in pace if 'period_s' not in course.shape
+            for row, name in zip(signature, names, strict=True) if np.any(row)]
 
 
 def by_setup(view: StopView, columns: np.ndarray,

@@ -8,9 +8,11 @@ scales have 8e-6/K, steel 11e-6/K.  Without sensors the course of the temperatur
 import numpy as np
 
 from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
-from stepdiag_ros.effects.patterns import Drawn, drawn_size, follow, recorded, saturating
+from stepdiag_ros.effects.patterns import Drawn, drawn_size, each_alone, follow, recorded, saturating
 from stepdiag_ros.effects.timeforms import ROUGHNESS, courses, drift_form
 
+HELD = {'': 0.0, ', held in the middle': 0.5, ', held at the end': 1.0}
+"""Where a scale may be held, as a share of its travel."""
 NOTICEABLE = 0.03
 """Standard deviation of a scale's temperature over the log [K] that is more than its sensor's noise."""
 
@@ -57,6 +59,13 @@ class ScaleThermalExpansion(Effect):
                   for course in courses(view.elapsed)
                   if course.label in ('linear', *ROUGHNESS)
                   or course.shape.get('tau_s', 0.0) > 0.2 * np.ptp(view.time)]
+        # One axis that warms: the place where its scale is held does not change while it does.
+        moved = np.ptp(view.commanded, axis=0) > 0.0
+        for label, share in HELD.items():
+            held = view.commanded.min(axis=0) + share * travel
+            one = ((view.commanded - held) * moved).T[:, :, None] * view.by_shift
+            pace = [c for c in courses(view.elapsed) if not share or c.label in ROUGHNESS]
+            forms += each_alone(view, pace, one, axes, 1e-5, '1', label)
         return self._logged(view, growth, both, size) + forms
 
     @staticmethod

@@ -7,7 +7,7 @@ as at the beginning.  What changes is a shift that grows with one axis's positio
 import numpy as np
 
 from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
-from stepdiag_ros.effects.patterns import Drawn, drawn_size, follow, saturating
+from stepdiag_ros.effects.patterns import Drawn, drawn_size, each_alone, follow, saturating
 from stepdiag_ros.effects.timeforms import courses
 from stepdiag_ros.model.machine import CURVES, SQUARENESS, SQUARENESS_SHIFT
 
@@ -36,7 +36,9 @@ class SquarenessDrift(Effect):
 
     def appearance(self, view: StopView) -> list[Form]:
         signature = np.stack([self._column(view, name) for name in SQUARENESS])
-        return [follow(view, course, signature, SQUARENESS, 1e-5, 'rad') for course in courses(view.elapsed)]
+        pace = courses(view.elapsed)
+        return [follow(view, course, signature, SQUARENESS, 1e-5, 'rad') for course in pace] \
+            + each_alone(view, pace, signature, SQUARENESS, 1e-5, 'rad')
 
     @staticmethod
     def _column(view: StopView, name: str) -> np.ndarray:

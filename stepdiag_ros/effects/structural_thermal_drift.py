@@ -7,7 +7,8 @@ each run's start takes away what came before it; what is left is the drift insid
 import numpy as np
 
 from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
-from stepdiag_ros.effects.timeforms import courses, drift_form
+from stepdiag_ros.effects.patterns import each_alone, follow
+from stepdiag_ros.effects.timeforms import courses
 
 
 class StructuralThermalDrift(Effect):
@@ -26,5 +27,6 @@ class StructuralThermalDrift(Effect):
         moment.shift = moment.shift + grown[:, None] * self.amp
 
     def appearance(self, view: StopView) -> list[Form]:
-        return [drift_form(view, course, view.by_shift, ('X', 'Y', 'Z'), np.full(3, 1e-5))
-                for course in courses(view.elapsed)]
+        pace, axes = courses(view.elapsed), ('X', 'Y', 'Z')
+        return [follow(view, course, view.by_shift, axes, 1e-5) for course in pace] \
+            + each_alone(view, pace, view.by_shift, axes, 1e-5)

@@ -226,13 +226,16 @@ class Screen:
         doubts weighed."""
         groups: dict[str, dict[str, list[int]]] = {}
         present = {m.effect for m in members}
-        sources = {self.candidates[m.candidate].form.source for m in members} - {''}
+        sources = {(m.effect, self.candidates[m.candidate].form.source) for m in members
+                   if self.candidates[m.candidate].form.source}
+        settled = {effect for effect, _ in sources}
         for number, candidate in enumerate(self.candidates):
             if not asked(candidate.effect):
                 continue
             if candidate.decoy and candidate.family in present:
                 continue  # beside the name its decoys are no rivals
-            if sources and candidate.form.source and candidate.form.source not in sources:
+            if (candidate.effect in settled and candidate.form.source
+                    and (candidate.effect, candidate.form.source) not in sources):
                 continue
             groups.setdefault(candidate.effect, {}).setdefault(candidate.family, []).append(number)
         judged = self.judge_all(members, [i for families in groups.values()

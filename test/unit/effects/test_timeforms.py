@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from stepdiag_ros.effects import effect_class
-from stepdiag_ros.effects.patterns import relaxations
+from stepdiag_ros.effects.patterns import each_alone, relaxations
 from stepdiag_ros.effects.timeforms import courses, unknown
 
 SPAN = 1500.0
@@ -61,3 +61,34 @@ def test_an_offset_may_differ_from_setup_to_setup(bench):
     assert left < 1e-6
     # The differences are held to a small part of the offset.
     assert form.process and form.scale[2:].max() < 0.5 * form.scale[0]
+
+
+def test_the_dead_path_changes_as_the_way_does(bench):
+    """A shift of the tool on a course of its own must not pass as air of an unknown dead path."""
+    view, late = bench.view, bench.view.elapsed / bench.view.elapsed.max()
+    forms = {form.label: form for form in effect_class('air_refraction_drift')().appearance(view)}
+    air, shift = np.zeros(view.reading.shape), np.zeros(view.reading.shape)
+    longer = view.distance + view.distance.min()
+    air[:, :view.beams] = 1e-6 * np.sin(3.0 * late)[:, None] * longer
+    shift[:, :view.beams] = 1e-6 * (np.sin(3.0 * late)[:, None] * view.distance + 0.3 * np.cos(7.0 * late)[:, None])
+    twice = forms['dead path 2 times as described, smooth']
+    assert len(twice.columns) == len(forms['smooth'].columns)
+    assert bench.fitted(twice, air)[1] < 0.1 * bench.fitted(forms['smooth'], air)[1]
+    assert min(bench.fitted(form, shift)[1] for form in forms.values() if form.process) > 0.05
+
+
+def test_one_axis_may_warm_alone(bench):
+    view, late = bench.view, bench.view.elapsed / bench.view.elapsed.max()
+    from_end = view.commanded[:, [1]] - view.commanded[:, 1].max()
+    change = 3e-6 * np.sin(4.0 * late)[:, None] * from_end * view.by_shift[1]
+    forms = {form.label: form for form in effect_class('scale_thermal_expansion')().appearance(view)}
+    _, left = bench.fitted(forms['Y alone, held at the end, smooth'], change)
+    _, other = bench.fitted(forms['Y alone, smooth'], change)
+    assert left < 0.05 < other
+
+
+def test_an_axis_that_never_moved_has_no_form_alone(bench):
+    still = np.stack([np.zeros(bench.view.reading.shape), np.ones(bench.view.reading.shape)])
+    forms = each_alone(bench.view, courses(bench.view.elapsed), still, ('X', 'Y'), 1e-5)
+    assert forms
+    assert {form.names[0].rstrip('0123456789') for form in forms} == {'Y'}

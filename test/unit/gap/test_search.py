@@ -96,3 +96,17 @@ def test_what_is_not_asked_for_is_not_judged(wide):
     assert set(screen.by_effect((), lambda effect: effect == 'other')) == {'other'}
     assert set(screen.judge_all((), [])) == {1}
     assert set(screen.by_effect()) == {'wide', 'other'}
+
+
+def test_forms_of_two_sources_are_not_of_one_effect():
+    """A beam has one dead path; that another effect has a source of its own is another matter."""
+    rng = np.random.default_rng(4)
+    columns = np.linalg.qr(rng.normal(size=(N, 3)))[0].T
+    here, there, laser = (replace(form(label, columns[[i]], np.ones(1)), source=label)
+                          for i, label in enumerate(('here', 'there', 'laser')))
+    data = 30.0 * columns.sum(axis=0) + rng.normal(size=N)
+    screen = Screen(space(data), [Candidate('air', '', here), Candidate('air', '', there),
+                                  Candidate('fringes', '', laser)], 1e9)
+    further = screen.by_effect([Member('air', 0, 10.0)])
+    assert further['fringes'].log_bayes > 20.0
+    assert 'air' not in further or further['air'].log_bayes < 1.0
