@@ -19,6 +19,7 @@ from stepdiag_ros.gap.beyond import beyond_families
 from stepdiag_ros.gap.clocks import late_clocks, put_right
 from stepdiag_ros.gap.closing import Closing, closing, excess_forecast
 from stepdiag_ros.gap.evidence import width_of
+from stepdiag_ros.gap.hops import Hops, hops
 from stepdiag_ros.gap.inside import Timing, apart, steps, timing
 from stepdiag_ros.gap.joint import Joint, fit_jointly, freed_solution, unexplained
 from stepdiag_ros.gap.lines import Unrest, Vibration, unrest
@@ -131,8 +132,12 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
     effects = {effect.name: effect for effect in effects}
     observation = observe(log)
     log, observation, clocks, late = _set_clocks(log, observation)
-    samples = unrest(log, observation.table, observation.view.distance.mean(axis=1))
+    distance = observation.view.distance.mean(axis=1)
+    samples = unrest(log, observation.table, distance)
     observation = _with_unrest(observation, samples)
+    hopping = hops(log.displacement, observation.table, distance)
+    if hopping:
+        observation = _with_hops(observation, hopping)
     joint, sets, screen = _settle(observation, effects)
     best = sets[0] if sets[0].log_bayes > ALARM else EffectSet((), 0.0)
     names, nothing, weights = probabilities(sets, len(effects) + 1, TEMPER)
@@ -151,7 +156,7 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
     found = sorted(found, key=lambda f: -f.probability)
     # Of several patterns the first explains the most.
     leftover = next((screen.candidates[m.candidate].form.label for m in best.members if m.effect == UNKNOWN), '')
-    leftover = leftover or _coarse(joint) or _restless(samples, names)
+    leftover = (hopping.words if hopping else '') or leftover or _coarse(joint) or _restless(samples, names)
     if not leftover and not samples.shakes:
         evidence, words = excess_scatter(joint)
         allowed = SCATTER_ALARM + min(MISFIT * best.log_bayes, MISFIT_MOST)
@@ -198,6 +203,18 @@ def _with_unrest(observation: Observation, samples: Unrest) -> Observation:
     sigma = observation.bin_sigma.copy()
     sigma[:, :beams] = np.sqrt(sigma[:, :beams] ** 2 + more)
     return replace(observation, bin_sigma=sigma, table=replace(table, displacement_scatter=scatter))
+
+
+def _with_hops(observation: Observation, seen: Hops) -> Observation:
+    """The observation with the unit of length as noise: in which unit a stop was read is not known.  Dwells
+    with a step inside say nothing else."""
+    table, beams = observation.table, observation.fit.model.beams
+    bins, sigma = observation.bins.copy(), observation.bin_sigma.copy()
+    bins[seen.rows, :, :beams] = np.nan
+    sigma[:, :beams] = np.sqrt(sigma[:, :beams] ** 2 + seen.inside[:, None])
+    more = (seen.variance * np.maximum(table.displacement_count, 1))[:, None]
+    return replace(observation, bins=bins, bin_sigma=sigma,
+                   table=replace(table, displacement_scatter=np.sqrt(table.displacement_scatter**2 + more)))
 
 
 def _settle(observation: Observation,

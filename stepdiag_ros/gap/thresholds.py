@@ -55,3 +55,5 @@ LEAST_SHARE = 0.01
 """Cells with less of the excess than this are not named."""
 CELL_SIGMAS = 3.0
 """… nor those whose excess noise alone could make, within this many standard deviations."""
+LEAST_HOPS = 2
+"""Fewest steps inside dwells, alike as shares of their lengths, that are taken for hops of the unit."""
