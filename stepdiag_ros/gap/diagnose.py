@@ -26,7 +26,7 @@ from stepdiag_ros.gap.lines import Unrest, Vibration, unrest
 from stepdiag_ros.gap.next_measurement import advise
 from stepdiag_ros.gap.next_run import NextRun
 from stepdiag_ros.gap.observe import Observation, observe
-from stepdiag_ros.gap.scatter import excess_scatter
+from stepdiag_ros.gap.scatter import excess_scatter, strays
 from stepdiag_ros.gap.search import Candidate, EffectSet, Screen, probabilities, search
 from stepdiag_ros.gap.thresholds import (
     ALARM,
@@ -264,6 +264,10 @@ def _screen(joint: Joint, effects: Mapping[str, Effect]) -> Screen:
         candidates += [Candidate(UNKNOWN, family, form, doubt) for form in forms]
     for family, forms in beyond_families(view).items():
         candidates += [Candidate(UNKNOWN, family, form, BEYOND_DOUBT) for form in forms]
+    stray = strays(joint)
+    if stray:
+        form, ways = stray
+        candidates.append(Candidate(UNKNOWN, 'strays', form, LEAN_DOUBT + ways))
     named = [a for a in joint.active if a.effect.name]
     if named:
         candidates += [Candidate(UNKNOWN, 'inconsistent', form, UNKNOWN_DOUBT)
