@@ -314,8 +314,8 @@ def _form_error(joint: Joint) -> bool:
 def _set_clocks(log: CalibrationLog, observation: Observation):
     """Put right a sensor whose stamps are off; what was found out about both."""
     table = observation.table
-    clocks = {'interferometer': timing(log.displacement, table, table.displacement),
-              'psd': timing(log.spot, table, table.spot)}
+    clocks = {'interferometer': timing(log.displacement, table, table.displacement, table.displacement_rows),
+              'psd': timing(log.spot, table, table.spot, table.spot_rows)}
     skew = late_clocks(clocks, apart(log, table))
     if not skew:
         return log, observation, clocks, []

@@ -42,8 +42,10 @@ class Timing:
     period: float
 
 
-def timing(samples: Samples, table: StopTable, columns: np.ndarray) -> Timing | None:
-    """Timing of one sensor; ``columns`` (n, k) [m] are the readings' dwell means at the stops."""
+def timing(samples: Samples, table: StopTable, columns: np.ndarray, rows: np.ndarray) -> Timing | None:
+    """Timing of one sensor; ``columns`` (n, k) [m] are the readings' dwell means at the stops, ``rows`` (n, 2)
+    the dwells' samples."""
+    coarse = steps(samples, table, rows)
     offsets, kinds, times, firsts, onsets, faint, periods = [], [], [], [], [], [], []
     before = after = moves = 0
     for i in range(1, len(table)):
@@ -60,7 +62,7 @@ def timing(samples: Samples, table: StopTable, columns: np.ndarray) -> Timing | 
         inside = (time > 0.0) & (time < duration * 1e-9)
         if inside.sum() < 4:
             continue
-        level, goal = _rest(samples, table, i - 1, k), _rest(samples, table, i, k)
+        level, goal = _rest(samples, table, i - 1, k, coarse), _rest(samples, table, i, k, coarse)
         if level is None or goal is None or goal[0] == level[0]:
             continue
         values = samples.values[lo:hi, k]
@@ -124,11 +126,13 @@ def apart(log: CalibrationLog, table: StopTable) -> tuple[float, float] | None:
     direction of motion, a delay does not.
     """
     delays, sigmas = [], []
+    lengths = steps(log.displacement, table, table.displacement_rows)
+    spots = steps(log.spot, table, table.spot_rows)
     for i in range(1, len(table)):
         if table.move_ns[i] < 0 or table.run[i] != table.run[i - 1]:
             continue
-        one = _progress(log.displacement, table, table.displacement, i)
-        two = _progress(log.spot, table, table.spot, i)
+        one = _progress(log.displacement, table, table.displacement, lengths, i)
+        two = _progress(log.spot, table, table.spot, spots, i)
         if one is None or two is None:
             continue
         (time, course, _), (seen, spot, noise) = one, two
@@ -161,7 +165,7 @@ def apart(log: CalibrationLog, table: StopTable) -> tuple[float, float] | None:
     return middle, float(np.sqrt(misfit / weight[kept].sum()))
 
 
-def _progress(samples: Samples, table: StopTable, columns: np.ndarray,
+def _progress(samples: Samples, table: StopTable, columns: np.ndarray, coarse: np.ndarray,
               i: int) -> tuple[np.ndarray, np.ndarray, float] | None:
     """Times [s] after the command, progress from rest to rest, and its noise, in the move to stop i."""
     step = columns[i] - columns[i - 1]
@@ -170,7 +174,7 @@ def _progress(samples: Samples, table: StopTable, columns: np.ndarray,
         return None
     pad = (table.done_ns[i] - table.dwell_ns[i]) // 2
     lo, hi = np.searchsorted(samples.time_ns, [table.move_ns[i] - pad, table.dwell_ns[i] + pad])
-    level, goal = _rest(samples, table, i - 1, k), _rest(samples, table, i, k)
+    level, goal = _rest(samples, table, i - 1, k, coarse), _rest(samples, table, i, k, coarse)
     if hi - lo < 8 or level is None or goal is None or goal[0] == level[0]:
         return None
     noise = max(level[1], goal[1]) / abs(goal[0] - level[0])
@@ -235,8 +239,12 @@ def steps(samples: Samples, table: StopTable, rows: np.ndarray) -> np.ndarray:
     return result
 
 
-def _rest(samples: Samples, table: StopTable, i: int, k: int) -> tuple[float, float] | None:
-    """Level and noise of one column in the middle half of a dwell: neither end may still move."""
+def _rest(samples: Samples, table: StopTable, i: int, k: int, coarse: np.ndarray) -> tuple[float, float] | None:
+    """Level and noise of one column in the middle half of a dwell: neither end may still move.
+
+    A reading that moves in steps (``coarse`` (columns,) [m], 0 where it does not) hides its noise and is
+    known no better than the step.
+    """
     length = table.done_ns[i] - table.dwell_ns[i]
     lo, hi = np.searchsorted(samples.time_ns, [table.dwell_ns[i] + length // 4,
                                                table.done_ns[i] - length // 4])
@@ -245,4 +253,5 @@ def _rest(samples: Samples, table: StopTable, i: int, k: int) -> tuple[float, fl
     if len(values) < 3:
         return None
     middle = float(np.median(values))
-    return middle, float(np.median(np.abs(values - middle))) / 0.6745 + 1e-12
+    noise = float(np.median(np.abs(values - middle))) / 0.6745 + 1e-12
+    return middle, max(noise, float(coarse[k]) / np.sqrt(12.0))
