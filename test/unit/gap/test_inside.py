@@ -7,7 +7,7 @@ import pytest
 
 from stepdiag_ros.estimate.reduce import reduce_log
 from stepdiag_ros.gap.clocks import late_clocks
-from stepdiag_ros.gap.inside import apart, steps, timing
+from stepdiag_ros.gap.inside import _rest, apart, steps, timing
 
 
 def _seen(log):
@@ -81,10 +81,12 @@ def test_readings_in_steps(case):
     assert steps(coarse, table, table.spot_rows) == pytest.approx([2e-6, 2e-6], rel=1e-6)
 
 
-def test_a_reading_in_coarse_steps_tells_no_time(case):
+def test_a_reading_in_coarse_steps_is_known_no_better_than_the_step(case):
     log = case.log()
     table = reduce_log(log)
-    width = np.nanmax(np.abs(np.diff(table.spot, axis=0))) / 25.0
-    coarse = replace(log, spot=replace(log.spot, values=np.rint(log.spot.values / width) * width))
-    assert _clocks(log)[0]['psd'] is not None
-    assert _clocks(coarse)[0]['psd'] is None
+    width = 20.0 * log.description.noise.spot
+    coarse = replace(log.spot, values=np.rint(log.spot.values / width) * width)
+    found = steps(coarse, table, table.spot_rows)
+    assert found == pytest.approx(width, rel=1e-6)
+    _, noise = _rest(coarse, table, 5, 0, found)
+    assert noise > width / 4.0
