@@ -47,9 +47,11 @@ from stepdiag_ros.gap.where import Share, shares
 from stepdiag_ros.model.log import CalibrationLog
 
 ROUNDS = 4
-AIR_IN_MEANS = 4.0
-"""Variance of a dwell's mean by moving air over that inside the dwell: of noise as 1/f all octaves are alike, and
-between the length of a dwell and that of a run lie four times as many as a dwell resolves."""
+AIR_IN_MEANS = 16.0
+"""Variance of a dwell's mean by moving air over that inside the dwell.  Of noise as 1/f all octaves are alike,
+and between the length of a dwell and that of a run lie four times as many as a dwell resolves.  It does not come anew
+at each stop: at K cycles a log its power is N/11K times that of white noise as large, for N stops, some four
+times for what changes ten times in a log."""
 TUNED = 4
 """Leading effects whose shape parameters are tuned before sets are formed."""
 
