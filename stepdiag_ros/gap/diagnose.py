@@ -22,13 +22,14 @@ from stepdiag_ros.gap.clocks import late_clocks, put_right
 from stepdiag_ros.gap.closing import Closing, closing, excess_forecast
 from stepdiag_ros.gap.evidence import width_of
 from stepdiag_ros.gap.gross import GROSS, misfit, place_to_begin
+from stepdiag_ros.gap.hops import Hops, hops
 from stepdiag_ros.gap.inside import Timing, apart, steps, timing
 from stepdiag_ros.gap.joint import Joint, fit_jointly, unexplained
 from stepdiag_ros.gap.lines import Unrest, Vibration, unrest
 from stepdiag_ros.gap.next_measurement import advise
 from stepdiag_ros.gap.next_run import NextRun
 from stepdiag_ros.gap.observe import Observation, observe
-from stepdiag_ros.gap.scatter import excess_scatter
+from stepdiag_ros.gap.scatter import excess_scatter, strays
 from stepdiag_ros.gap.search import Candidate, EffectSet, Screen, probabilities, search
 from stepdiag_ros.gap.thresholds import (
     ALARM,
@@ -49,9 +50,11 @@ from stepdiag_ros.gap.where import Share, shares
 from stepdiag_ros.model.log import CalibrationLog
 
 ROUNDS = 4
-AIR_IN_MEANS = 4.0
-"""Variance of a dwell's mean by moving air over that inside the dwell: of noise as 1/f all octaves are alike, and
-between the length of a dwell and that of a run lie four times as many as a dwell resolves."""
+AIR_IN_MEANS = 16.0
+"""Variance of a dwell's mean by moving air over that inside the dwell.  Of noise as 1/f all octaves are alike,
+and between the length of a dwell and that of a run lie four times as many as a dwell resolves.  It does not come anew
+at each stop: at K cycles a log its power is N/11K times that of white noise as large, for N stops, some four
+times for what changes ten times in a log."""
 TUNED = 4
 """Leading effects whose shape parameters are tuned before sets are formed."""
 
@@ -134,8 +137,12 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
     effects = {effect.name: effect for effect in effects}
     observation = observe(log)
     log, observation, clocks, late = _set_clocks(log, observation)
-    samples = unrest(log, observation.table, observation.view.distance.mean(axis=1))
+    distance = observation.view.distance.mean(axis=1)
+    samples = unrest(log, observation.table, distance)
     observation = _with_unrest(observation, samples)
+    hopping = hops(log.displacement, observation.table, distance)
+    if hopping:
+        observation = _with_hops(observation, hopping)
     joint, sets, screen = _settle(observation, effects)
     best = sets[0] if sets[0].log_bayes > ALARM else EffectSet((), 0.0)
     names, nothing, weights = probabilities(sets, len(effects) + 1, TEMPER)
@@ -154,7 +161,7 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
     found = sorted(found, key=lambda f: -f.probability)
     # Of several patterns the first explains the most.
     leftover = next((screen.candidates[m.candidate].form.label for m in best.members if m.effect == UNKNOWN), '')
-    leftover = leftover or _coarse(joint) or _restless(samples, names)
+    leftover = (hopping.words if hopping else '') or leftover or _coarse(joint) or _restless(samples, names)
     if not leftover and not samples.shakes:
         evidence, words = excess_scatter(joint)
         allowed = SCATTER_ALARM + min(MISFIT * best.log_bayes, MISFIT_MOST)
@@ -201,6 +208,18 @@ def _with_unrest(observation: Observation, samples: Unrest) -> Observation:
     sigma = observation.bin_sigma.copy()
     sigma[:, :beams] = np.sqrt(sigma[:, :beams] ** 2 + more)
     return replace(observation, bin_sigma=sigma, table=replace(table, displacement_scatter=scatter))
+
+
+def _with_hops(observation: Observation, seen: Hops) -> Observation:
+    """The observation with the unit of length as noise: in which unit a stop was read is not known.  Dwells
+    with a step inside say nothing else."""
+    table, beams = observation.table, observation.fit.model.beams
+    bins, sigma = observation.bins.copy(), observation.bin_sigma.copy()
+    bins[seen.rows, :, :beams] = np.nan
+    sigma[:, :beams] = np.sqrt(sigma[:, :beams] ** 2 + seen.inside[:, None])
+    more = (seen.variance * np.maximum(table.displacement_count, 1))[:, None]
+    return replace(observation, bins=bins, bin_sigma=sigma,
+                   table=replace(table, displacement_scatter=np.sqrt(table.displacement_scatter**2 + more)))
 
 
 def _settle(observation: Observation,
@@ -255,6 +274,10 @@ def _screen(joint: Joint, effects: Mapping[str, Effect]) -> Screen:
         candidates += [Candidate(UNKNOWN, family, form, doubt) for form in forms]
     for family, forms in beyond_families(view).items():
         candidates += [Candidate(UNKNOWN, family, form, BEYOND_DOUBT) for form in forms]
+    stray = strays(joint)
+    if stray:
+        form, ways = stray
+        candidates.append(Candidate(UNKNOWN, 'strays', form, LEAN_DOUBT + ways))
     named = [a for a in joint.active if a.effect.name]
     if named:
         candidates += [Candidate(UNKNOWN, 'inconsistent', form, UNKNOWN_DOUBT)
@@ -301,8 +324,8 @@ def _form_error(joint: Joint) -> bool:
 def _set_clocks(log: CalibrationLog, observation: Observation):
     """Put right a sensor whose stamps are off; what was found out about both."""
     table = observation.table
-    clocks = {'interferometer': timing(log.displacement, table, table.displacement),
-              'psd': timing(log.spot, table, table.spot)}
+    clocks = {'interferometer': timing(log.displacement, table, table.displacement, table.displacement_rows),
+              'psd': timing(log.spot, table, table.spot, table.spot_rows)}
     skew = late_clocks(clocks, apart(log, table))
     if not skew:
         return log, observation, clocks, []

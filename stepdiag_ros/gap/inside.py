@@ -46,11 +46,12 @@ class Timing:
     period: float
 
 
-def timing(samples: Samples, table: StopTable, columns: np.ndarray) -> Timing | None:
-    """Timing of one sensor; ``columns`` (n, k) [m] are the readings' dwell means at the stops."""
+def timing(samples: Samples, table: StopTable, columns: np.ndarray, rows: np.ndarray) -> Timing | None:
+    """Timing of one sensor; ``columns`` (n, k) [m] are the readings' dwell means at the stops, ``rows`` (n, 2)
+    the dwells' samples."""
     offsets, kinds, times, firsts, onsets, faint, periods = [], [], [], [], [], [], []
     before = after = moves = 0
-    rest = cache(partial(_rest, samples, table))  # where one move ends, the next begins
+    rest = cache(partial(_rest, samples, table, steps(samples, table, rows)))  # where one move ends, the next begins
     for i in range(1, len(table)):
         if table.move_ns[i] < 0 or table.run[i] != table.run[i - 1]:
             continue
@@ -130,7 +131,8 @@ def apart(log: CalibrationLog, table: StopTable) -> tuple[float, float] | None:
     them alone is hardly told from a delay.
     """
     stretches: dict[tuple, list[np.ndarray]] = {}
-    rests = [cache(partial(_rest, samples, table)) for samples in (log.displacement, log.spot)]
+    rests = [cache(partial(_rest, samples, table, steps(samples, table, rows)))
+             for samples, rows in ((log.displacement, table.displacement_rows), (log.spot, table.spot_rows))]
     for i in range(1, len(table)):
         if table.move_ns[i] < 0 or table.run[i] != table.run[i - 1]:
             continue
@@ -251,8 +253,12 @@ def steps(samples: Samples, table: StopTable, rows: np.ndarray) -> np.ndarray:
     return result
 
 
-def _rest(samples: Samples, table: StopTable, i: int, k: int) -> tuple[float, float] | None:
-    """Level and noise of one column in the middle half of a dwell: neither end may still move."""
+def _rest(samples: Samples, table: StopTable, coarse: np.ndarray, i: int, k: int) -> tuple[float, float] | None:
+    """Level and noise of one column in the middle half of a dwell: neither end may still move.
+
+    A reading that moves in steps (``coarse`` (columns,) [m], 0 where it does not) hides its noise and is
+    known no better than the step.
+    """
     length = table.done_ns[i] - table.dwell_ns[i]
     lo, hi = np.searchsorted(samples.time_ns, [table.dwell_ns[i] + length // 4,
                                                table.done_ns[i] - length // 4])
@@ -261,7 +267,8 @@ def _rest(samples: Samples, table: StopTable, i: int, k: int) -> tuple[float, fl
     if len(values) < 3:
         return None
     middle = _median(values)
-    return middle, _median(np.abs(values - middle)) / 0.6745 + 1e-12
+    noise = _median(np.abs(values - middle)) / 0.6745 + 1e-12
+    return middle, max(noise, float(coarse[k]) / np.sqrt(12.0))
 
 
 def _median(values: np.ndarray) -> float:

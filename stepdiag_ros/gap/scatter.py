@@ -5,17 +5,25 @@ the repeats foretell, without any form to fit.  What the diagnosis leaves is com
 by group, and its tails with those of the normal distribution.
 """
 
-import numpy as np
-from scipy import stats
+from collections.abc import Iterator
 
-from stepdiag_ros.gap.evidence import log_mean
+import numpy as np
+from scipy import special, stats
+
+from stepdiag_ros.effects.base import Form
+from stepdiag_ros.gap.evidence import judge, log_mean
 from stepdiag_ros.gap.joint import Joint, unexplained
+from stepdiag_ros.gap.thresholds import ALARM
 
 TAIL = 4.5
 """Standard deviations beyond which a white residual is counted as an outlier."""
 LEAST = 24
 """Fewest residuals of a group that is judged."""
-
+STRAY_SIZE = 3.0
+"""Typical stray, in standard deviations of an arrival: a smaller one is no more than noise."""
+MOST_STRAYS = 60
+PATIENCE = 8.0
+"""Log evidence by which more strays may fall behind before no more are picked."""
 
 SHARES = np.array([0.02, 0.05, 0.1, 0.2, 0.4, 1.0])
 """Shares of arrivals that may be off, all others being as good as the noise says …"""
@@ -82,6 +90,72 @@ def _mixture(score: np.ndarray, side: float) -> float:
         plain.append(float(np.sum(alone)))
     # Less noise than the repeats say is no sign of strays: noise alone may have any level too.
     return log_mean(logs) - log_mean(plain)
+
+
+def strays(joint: Joint) -> tuple[Form, float] | None:
+    """Single arrivals that are off until the next move, as one form, and the log of the ways to pick them; None
+    where noise explains as much.
+
+    Stops are picked one by one, each the one that explains most of what those before leave, as long as the
+    evidence grows.  To pick k of m stops at a rate that is not known costs ln (m + 1) + ln C(m, k); where all
+    are short (or all too far) each sign saves ln 2.  So it competes on equal terms with slips, that two or three
+    steps make of few large strays.
+    """
+    space, view = joint.parity, joint.observation.view
+    stops = np.flatnonzero(view.axis < 3)
+    sign = view.approach[stops, view.axis[stops]]
+    stops, sign = stops[sign != 0], sign[sign != 0]
+    if len(stops) < LEAST:
+        return None
+    scale = STRAY_SIZE * joint.noise.position
+    columns = np.zeros((len(stops), *view.reading.shape))
+    columns[np.arange(len(stops)), stops] = scale * sign[:, None] * view.by_shift[view.axis[stops], stops]
+    seen = space.stop_part(columns)
+    data = space.data
+    best: tuple[float, float, list[int], str] | None = None
+    for side, words in ((0.0, 'off'), (-1.0, 'short'), (1.0, 'too far')):
+        picked: list[int] = []
+        most = -np.inf
+        for k in _picks(seen, data[:space.stops], side):
+            picked = [*picked, k]
+            some, count = seen[:, picked], len(picked)
+            judged = judge((some.T @ some)[None], (some.T @ data[:space.stops])[None], float(data @ data),
+                           sum(space.dof), float(sum(joint.noise.dof)))[0].log_bayes
+            ways = -float(special.betaln(count + 1, len(stops) - count + 1))
+            if side:
+                ways -= (count - 1) * float(np.log(2.0))
+            most = max(most, judged - ways)
+            if best is None or judged - ways > best[0]:
+                best = judged - ways, ways, picked, words
+            elif judged - ways < most - PATIENCE:
+                break
+    if best is None or best[0] < ALARM:
+        return None
+    _, ways, picked, words = best
+    return Form(f'arrivals are {words} by a random amount until the next move, at {len(picked)} stops',
+                columns[picked] / scale, tuple(str(i) for i in range(len(picked))),
+                np.full(len(picked), scale)), ways
+
+
+def _picks(columns: np.ndarray, data: np.ndarray, side: float) -> Iterator[int]:
+    """Columns (N, m), the next always the one that takes most off ``data`` (N,) given those before; with a
+    ``side`` only those whose coefficient has its sign."""
+    power = np.sum(columns**2, axis=0)
+    least, left, rest = 0.1 * power, power.copy(), data
+    basis = np.zeros((len(data), 0))
+    for _ in range(MOST_STRAYS):
+        along = columns.T @ rest
+        fall = np.where((left > least) & (along * side >= 0.0), along**2 / np.maximum(left, 1e-300), 0.0)
+        k = int(np.argmax(fall))
+        if fall[k] <= 0.0:
+            return
+        yield k
+        new = columns[:, k] - basis @ (basis.T @ columns[:, k])
+        new = new / np.linalg.norm(new)
+        basis = np.column_stack([basis, new])
+        rest = rest - new * float(new @ rest)
+        left = left - (new @ columns) ** 2
+        left[k] = 0.0
 
 
 def excess_scatter(joint: Joint) -> tuple[float, str]:

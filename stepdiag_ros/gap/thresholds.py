@@ -58,3 +58,5 @@ CELL_SIGMAS = 3.0
 NAMED_CELL_SIGMAS = 1.0
 """… or this many where an effect that has a name makes it: that it acts is settled, and how much of it lies in a
 cell is estimated without bias; a cell passed over is as wrong as one too many."""
+LEAST_HOPS = 2
+"""Fewest steps inside dwells, alike as shares of their lengths, that are taken for hops of the unit."""

@@ -7,12 +7,12 @@ import pytest
 
 from stepdiag_ros.estimate.reduce import reduce_log
 from stepdiag_ros.gap.clocks import late_clocks
-from stepdiag_ros.gap.inside import apart, steps, timing
+from stepdiag_ros.gap.inside import _rest, apart, steps, timing
 
 
 def _seen(log):
     table = reduce_log(log)
-    return timing(log.displacement, table, table.displacement)
+    return timing(log.displacement, table, table.displacement, table.displacement_rows)
 
 
 def _stamped(samples, offset_s, drift_s=0.0):
@@ -24,8 +24,8 @@ def _stamped(samples, offset_s, drift_s=0.0):
 
 def _clocks(log):
     table = reduce_log(log)
-    return {'interferometer': timing(log.displacement, table, table.displacement),
-            'psd': timing(log.spot, table, table.spot)}, apart(log, table)
+    return {'interferometer': timing(log.displacement, table, table.displacement, table.displacement_rows),
+            'psd': timing(log.spot, table, table.spot, table.spot_rows)}, apart(log, table)
 
 
 def test_a_quiet_log_shows_nothing(case):
@@ -89,3 +89,14 @@ def test_readings_in_steps(case):
     coarse = replace(log.spot, values=np.round(log.spot.values / 2e-6) * 2e-6)
     table = reduce_log(replace(log, spot=coarse))
     assert steps(coarse, table, table.spot_rows) == pytest.approx([2e-6, 2e-6], rel=1e-6)
+
+
+def test_a_reading_in_coarse_steps_is_known_no_better_than_the_step(case):
+    log = case.log()
+    table = reduce_log(log)
+    width = 20.0 * log.description.noise.spot
+    coarse = replace(log.spot, values=np.rint(log.spot.values / width) * width)
+    found = steps(coarse, table, table.spot_rows)
+    assert found == pytest.approx(width, rel=1e-6)
+    _, noise = _rest(coarse, table, found, 5, 0)
+    assert noise > width / 4.0

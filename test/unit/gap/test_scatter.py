@@ -1,12 +1,15 @@
 """Scatter without a pattern: arrivals that are off until the next move."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from stepdiag_ros.gap.diagnose import _noise
+from stepdiag_ros.gap.evidence import judge
 from stepdiag_ros.gap.joint import fit_jointly
 from stepdiag_ros.gap.observe import observe
-from stepdiag_ros.gap.scatter import _mixture, stray_arrivals
+from stepdiag_ros.gap.scatter import _mixture, stray_arrivals, strays
 
 
 def test_a_wide_share_of_scores_is_evidence_and_noise_is_not():
@@ -46,3 +49,37 @@ def test_short_arrivals_are_seen_in_the_data(joint):
     rest[:space.stops] += space.stop_part(column * joint.noise.position)[:, 0]
     evidence, words = stray_arrivals(joint, rest)
     assert evidence > 12.0 and 'random' in words
+
+
+def test_short_arrivals_compete_as_one_form(joint):
+    assert strays(joint) is None
+    view, space = joint.observation.view, joint.parity
+    off = np.flatnonzero((view.axis == 1) & (view.approach[:, 1] != 0))[3::9]
+    column = view.zeros(1)
+    column[0, off] = -8.0 * joint.noise.position * view.by_shift[1, off] * view.approach[off, 1, None]
+    rest = space.data.copy()
+    rest[:space.stops] += space.stop_part(column)[:, 0]
+    form, ways = strays(replace(joint, parity=replace(space, data=rest)))
+    assert 'short' in form.label
+    picked = set(np.flatnonzero(np.any(form.columns, axis=(0, 2))))
+    assert set(off) <= picked and len(picked) <= len(off) + 3
+    assert ways > 2.0 * len(off)
+
+
+def test_a_step_that_stays_is_no_matter_of_strays(joint):
+    view, space = joint.observation.view, joint.parity
+    run = np.flatnonzero(view.run == 2)
+    slip = view.zeros(1)
+    slip[0, run[len(run) // 2:], :view.beams] = 6.0 * joint.noise.position
+    slip = space.stop_part(slip)[:, 0]
+    rest = space.data.copy()
+    rest[:space.stops] += slip
+    found = strays(replace(joint, parity=replace(space, data=rest)))
+    explained = 0.0 if found is None else _evidence(space, rest, found[0]) - found[1]
+    assert explained < 0.5 * float(slip @ slip) - 12.0
+
+
+def _evidence(space, data, form):
+    columns = space.project(form)
+    return judge((columns.T @ columns)[None], (columns.T @ data)[None], float(data @ data), sum(space.dof),
+                 100.0)[0].log_bayes
