@@ -49,6 +49,11 @@ class Parity:
     def size(self) -> int:
         return len(self.data)
 
+    @property
+    def of_spot(self) -> np.ndarray:
+        """Which rows (N,) are of the spot, not of a length."""
+        return self.channel >= self._bin_present.shape[-1] - 2
+
     def white_part(self, columns: np.ndarray) -> np.ndarray:
         """White columns, not yet projected: (k, n, c) → (stops, k)."""
         flat = columns.reshape(len(columns), -1).T

@@ -167,24 +167,27 @@ class Screen:
             return np.zeros((self.parity.size, 0))
         return _explained(np.concatenate([self.columns_of(m.candidate) * m.size for m in members], axis=1))
 
-    def judge_all(self, members: Sequence[Member] = ()) -> list[Judged]:
-        """Every candidate given the set ``members``."""
+    def judge_all(self, members: Sequence[Member] = (), effect: str | None = None) -> dict[int, Judged]:
+        """Every candidate, or every one of ``effect``, by its number, given the set ``members``."""
         basis, data, stops = self.basis(members), self.parity.data, self.parity.stops
         taken = basis.T @ data
         total = float(data @ data - taken @ taken)
         dof = sum(self.parity.dof) - float(np.sum(basis**2))
-        overlap = basis[:stops].T @ self._white
-        judged: list[Judged | None] = [None] * len(self._slices)
+        overlap = basis[:stops].T @ self._white if effect is None else None
+        judged: dict[int, Judged] = {}
         for width, numbers in self._by_width.items():
-            cross = np.stack([overlap[:, self._slices[i]] for i in numbers])
-            for place, i in enumerate(numbers):
+            places = [p for p, i in enumerate(numbers) if effect in (None, self.candidates[i].effect)]
+            if not places:
+                continue
+            mine = [numbers[p] for p in places]
+            cross = np.stack([basis[:stops].T @ self._white[:, self._slices[i]] if overlap is None
+                              else overlap[:, self._slices[i]] for i in mine])
+            for place, i in enumerate(mine):
                 if i in self._bins:
                     cross[place] += basis[stops:].T @ self._bins[i]
-            gram = self._grams[width] - cross.transpose(0, 2, 1) @ cross
-            along = self._alongs[width] - cross.transpose(0, 2, 1) @ taken
-            for i, result in zip(numbers, judge(gram, along, total, dof, self.noise_dof),
-                                 strict=True):
-                judged[i] = result
+            gram = self._grams[width][places] - cross.transpose(0, 2, 1) @ cross
+            along = self._alongs[width][places] - cross.transpose(0, 2, 1) @ taken
+            judged |= dict(zip(mine, judge(gram, along, total, dof, self.noise_dof), strict=True))
         return judged
 
     def stop_support(self, members: Sequence[Member], number: int) -> float:
@@ -201,14 +204,31 @@ class Screen:
                      (columns.T @ data - seen.T @ taken)[None], float(data @ data - taken @ taken),
                      self.parity.dof[0], self.noise_dof)[0].log_bayes
 
-    def by_effect(self, members: Sequence[Member] = ()) -> dict[str, Member]:
-        """The evidence of every effect given ``members``, averaged over its forms; the best form, doubts
-        weighed."""
-        judged = self.judge_all(members)
+    def as_first(self, member: Member) -> Member:
+        """A member of a set in the same form as if it were the first: the evidence of that form alone, as one
+        of all that the effect has."""
+        alone = self.judge_all((), member.effect)
+        own, form = alone[member.candidate], self.candidates[member.candidate].form
+        return replace(member, log_bayes=own.log_bayes - float(np.log(len(alone))),
+                       size=own.size if form.process else float(SIZES[-1]))
+
+    def shared(self, less: Sequence[Member], more: Sequence[Member]) -> float:
+        """Overlap (0 … 1) of the channels, lengths or spot, in which ``less`` explains the data with those in
+        which ``more`` explains what it adds."""
+        data, spot = self.parity.data, self.parity.of_spot
+        first, both = (basis @ (basis.T @ data) for basis in (self.basis(less), self.basis(more)))
+        shares = [np.array([part[~spot] @ part[~spot], part[spot] @ part[spot]]) for part in (first, both - first)]
+        return float(np.minimum(*(power / max(power.sum(), 1e-300) for power in shares)).sum())
+
+    def by_effect(self, members: Sequence[Member] = (), effect: str | None = None) -> dict[str, Member]:
+        """The evidence of every effect, or of one, given ``members``, averaged over its forms; the best
+        form, doubts weighed."""
+        judged = self.judge_all(members, effect)
         groups: dict[str, dict[str, list[int]]] = {}
         present = {m.effect for m in members}
         sources = {self.candidates[m.candidate].form.source for m in members} - {''}
-        for number, candidate in enumerate(self.candidates):
+        for number in sorted(judged):
+            candidate = self.candidates[number]
             if candidate.decoy and candidate.family in present:
                 continue  # beside the name its decoys are no rivals
             if sources and candidate.form.source and candidate.form.source not in sources:
@@ -225,7 +245,7 @@ class Screen:
             result[effect] = Member(effect, best, log_mean(logs) + doubts[family], size, doubts[family])
         return result
 
-    def _doubt(self, numbers: Sequence[int], judged: Sequence[Judged]) -> float:
+    def _doubt(self, numbers: Sequence[int], judged: Mapping[int, Judged]) -> float:
         """Log odds against a family where a name explains as much.
 
         What decoys explain, forms as rich would have explained whatever the cause: a name has earned
@@ -270,13 +290,16 @@ def search(screen: Screen) -> list[EffectSet]:
                     continue
                 if not again and member.log_bayes > GAIN and not _supported(screen, found, member):
                     member = replace(member, log_bayes=0.0)
-                if not again and member.log_bayes < least_growth(found):
+                if not again and not _enough(screen, found, larger):
                     # Too weak to be claimed beside the others: a thought, not a way on.
                     member = replace(member, log_bayes=min(member.log_bayes, 0.0))
                     larger = EffectSet((*found.members, member), found.log_bayes + member.log_bayes)
+                if len(larger.members) == 2 and UNKNOWN not in larger.key and not again and (
+                        max(member.log_bayes, first[member.effect].log_bayes) > GAIN):
+                    larger = _recomposed(screen, larger)
                 if larger.names not in sets or sets[larger.names].log_bayes < larger.log_bayes:
                     sets[larger.names] = larger
-                    if member.log_bayes > GAIN:
+                    if larger.log_bayes > found.log_bayes + GAIN:
                         grown.append(larger)
         front = grown
     # One set of names counts once, in its best composition.
@@ -284,11 +307,27 @@ def search(screen: Screen) -> list[EffectSet]:
     for found in sets.values():
         if found.key not in best or best[found.key].log_bayes < found.log_bayes:
             best[found.key] = found
-    found = _held_to_names(screen, _each_earned(best))
+    found = _held_to_names(screen, _each_earned(screen, best))
     return sorted(found, key=lambda s: -(s.log_bayes + log_prior(s, len(first))))
 
 
-def _each_earned(best: Mapping[frozenset, EffectSet]) -> list[EffectSet]:
+def _recomposed(screen: Screen, pair: EffectSet) -> EffectSet:
+    """The pair in other forms, where these together explain it better.
+
+    The form that suits the first effect alone may be a rich one that explains part of the second as well:
+    beside the second a leaner one may do.  So the first's form is chosen anew beside that of the second.
+    """
+    first, second = pair.members
+    kept = screen.as_first(second)
+    other = screen.by_effect((kept,), first.effect).get(first.effect)
+    if other is None:
+        return pair
+    found = EffectSet((kept, other), kept.log_bayes + other.log_bayes)
+    better = found.log_bayes > pair.log_bayes and _supported(screen, EffectSet((kept,), kept.log_bayes), other)
+    return found if better else pair
+
+
+def _each_earned(screen: Screen, best: Mapping[frozenset, EffectSet]) -> list[EffectSet]:
     """The sets; none is better than one without an effect that brings less to it than a further effect must,
     in whichever order they were found."""
     result: dict[frozenset, EffectSet] = {}
@@ -296,7 +335,7 @@ def _each_earned(best: Mapping[frozenset, EffectSet]) -> list[EffectSet]:
         found = best[key]
         for name in key if len(key) > 1 else ():
             less = result.get(key - {name})
-            if less is not None and found.log_bayes - less.log_bayes < least_growth(less):
+            if less is not None and not _enough(screen, less, found):
                 found = replace(found, log_bayes=min(found.log_bayes, less.log_bayes))
         result[key] = found
     return list(result.values())
@@ -346,13 +385,26 @@ def _supported(screen: Screen, found: EffectSet, member: Member) -> bool:
     return screen.stop_support(found.members, member.candidate) > STOP_SUPPORT
 
 
-def least_growth(found: EffectSet) -> float:
+def least_growth(found: EffectSet, shared: float = 1.0) -> float:
     """Log evidence that one more effect must bring.
 
     No form fits reality to the last part: of what the set explains so far, a few percent may be left
-    over by its own forms, and a further effect must bring more than that.
+    over by its own forms, and a further effect must bring more than that; ``shared``: the part of that in
+    channels that speak for the further effect too.
     """
-    return MEMBER_ALARM + min(MISFIT * found.log_bayes, MISFIT_MOST)
+    return MEMBER_ALARM + min(MISFIT * shared * found.log_bayes, MISFIT_MOST)
+
+
+def _enough(screen: Screen, less: EffectSet, more: EffectSet) -> bool:
+    """Whether ``more`` brings enough beside ``less``, of which it has all names and another.
+
+    What a form leaves over is a share of what it explains, in the channels where it explains it: a drift of
+    the tool cannot leave a pattern of the spot.
+    """
+    growth = more.log_bayes - less.log_bayes
+    if growth >= least_growth(less) or growth < MEMBER_ALARM or UNKNOWN in more.key:
+        return growth >= least_growth(less)
+    return growth >= least_growth(less, screen.shared(less.members, more.members))
 
 
 def _may_repeat(screen: Screen, found: EffectSet, member: Member) -> bool:
