@@ -6,7 +6,7 @@ that of each further one given those before, the largest over the orders.  A for
 its effect is in the set, are free: what is left is what nothing in the set can explain.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -167,21 +167,22 @@ class Screen:
             return np.zeros((self.parity.size, 0))
         return _explained(np.concatenate([self.columns_of(m.candidate) * m.size for m in members], axis=1))
 
-    def judge_all(self, members: Sequence[Member] = (), effect: str | None = None) -> dict[int, Judged]:
-        """Every candidate, or every one of ``effect``, by its number, given the set ``members``."""
+    def judge_all(self, members: Sequence[Member], wanted: Sequence[int]) -> dict[int, Judged]:
+        """The ``wanted`` candidates, by their numbers, given the set ``members``."""
         basis, data, stops = self.basis(members), self.parity.data, self.parity.stops
         taken = basis.T @ data
         total = float(data @ data - taken @ taken)
         dof = sum(self.parity.dof) - float(np.sum(basis**2))
-        overlap = basis[:stops].T @ self._white if effect is None else None
+        open_ = np.zeros(len(self.candidates), bool)
+        open_[wanted] = True
         judged: dict[int, Judged] = {}
         for width, numbers in self._by_width.items():
-            places = [p for p, i in enumerate(numbers) if effect in (None, self.candidates[i].effect)]
-            if not places:
+            places = np.flatnonzero(open_[numbers])
+            if not len(places):
                 continue
             mine = [numbers[p] for p in places]
-            cross = np.stack([basis[:stops].T @ self._white[:, self._slices[i]] if overlap is None
-                              else overlap[:, self._slices[i]] for i in mine])
+            overlap = basis[:stops].T @ np.concatenate([self._white[:, self._slices[i]] for i in mine], axis=1)
+            cross = overlap.reshape(len(overlap), len(mine), width).transpose(1, 0, 2).copy()
             for place, i in enumerate(mine):
                 if i in self._bins:
                     cross[place] += basis[stops:].T @ self._bins[i]
@@ -207,10 +208,11 @@ class Screen:
     def as_first(self, member: Member) -> Member:
         """A member of a set in the same form as if it were the first: the evidence of that form alone, as one
         of all that the effect has."""
-        alone = self.judge_all((), member.effect)
-        own, form = alone[member.candidate], self.candidates[member.candidate].form
-        return replace(member, log_bayes=own.log_bayes - float(np.log(len(alone))),
-                       size=own.size if form.process else float(SIZES[-1]))
+        number, form = member.candidate, self.candidates[member.candidate].form
+        forms = sum(candidate.effect == member.effect for candidate in self.candidates)
+        alone = self.judge_all((), [number])[number]
+        return replace(member, log_bayes=alone.log_bayes - float(np.log(forms)),
+                       size=alone.size if form.process else float(SIZES[-1]))
 
     def shared(self, less: Sequence[Member], more: Sequence[Member]) -> float:
         """Overlap (0 … 1) of the channels, lengths or spot, in which ``less`` explains the data with those in
@@ -220,20 +222,23 @@ class Screen:
         shares = [np.array([part[~spot] @ part[~spot], part[spot] @ part[spot]]) for part in (first, both - first)]
         return float(np.minimum(*(power / max(power.sum(), 1e-300) for power in shares)).sum())
 
-    def by_effect(self, members: Sequence[Member] = (), effect: str | None = None) -> dict[str, Member]:
-        """The evidence of every effect, or of one, given ``members``, averaged over its forms; the best
-        form, doubts weighed."""
-        judged = self.judge_all(members, effect)
+    def by_effect(self, members: Sequence[Member] = (),
+                  asked: Callable[[str], bool] = lambda effect: True) -> dict[str, Member]:
+        """The evidence of every effect ``asked`` for given ``members``, averaged over its forms; the best form,
+        doubts weighed."""
         groups: dict[str, dict[str, list[int]]] = {}
         present = {m.effect for m in members}
         sources = {self.candidates[m.candidate].form.source for m in members} - {''}
-        for number in sorted(judged):
-            candidate = self.candidates[number]
+        for number, candidate in enumerate(self.candidates):
+            if not asked(candidate.effect):
+                continue
             if candidate.decoy and candidate.family in present:
                 continue  # beside the name its decoys are no rivals
             if sources and candidate.form.source and candidate.form.source not in sources:
                 continue
             groups.setdefault(candidate.effect, {}).setdefault(candidate.family, []).append(number)
+        judged = self.judge_all(members, [i for families in groups.values()
+                                          for numbers in families.values() for i in numbers])
         result = {}
         for effect, families in groups.items():
             doubts = {family: self._doubt(numbers, judged) for family, numbers in families.items()}
@@ -272,6 +277,7 @@ def search(screen: Screen) -> list[EffectSet]:
         found = EffectSet((member,), member.log_bayes)
         sets[found.names] = found
         front.append(found)
+    alone = max((m.log_bayes for m in first.values() if m.effect != UNKNOWN), default=0.0)
     while front:
         # Nameless patterns, which fit anything, must not crowd out the names.
         front = _leading([s for s in front if UNKNOWN not in s.key], BEAM) \
@@ -281,6 +287,7 @@ def search(screen: Screen) -> list[EffectSet]:
             for member in screen.by_effect(found.members).values():
                 larger = EffectSet((*found.members, member), found.log_bayes + member.log_bayes)
                 again = member.effect in found.names
+                in_reach = larger.log_bayes > alone
                 if UNKNOWN in found.names and member.effect != UNKNOWN:
                     continue  # names are sought first: what has none is what they leave
                 if len(larger.key) > LARGEST or (not again and len(found.members) > MOST_FORMS):
@@ -294,8 +301,7 @@ def search(screen: Screen) -> list[EffectSet]:
                     # Too weak to be claimed beside the others: a thought, not a way on.
                     member = replace(member, log_bayes=min(member.log_bayes, 0.0))
                     larger = EffectSet((*found.members, member), found.log_bayes + member.log_bayes)
-                if len(larger.members) == 2 and UNKNOWN not in larger.key and not again and (
-                        max(member.log_bayes, first[member.effect].log_bayes) > GAIN):
+                if in_reach and len(larger.members) == 2 and not again and UNKNOWN not in larger.key:
                     larger = _recomposed(screen, larger)
                 if larger.names not in sets or sets[larger.names].log_bayes < larger.log_bayes:
                     sets[larger.names] = larger
@@ -319,7 +325,7 @@ def _recomposed(screen: Screen, pair: EffectSet) -> EffectSet:
     """
     first, second = pair.members
     kept = screen.as_first(second)
-    other = screen.by_effect((kept,), first.effect).get(first.effect)
+    other = screen.by_effect((kept,), lambda effect: effect == first.effect).get(first.effect)
     if other is None:
         return pair
     found = EffectSet((kept, other), kept.log_bayes + other.log_bayes)
