@@ -211,8 +211,8 @@ def freed_solution(joint: Joint) -> Solution:
     result = joint.fit
     if joint.active:
         columns = [joint.parity.white_part(a.form.columns) * a.form.scale for a in joint.active]
-        white = np.concatenate(columns, axis=1)
         jacobian = np.concatenate([w(result.jacobian.toarray()) for w in joint.parity._white])
+        white = np.concatenate(columns, axis=1)[:len(jacobian)]
         # The unknowns follow a change of the coefficients by −(JᵀJ + P)⁻¹ JᵀB.
         normal = jacobian.T @ jacobian + result.precision
         follow = np.linalg.solve(normal, jacobian.T @ white)

@@ -17,7 +17,6 @@ from stepdiag_ros.estimate.enhanced import Fit
 from stepdiag_ros.estimate.noise import NoiseModel, whiteners
 from stepdiag_ros.gap.observe import Observation
 
-RANK = 1e-9
 DISCREPANCY = 0.3
 """What happens inside the dwells is seen to nanometres; no form describes it to better than this share."""
 CLIP = 6.0
@@ -28,7 +27,8 @@ CLIP = 6.0
 class Parity:
     """The projection for one linearisation.
 
-    ``data`` (N,): white residuals, stops first (``stops`` of them), then bins.  ``dof``: of the stops'
+    ``data`` (N,): white residuals, stops first (``stops`` of them, the unknowns' own departures from what they
+    are held to at the end), then bins.  ``dof``: of the stops'
     part and of the bins' part.  ``channel`` (N,): channel of each row (0 … beams + 1), ``row`` (N,): its
     stop.  ``bin_scale``: factor by which the bins' noise was found above the sensors' own.
     """
@@ -55,9 +55,11 @@ class Parity:
         return self.channel >= self._bin_present.shape[-1] - 2
 
     def white_part(self, columns: np.ndarray) -> np.ndarray:
-        """White columns, not yet projected: (k, n, c) → (stops, k)."""
+        """White columns, not yet projected: (k, n, c) → (stops, k); nothing at the unknowns' own rows."""
         flat = columns.reshape(len(columns), -1).T
-        return np.concatenate([w(flat) for w in self._white])
+        white = [w(flat) for w in self._white]
+        missing = self.stops - sum(map(len, white))
+        return np.concatenate([*white, np.zeros((missing, len(columns)))])
 
     def absorbed(self, white: np.ndarray) -> np.ndarray:
         """Coordinates (r, k) of white columns in what the fit can imitate."""
@@ -110,16 +112,17 @@ def parity(observation: Observation, result: Fit, noise: NoiseModel,
     """Set up the projection at ``result`` with ``noise``; data are ``readings`` minus its prediction."""
     present = result.present
     white = whiteners(observation.table, noise, result.arrival, present)
-    jacobian = np.concatenate([w(result.jacobian.toarray()) for w in white])
-    norms = np.linalg.norm(jacobian, axis=0)
-    jacobian = jacobian[:, norms > 0] / norms[norms > 0]
-    basis, triangle, _ = linalg.qr(jacobian, mode='economic', pivoting=True, check_finite=False)
-    diagonal = np.abs(np.diag(triangle))
-    basis = basis[:, diagonal > RANK * diagonal[0]]
+    # The unknowns are held to their widths as in the fit: else errors of metres, along directions that the
+    # readings hardly tell, would imitate what no machine does.
+    held = np.linalg.cholesky(result.precision).T
+    jacobian = np.concatenate([*(w(result.jacobian.toarray()) for w in white), held])
+    jacobian = jacobian / np.linalg.norm(jacobian, axis=0)
+    basis, _ = linalg.qr(jacobian, mode='economic', check_finite=False)
     # What the fit has put into its residual is gone already; only the rest is left to look at.
     residual = np.where(present, readings - result.model.predict(result.theta), 0.0).ravel()
-    data = np.concatenate([w(residual) for w in white])
+    data = np.concatenate([*(w(residual) for w in white), -held @ result.theta])
     data = data - basis @ (basis.T @ data)
+    own = len(data) - len(held)
 
     channels = observation.bins.shape[2]
     contrast = _contrasts(observation.bins.shape[1])
@@ -137,9 +140,10 @@ def parity(observation: Observation, result: Fit, noise: NoiseModel,
     rows = np.concatenate([w.rows for w in white])
     stop, _, channel = np.nonzero(bin_present)
     return Parity(np.concatenate([data, inside / bin_scale]), len(data),
-                  (len(data) - basis.shape[1], len(inside)),
-                  np.concatenate([rows % channels, channel]),
-                  np.concatenate([rows // channels, stop]), bin_scale,
+                  # Machines are far better than the widths: their own departures count for nothing.
+                  (round(own - float(np.sum(basis[:own]**2))), len(inside)),
+                  np.concatenate([rows % channels, np.full(len(held), -1), channel]),
+                  np.concatenate([rows // channels, np.full(len(held), -1), stop]), bin_scale,
                   white, basis, contrast,
                   observation.bin_sigma[:, None, :] * rough, bin_present)
 
