@@ -1,8 +1,9 @@
 """Parity space: what the fitted model leaves free, in units of the noise.
 
-Readings are whitened with the noise of the log and everything that a change of the 21 errors,
-the misalignments or a reset can imitate, within the widths that the fit gives them, is projected out.  What an effect adds to the log is
-seen here and only here; judged on plain residuals it would be mistaken for what the fit made of it.
+Readings are whitened with the noise of the log and everything that a change of the 21 errors, the
+misalignments or a reset can imitate, within the widths that the fit gives them, is projected out.
+What an effect adds to the log is seen here and only here; judged on plain residuals it would be
+mistaken for what the fit made of it.
 The bins of the dwells, which the rigid-body model does not touch, are appended as contrasts.
 """
 
