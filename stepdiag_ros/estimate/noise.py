@@ -112,11 +112,10 @@ def run_covariance(rows: np.ndarray, position: float, angle: float, sensor: np.n
     """
     k, channels = len(rows), sensor.shape[1]
     total = np.zeros((k, channels, k, channels))
-    for axis in range(3):
+    for axis in range(3) if position else ():
         same = numbers[rows, axis][:, None] == numbers[rows, axis]
-        effect = arrival[2 + axis][rows]
-        total += position**2 * np.einsum('ic,jd,ij->icjd', effect, effect, same.astype(float),
-                                         optimize=True)
+        effect = position * arrival[2 + axis][rows]
+        total += (effect[:, :, None, None] * effect) * same[:, None, :, None]
     stop = np.arange(k)
     for turn in range(2):
         effect = arrival[turn][rows]
@@ -155,29 +154,29 @@ def estimate_noise(table: StopTable, belief: Noise, arrival: np.ndarray) -> Nois
     # The angle first: it reaches the distance through the arm beside the beam.
     for what, columns, believed in (('angle', [beams, beams + 1], belief.angle_repeatability),
                                     ('position', [0], belief.position_repeatability)):
+        # A covariance is that of the other sources and, times its variance, that of the one in question.
+        unit, rest = ((1.0, 0.0), (0.0, sigma['angle'])) if what == 'position' else ((0.0, 1.0), (0.0, 0.0))
         parts = []
         for rows, values, time in contrasts:
             for column in columns:
                 good = np.isfinite(values[:, column])
                 if good.sum() > 6:
-                    parts.append((rows[good], values[good, column], time[good], column))
-        dof[what] = sum(len(rows) - 3 for rows, *_ in parts)
+                    own, of_one = rows[good], arrival[:, :, [column]]
+                    parts.append((run_covariance(own, *rest, sensor[:, [column]], of_one, numbers),
+                                  run_covariance(own, *unit, np.zeros_like(sensor[:, [column]]), of_one, numbers),
+                                  values[good, column], time[good]))
+        dof[what] = sum(len(value) - 3 for *_, value, _ in parts)
         sigma[what] = believed
         if dof[what] < 8:
             continue
         known = max(believed, FLOOR_M)
         for _ in range(MAX_SWEEPS):
-            guess, rest = ((known, sigma['angle']), (0.0, sigma['angle'])) if what == 'position' \
-                else ((0.0, known), (0.0, 0.0))
             total = other = 0.0
-            for rows, value, time, column in parts:
-                covariance, fixed = (run_covariance(rows, *sizes, sensor[:, [column]],
-                                                    arrival[:, :, [column]], numbers)
-                                     for sizes in (guess, rest))
-                factor = linalg.cholesky(covariance, lower=True)
+            for fixed, growing, value, time in parts:
+                factor = linalg.cholesky(fixed + known**2 * growing, lower=True)
                 white = _white_without_parabola(factor, value, time)
                 total += np.sum(np.minimum(white**2, WINSOR**2)) / WINSOR_MEAN
-                other += np.trace(linalg.cho_solve((factor, True), fixed)) / len(rows) * len(white)
+                other += np.trace(linalg.cho_solve((factor, True), fixed)) / len(value) * len(white)
             # Scoring: what is not this source's share of the variance does not grow with it.
             share = max(1.0 - other / dof[what], LEAST_SHARE)
             change = 1.0 + (total / dof[what] - 1.0) / share

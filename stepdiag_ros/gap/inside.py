@@ -4,7 +4,9 @@ A sensor whose stamps are off sees the moves at the wrong time: a move's middle 
 reading is half-way, which for a jerk-limited move is half-way in time.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache, partial
 
 import numpy as np
 
@@ -46,6 +48,7 @@ def timing(samples: Samples, table: StopTable, columns: np.ndarray) -> Timing | 
     """Timing of one sensor; ``columns`` (n, k) [m] are the readings' dwell means at the stops."""
     offsets, kinds, times, firsts, onsets, faint, periods = [], [], [], [], [], [], []
     before = after = moves = 0
+    rest = cache(partial(_rest, samples, table))  # where one move ends, the next begins
     for i in range(1, len(table)):
         if table.move_ns[i] < 0 or table.run[i] != table.run[i - 1]:
             continue
@@ -60,7 +63,7 @@ def timing(samples: Samples, table: StopTable, columns: np.ndarray) -> Timing | 
         inside = (time > 0.0) & (time < duration * 1e-9)
         if inside.sum() < 4:
             continue
-        level, goal = _rest(samples, table, i - 1, k), _rest(samples, table, i, k)
+        level, goal = rest(i - 1, k), rest(i, k)
         if level is None or goal is None or goal[0] == level[0]:
             continue
         values = samples.values[lo:hi, k]
@@ -124,11 +127,12 @@ def apart(log: CalibrationLog, table: StopTable) -> tuple[float, float] | None:
     direction of motion, a delay does not.
     """
     delays, sigmas = [], []
+    rests = [cache(partial(_rest, samples, table)) for samples in (log.displacement, log.spot)]
     for i in range(1, len(table)):
         if table.move_ns[i] < 0 or table.run[i] != table.run[i - 1]:
             continue
-        one = _progress(log.displacement, table, table.displacement, i)
-        two = _progress(log.spot, table, table.spot, i)
+        one = _progress(log.displacement, table, table.displacement, i, rests[0])
+        two = _progress(log.spot, table, table.spot, i, rests[1])
         if one is None or two is None:
             continue
         (time, course, _), (seen, spot, noise) = one, two
@@ -161,16 +165,17 @@ def apart(log: CalibrationLog, table: StopTable) -> tuple[float, float] | None:
     return middle, float(np.sqrt(misfit / weight[kept].sum()))
 
 
-def _progress(samples: Samples, table: StopTable, columns: np.ndarray,
-              i: int) -> tuple[np.ndarray, np.ndarray, float] | None:
-    """Times [s] after the command, progress from rest to rest, and its noise, in the move to stop i."""
+def _progress(samples: Samples, table: StopTable, columns: np.ndarray, i: int,
+              rest: Callable[[int, int], tuple[float, float] | None]) -> tuple[np.ndarray, np.ndarray, float] | None:
+    """Times [s] after the command, progress from rest to rest, and its noise, in the move to stop i; ``rest``
+    as :func:`_rest` of the stop and the column."""
     step = columns[i] - columns[i - 1]
     k = int(np.argmax(np.abs(np.nan_to_num(step))))
     if not np.isfinite(step[k]) or step[k] == 0.0:
         return None
     pad = (table.done_ns[i] - table.dwell_ns[i]) // 2
     lo, hi = np.searchsorted(samples.time_ns, [table.move_ns[i] - pad, table.dwell_ns[i] + pad])
-    level, goal = _rest(samples, table, i - 1, k), _rest(samples, table, i, k)
+    level, goal = rest(i - 1, k), rest(i, k)
     if hi - lo < 8 or level is None or goal is None or goal[0] == level[0]:
         return None
     noise = max(level[1], goal[1]) / abs(goal[0] - level[0])
@@ -244,5 +249,11 @@ def _rest(samples: Samples, table: StopTable, i: int, k: int) -> tuple[float, fl
     values = values[np.isfinite(values)]
     if len(values) < 3:
         return None
-    middle = float(np.median(values))
-    return middle, float(np.median(np.abs(values - middle))) / 0.6745 + 1e-12
+    middle = _median(values)
+    return middle, _median(np.abs(values - middle)) / 0.6745 + 1e-12
+
+
+def _median(values: np.ndarray) -> float:
+    """Median of a few finite values; numpy's own spends most of its time on what may be odd about them."""
+    ordered = np.sort(values)
+    return float(ordered[(len(ordered) - 1) // 2] + ordered[len(ordered) // 2]) / 2.0

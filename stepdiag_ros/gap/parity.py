@@ -57,10 +57,14 @@ class Parity:
 
     def white_part(self, columns: np.ndarray) -> np.ndarray:
         """White columns, not yet projected: (k, n, c) → (stops, k); nothing at the unknowns' own rows."""
-        flat = columns.reshape(len(columns), -1).T
-        white = [w(flat) for w in self._white]
-        missing = self.stops - sum(map(len, white))
-        return np.concatenate([*white, np.zeros((missing, len(columns)))])
+        flat, start = columns.reshape(len(columns), -1), 0
+        # Laid out column by column, as they come and as the triangular solver takes them.
+        result = np.zeros((self.stops, len(flat)), order='F')
+        for white in self._white:
+            part = white(flat.T)
+            result[start:start + len(part)] = part
+            start += len(part)
+        return result
 
     def absorbed(self, white: np.ndarray) -> np.ndarray:
         """Coordinates (r, k) of white columns in what the fit can imitate."""

@@ -8,6 +8,7 @@ its effect is in the set, are free: what is left is what nothing in the set can 
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -100,66 +101,82 @@ class Screen:
     repeatable: frozenset = frozenset()
     in_dwells: frozenset = frozenset()
     _white: np.ndarray = field(init=False)
-    _bins: dict = field(init=False)
+    _inside: np.ndarray = field(init=False)
+    _with_inside: np.ndarray = field(init=False)
+    _along: np.ndarray = field(init=False)
     _slices: list = field(init=False)
-    _by_width: dict = field(init=False)
-    _grams: dict = field(init=False)
-    _alongs: dict = field(init=False)
+    _ratios: list = field(init=False)
+    _alike: list = field(init=False)
+    _judged: dict = field(init=False, default_factory=dict)
 
     def __post_init__(self):
-        stops = self.parity.stops
-        data = self.parity.data
-        sizes = [len(c.form.columns) for c in self.candidates]
-        edges = np.concatenate([[0], np.cumsum(sizes)]).astype(int)
-        self._slices = [slice(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True)]
-        stacked = np.concatenate([c.form.columns * c.form.scale[:, None, None]
-                                  for c in self.candidates])
+        stops, data, forms = self.parity.stops, self.parity.data, [c.form for c in self.candidates]
+        first = _first_alike(forms)
+        owns = [number for number, other in enumerate(first) if other == number]
+        edges = np.concatenate([[0], np.cumsum([len(forms[i].columns) for i in owns])]).astype(int)
+        parts = {i: slice(a, b) for i, a, b in zip(owns, edges[:-1], edges[1:], strict=True)}
+        self._slices = [parts[i] for i in first]
+        self._ratios = [form.scale / forms[i].scale for form, i in zip(forms, first, strict=True)]
+        stacked = np.empty((edges[-1], *forms[0].columns.shape[1:]))
+        for i, part in parts.items():
+            np.multiply(forms[i].columns, forms[i].scale[:, None, None], out=stacked[part])
         # The data are projected, so are products with them: the columns need not be, which would
         # be the dearest step.  Their own products are put right by what the fit absorbs.
         self._white = self.parity.white_part(stacked)
         absorbed = self.parity.absorbed(self._white)
-        along = self._white.T @ data[:stops]
-        self._bins, self._by_width = {}, {}
-        grams, alongs = [], []
-        for number, (candidate, part) in enumerate(zip(self.candidates, self._slices, strict=True)):
+        self._along = self._white.T @ data[:stops]
+        inside = {i: self.parity.bin_part(forms[i].inside) * forms[i].scale
+                  for i in owns if forms[i].inside is not None}
+        self._with_inside = _indices([parts[i] for i in inside])
+        self._inside = np.concatenate([np.zeros((self.parity.size - stops, 0)), *inside.values()], axis=1)
+        self._along[self._with_inside] += self._inside.T @ data[stops:]
+        grams = {}
+        for i, part in parts.items():
             columns, lost = self._white[:, part], absorbed[:, part]
-            gram, projected = columns.T @ columns - lost.T @ lost, along[part].copy()
-            if candidate.form.inside is not None:
-                inside = self.parity.bin_part(candidate.form.inside) * candidate.form.scale
-                self._bins[number] = inside
-                gram = gram + inside.T @ inside
-                projected += inside.T @ data[stops:]
-            if candidate.form.by_reading is not None:
-                owed, width = self.parity.own_noise(candidate.form)
-                gram, projected = gram + width, projected - owed
-            grams.append(gram)
-            alongs.append(projected)
-            self._by_width.setdefault(len(projected), []).append(number)
-        self._grams = {k: np.stack([grams[i] for i in n]) for k, n in self._by_width.items()}
-        self._alongs = {k: np.stack([alongs[i] for i in n]) for k, n in self._by_width.items()}
+            grams[i] = columns.T @ columns - lost.T @ lost
+            if i in inside:
+                grams[i] += inside[i].T @ inside[i]
+        by_width: dict[int, list[int]] = {}
+        for number, part in enumerate(self._slices):
+            by_width.setdefault(part.stop - part.start, []).append(number)
+        self._alike = []
+        for numbers in by_width.values():
+            places = np.stack([_indices([self._slices[n]]) for n in numbers])
+            ratios = np.stack([self._ratios[n] for n in numbers])
+            gram = np.stack([grams[first[n]] for n in numbers]) * ratios[:, :, None] * ratios[:, None, :]
+            along = self._along[places] * ratios
+            for place, n in enumerate(numbers):
+                if forms[n].by_reading is not None:
+                    owed, width = self.parity.own_noise(forms[n])
+                    gram[place] += width
+                    along[place] -= owed
+            self._alike.append(_Alike(np.array(numbers), places, ratios, gram, along))
 
     def extended(self, more: Sequence[Candidate]) -> 'Screen':
-        """The screen with further candidates; those it has are not worked out again."""
+        """The screen with further candidates; what is known of those it has is not worked out again."""
         other = Screen(self.parity, more, self.noise_dof, self.repeatable, self.in_dwells)
         count, width = len(self.candidates), self._white.shape[1]
         self.candidates = [*self.candidates, *more]
-        self._white = np.concatenate([self._white, other._white], axis=1)
+        self._white = np.concatenate([self._white.T, other._white.T]).T
+        self._inside = np.concatenate([self._inside, other._inside], axis=1)
+        self._with_inside = np.concatenate([self._with_inside, other._with_inside + width])
+        self._along = np.concatenate([self._along, other._along])
+        self._ratios += other._ratios
         self._slices += [slice(s.start + width, s.stop + width) for s in other._slices]
-        self._bins |= {number + count: inside for number, inside in other._bins.items()}
-        for size, numbers in other._by_width.items():
-            self._by_width.setdefault(size, []).extend(n + count for n in numbers)
-            for mine, its in ((self._grams, other._grams), (self._alongs, other._alongs)):
-                mine[size] = np.concatenate([mine[size], its[size]]) if size in mine else its[size]
+        self._alike += [replace(alike, numbers=alike.numbers + count, places=alike.places + width)
+                        for alike in other._alike]
         return self
 
     def columns_of(self, number: int) -> np.ndarray:
         """Columns (N, k) of one candidate, per unit of its scale."""
-        full = np.zeros((self.parity.size, len(self.candidates[number].form.columns)))
-        white = self._white[:, self._slices[number]]
+        part = self._slices[number]
+        full = np.zeros((self.parity.size, part.stop - part.start))
+        white = self._white[:, part]
         full[:self.parity.stops] = white - self.parity._basis @ self.parity.absorbed(white)
-        if number in self._bins:
-            full[self.parity.stops:] = self._bins[number]
-        return full
+        mine = np.flatnonzero((self._with_inside >= part.start) & (self._with_inside < part.stop))
+        if len(mine):
+            full[self.parity.stops:] = self._inside[:, mine]
+        return full * self._ratios[number]
 
     def basis(self, members: Sequence[Member]) -> np.ndarray:
         """Directions ``B`` (N, r) that several members explain: given them, products are taken with 1 − BBᵀ."""
@@ -168,28 +185,26 @@ class Screen:
         return _explained(np.concatenate([self.columns_of(m.candidate) * m.size for m in members], axis=1))
 
     def judge_all(self, members: Sequence[Member], wanted: Sequence[int]) -> dict[int, Judged]:
-        """The ``wanted`` candidates, by their numbers, given the set ``members``."""
+        """The ``wanted`` candidates given the set ``members``; what was judged before is remembered."""
+        known = self._judged.setdefault(tuple((m.candidate, m.size) for m in members), {})
+        open_ = np.zeros(len(self.candidates), bool)
+        open_[[i for i in wanted if i not in known]] = True
+        if not open_.any():
+            return known
         basis, data, stops = self.basis(members), self.parity.data, self.parity.stops
         taken = basis.T @ data
         total = float(data @ data - taken @ taken)
         dof = sum(self.parity.dof) - float(np.sum(basis**2))
-        open_ = np.zeros(len(self.candidates), bool)
-        open_[wanted] = True
-        judged: dict[int, Judged] = {}
-        for width, numbers in self._by_width.items():
-            places = np.flatnonzero(open_[numbers])
-            if not len(places):
-                continue
-            mine = [numbers[p] for p in places]
-            overlap = basis[:stops].T @ np.concatenate([self._white[:, self._slices[i]] for i in mine], axis=1)
-            cross = overlap.reshape(len(overlap), len(mine), width).transpose(1, 0, 2).copy()
-            for place, i in enumerate(mine):
-                if i in self._bins:
-                    cross[place] += basis[stops:].T @ self._bins[i]
-            gram = self._grams[width][places] - cross.transpose(0, 2, 1) @ cross
-            along = self._alongs[width][places] - cross.transpose(0, 2, 1) @ taken
-            judged |= dict(zip(mine, judge(gram, along, total, dof, self.noise_dof), strict=True))
-        return judged
+        overlap = basis[:stops].T @ self._white
+        overlap[:, self._with_inside] += basis[stops:].T @ self._inside
+        for alike in self._alike:
+            chosen = open_[alike.numbers]
+            cross = (overlap[:, alike.places[chosen]] * alike.ratios[chosen]).transpose(1, 2, 0)
+            gram = alike.grams[chosen] - cross @ cross.transpose(0, 2, 1)
+            along = alike.alongs[chosen] - cross @ taken
+            known.update(zip(alike.numbers[chosen].tolist(), judge(gram, along, total, dof, self.noise_dof),
+                             strict=True))
+        return known
 
     def stop_support(self, members: Sequence[Member], number: int) -> float:
         """Log evidence for one candidate given a set from the stops' means alone."""
@@ -260,12 +275,46 @@ class Screen:
         return -DECOY_SHARE * max(0.0, *(judged[i].log_bayes for i in numbers)) if first.decoy else first.doubt
 
 
+@dataclass(frozen=True)
+class _Alike:
+    """Candidates with k columns each: ``numbers`` (F,), ``places`` (F, k) of their columns among all and
+    ``ratios`` (F, k) of their scales to those of the columns there, products ``grams`` (F, k, k) with
+    themselves and ``alongs`` (F, k) with the data."""
+
+    numbers: np.ndarray
+    places: np.ndarray
+    ratios: np.ndarray
+    grams: np.ndarray
+    alongs: np.ndarray
+
+
 def _explained(columns: np.ndarray) -> np.ndarray:
     """Directions ``B`` (N, r), ``1 − BBᵀ = (1 + ZZᵀ)⁻¹``, for columns ``Z`` (N, k) in units of the sizes
     that are allowed for: what is as large as allowed is taken away, what is far below the noise left."""
     value, vector = np.linalg.eigh(columns.T @ columns)
     keep = value > LEAST_EXPLAINED
     return columns @ (vector[:, keep] / np.sqrt(1.0 + value[keep]))
+
+
+def _first_alike(forms: Sequence[Form]) -> list[int]:
+    """For each form the number of that whose columns it shares: its own, or that of the process before it
+    where the two differ in the sizes of their coefficients only (a winding and a smooth course)."""
+    first = list(range(len(forms)))
+    for number in range(1, len(forms)):
+        form, before = forms[number], forms[number - 1]
+        if form.process and before.process and _same(form.columns, before.columns) \
+                and _same(form.inside, before.inside):
+            first[number] = first[number - 1]
+    return first
+
+
+def _same(one: np.ndarray | None, other: np.ndarray | None) -> bool:
+    return one is other or (one is not None and other is not None and np.array_equal(one, other))
+
+
+def _indices(parts: Sequence[slice]) -> np.ndarray:
+    """All indices (k,) of some slices."""
+    return np.concatenate([np.arange(0), *(np.arange(p.start, p.stop) for p in parts)])
 
 
 def search(screen: Screen) -> list[EffectSet]:
@@ -284,16 +333,12 @@ def search(screen: Screen) -> list[EffectSet]:
             + _leading([s for s in front if UNKNOWN in s.key], BEAM_OF_NAMELESS)
         grown = []
         for found in front:
-            for member in screen.by_effect(found.members).values():
+            for member in screen.by_effect(found.members, partial(_may_join, screen, found)).values():
                 larger = EffectSet((*found.members, member), found.log_bayes + member.log_bayes)
                 again = member.effect in found.names
                 in_reach = larger.log_bayes > alone
-                if UNKNOWN in found.names and member.effect != UNKNOWN:
-                    continue  # names are sought first: what has none is what they leave
-                if len(larger.key) > LARGEST or (not again and len(found.members) > MOST_FORMS):
-                    continue
                 if again and (member.log_bayes < least_growth(found)
-                              or not _may_repeat(screen, found, member)):
+                              or any(m.candidate == member.candidate for m in found.members)):
                     continue
                 if not again and member.log_bayes > GAIN and not _supported(screen, found, member):
                     member = replace(member, log_bayes=0.0)
@@ -413,12 +458,15 @@ def _enough(screen: Screen, less: EffectSet, more: EffectSet) -> bool:
     return growth >= least_growth(less, screen.shared(less.members, more.members))
 
 
-def _may_repeat(screen: Screen, found: EffectSet, member: Member) -> bool:
-    """Whether an effect may add one more form: two time constants, a shape parameter between two values
-    of the list.  What only repeats (a slip) may do so more often."""
-    times = sum(m.effect == member.effect for m in found.members)
-    most = MOST_REPEATS if member.effect in {*screen.repeatable, UNKNOWN} else FORMS_OF_ONE
-    return times < most and all(m.candidate != member.candidate for m in found.members)
+def _may_join(screen: Screen, found: EffectSet, effect: str) -> bool:
+    """Whether an effect may join a set, or add one more form to it: two time constants, a shape parameter
+    between two values of the list.  What only repeats (a slip) may do so more often."""
+    if UNKNOWN in found.names and effect != UNKNOWN:
+        return False  # names are sought first: what has none is what they leave
+    times = found.names.count(effect)
+    if not times:
+        return len(found.key) < LARGEST and len(found.members) <= MOST_FORMS
+    return times < (MOST_REPEATS if effect in {*screen.repeatable, UNKNOWN} else FORMS_OF_ONE)
 
 
 def log_prior(found: EffectSet, effects: int) -> float:

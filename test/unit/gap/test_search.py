@@ -1,5 +1,7 @@
 """What a set's members explain of the rest, and the size that an unknown course is held to."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -98,3 +100,29 @@ def test_a_form_leaves_nothing_over_in_channels_where_it_explains_nothing(at, na
     screen = Screen(space(data), [Candidate('gross', '', form('gross', gross[None], np.ones(1))),
                                   Candidate('faint', '', form('faint', faint[None], np.ones(1)))], 1e9)
     assert (search(screen)[0].key == {'gross', 'faint'}) == named
+
+
+def test_courses_that_share_columns_are_judged_as_if_each_were_alone(wide):
+    """Also where the screen is extended by them, and given a set that one of them is in."""
+    rng = np.random.default_rng(4)
+    smooth = replace(wide, label='smooth', scale=wide.scale**2)
+    candidates = [Candidate('rough', '', wide), Candidate('smooth', '', smooth),
+                  Candidate('other', '', form('other', rng.normal(size=(2, N)), np.ones(2)))]
+    data = np.tensordot(wide.columns[:, :, 0].T, 9.0 * smooth.scale * rng.normal(size=40), axes=1) + rng.normal(size=N)
+    together = Screen(space(data), candidates, 1e9)
+    grown = Screen(space(data), candidates[2:], 1e9).extended(candidates[:2])
+    for name, candidate in (('rough', candidates[0]), ('smooth', candidates[1])):
+        alone = Screen(space(data), [candidate], 1e9).by_effect()[name].log_bayes
+        assert together.by_effect()[name].log_bayes == pytest.approx(alone, rel=1e-9)
+        assert grown.by_effect()[name].log_bayes == pytest.approx(alone, rel=1e-9)
+    given = together.by_effect([Member('smooth', 1, 10.0, 3.0)])
+    same = grown.by_effect([Member('smooth', 2, 10.0, 3.0)])
+    for name, member in given.items():
+        assert same[name].log_bayes == pytest.approx(member.log_bayes, rel=1e-9)
+
+
+def test_what_is_not_asked_for_is_not_judged(wide):
+    screen = Screen(space(np.zeros(N)), [Candidate('wide', '', wide), Candidate('other', '', wide)], 1e9)
+    assert set(screen.by_effect((), lambda effect: effect == 'other')) == {'other'}
+    assert set(screen.judge_all((), [])) == {1}
+    assert set(screen.by_effect()) == {'wide', 'other'}
