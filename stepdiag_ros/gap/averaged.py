@@ -97,9 +97,10 @@ def _fitted(joint: Joint, screen: Screen, composition: Composition) -> tuple[Act
 def _pull(joint: Joint, active: Sequence[Active]) -> tuple[np.ndarray, np.ndarray]:
     """What effects, if not taken out, do to the unknowns (size,), and the unknowns' covariance beside them."""
     result, space = joint.fit, joint.parity
-    white = np.concatenate([space.white_part(a.form.columns) * a.form.scale for a in active], axis=1)
     size = np.concatenate([a.coefficients / a.form.scale for a in active])
     jacobian = np.concatenate([w(result.jacobian.toarray()) for w in space._white])
+    white = np.concatenate([space.white_part(a.form.columns) * a.form.scale for a in active], axis=1)
+    white = white[:len(jacobian)]
     # The unknowns follow a change of the coefficients by −(JᵀJ + P)⁻¹ JᵀB.
     normal = jacobian.T @ jacobian + result.precision
     follow = np.linalg.solve(normal, jacobian.T @ white)

@@ -1,8 +1,9 @@
 """Parity space: what the fitted model leaves free, in units of the noise.
 
-Readings are whitened with the noise of the log and everything that a change of the 21 errors,
-the misalignments or a reset can imitate is projected out.  What an effect adds to the log is
-seen here and only here; judged on plain residuals it would be mistaken for what the fit made of it.
+Readings are whitened with the noise of the log and everything that a change of the 21 errors, the
+misalignments or a reset can imitate, within the widths that the fit gives them, is projected out.
+What an effect adds to the log is seen here and only here; judged on plain residuals it would be
+mistaken for what the fit made of it.
 The bins of the dwells, which the rigid-body model does not touch, are appended as contrasts.
 """
 
@@ -17,7 +18,6 @@ from stepdiag_ros.estimate.enhanced import Fit
 from stepdiag_ros.estimate.noise import NoiseModel, whiteners
 from stepdiag_ros.gap.observe import Observation
 
-RANK = 1e-9
 DISCREPANCY = 0.3
 """What happens inside the dwells is seen to nanometres; no form describes it to better than this share."""
 CLIP = 6.0
@@ -30,7 +30,8 @@ LEAST_ALIKE = 3
 class Parity:
     """The projection for one linearisation.
 
-    ``data`` (N,): white residuals, stops first (``stops`` of them), then bins.  ``dof``: of the stops'
+    ``data`` (N,): white residuals, stops first (``stops`` of them, the unknowns' own departures from what they
+    are held to at the end), then bins.  ``dof``: of the stops'
     part and of the bins' part.  ``channel`` (N,): channel of each row (0 … beams + 1), ``row`` (N,): its
     stop.  ``bin_scale``: factor by which the bins' noise was found above the sensors' own.
     """
@@ -51,11 +52,16 @@ class Parity:
     def size(self) -> int:
         return len(self.data)
 
+    @property
+    def of_spot(self) -> np.ndarray:
+        """Which rows (N,) are of the spot, not of a length."""
+        return self.channel >= self._bin_present.shape[-1] - 2
+
     def white_part(self, columns: np.ndarray) -> np.ndarray:
-        """White columns, not yet projected: (k, n, c) → (stops, k)."""
+        """White columns, not yet projected: (k, n, c) → (stops, k); nothing at the unknowns' own rows."""
         flat, start = columns.reshape(len(columns), -1), 0
         # Laid out column by column, as they come and as the triangular solver takes them.
-        result = np.empty((self.stops, len(flat)), order='F')
+        result = np.zeros((self.stops, len(flat)), order='F')
         for white in self._white:
             part = white(flat.T)
             result[start:start + len(part)] = part
@@ -113,16 +119,17 @@ def parity(observation: Observation, result: Fit, noise: NoiseModel,
     """Set up the projection at ``result`` with ``noise``; data are ``readings`` minus its prediction."""
     present = result.present
     white = whiteners(observation.table, noise, result.arrival, present)
-    jacobian = np.concatenate([w(result.jacobian.toarray()) for w in white])
-    norms = np.linalg.norm(jacobian, axis=0)
-    jacobian = jacobian[:, norms > 0] / norms[norms > 0]
-    basis, triangle, _ = linalg.qr(jacobian, mode='economic', pivoting=True, check_finite=False)
-    diagonal = np.abs(np.diag(triangle))
-    basis = basis[:, diagonal > RANK * diagonal[0]]
+    # The unknowns are held to their widths as in the fit: else errors of metres, along directions that the
+    # readings hardly tell, would imitate what no machine does.
+    held = np.linalg.cholesky(result.precision).T
+    jacobian = np.concatenate([*(w(result.jacobian.toarray()) for w in white), held])
+    jacobian = jacobian / np.linalg.norm(jacobian, axis=0)
+    basis, _ = linalg.qr(jacobian, mode='economic', check_finite=False)
     # What the fit has put into its residual is gone already; only the rest is left to look at.
     residual = np.where(present, readings - result.model.predict(result.theta), 0.0).ravel()
-    data = np.concatenate([w(residual) for w in white])
+    data = np.concatenate([*(w(residual) for w in white), -held @ result.theta])
     data = data - basis @ (basis.T @ data)
+    own = len(data) - len(held)
 
     channels = observation.bins.shape[2]
     contrast = _contrasts(observation.bins.shape[1])
@@ -142,9 +149,10 @@ def parity(observation: Observation, result: Fit, noise: NoiseModel,
     rows = np.concatenate([w.rows for w in white])
     stop, _, channel = np.nonzero(bin_present)
     return Parity(np.concatenate([data, inside / bin_scale]), len(data),
-                  (len(data) - basis.shape[1], len(inside)),
-                  np.concatenate([rows % channels, channel]),
-                  np.concatenate([rows // channels, stop]), bin_scale,
+                  # Machines are far better than the widths: their own departures count for nothing.
+                  (round(own - float(np.sum(basis[:own]**2))), len(inside)),
+                  np.concatenate([rows % channels, np.full(len(held), -1), channel]),
+                  np.concatenate([rows // channels, np.full(len(held), -1), stop]), bin_scale,
                   white, basis, contrast,
                   observation.bin_sigma[:, None, :] * rough, bin_present)
 

@@ -169,7 +169,7 @@ def excess_scatter(joint: Joint) -> tuple[float, str]:
         values, channel, row = rest[part], space.channel[part], space.row[part]
         if len(values) < LEAST:
             continue
-        free = dof / len(values)
+        free = dof / max(int(np.sum(channel >= 0)), 1)
         groups = {}
         for c in range(beams + 2):
             name = 'displacement' if c < beams else ('spot_x', 'spot_y')[c - beams]

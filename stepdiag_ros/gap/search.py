@@ -220,6 +220,23 @@ class Screen:
                      (columns.T @ data - seen.T @ taken)[None], float(data @ data - taken @ taken),
                      self.parity.dof[0], self.noise_dof)[0].log_bayes
 
+    def as_first(self, member: Member) -> Member:
+        """A member of a set in the same form as if it were the first: the evidence of that form alone, as one
+        of all that the effect has."""
+        number, form = member.candidate, self.candidates[member.candidate].form
+        forms = sum(candidate.effect == member.effect for candidate in self.candidates)
+        alone = self.judge_all((), [number])[number]
+        return replace(member, log_bayes=alone.log_bayes - float(np.log(forms)),
+                       size=alone.size if form.process else float(SIZES[-1]))
+
+    def shared(self, less: Sequence[Member], more: Sequence[Member]) -> float:
+        """Overlap (0 … 1) of the channels, lengths or spot, in which ``less`` explains the data with those in
+        which ``more`` explains what it adds."""
+        data, spot = self.parity.data, self.parity.of_spot
+        first, both = (basis @ (basis.T @ data) for basis in (self.basis(less), self.basis(more)))
+        shares = [np.array([part[~spot] @ part[~spot], part[spot] @ part[spot]]) for part in (first, both - first)]
+        return float(np.minimum(*(power / max(power.sum(), 1e-300) for power in shares)).sum())
+
     def by_effect(self, members: Sequence[Member] = (),
                   asked: Callable[[str], bool] = lambda effect: True) -> dict[str, Member]:
         """The evidence of every effect ``asked`` for given ``members``, averaged over its forms; the best form,
@@ -312,6 +329,7 @@ def search(screen: Screen) -> list[EffectSet]:
         found = EffectSet((member,), member.log_bayes)
         sets[found.names] = found
         front.append(found)
+    alone = max((m.log_bayes for m in first.values() if m.effect != UNKNOWN), default=0.0)
     while front:
         # Nameless patterns, which fit anything, must not crowd out the names.
         front = _leading([s for s in front if UNKNOWN not in s.key], BEAM) \
@@ -321,18 +339,21 @@ def search(screen: Screen) -> list[EffectSet]:
             for member in screen.by_effect(found.members, partial(_may_join, screen, found)).values():
                 larger = EffectSet((*found.members, member), found.log_bayes + member.log_bayes)
                 again = member.effect in found.names
+                in_reach = larger.log_bayes > alone
                 if again and (member.log_bayes < least_growth(found)
                               or any(m.candidate == member.candidate for m in found.members)):
                     continue
                 if not again and member.log_bayes > GAIN and not _supported(screen, found, member):
                     member = replace(member, log_bayes=0.0)
-                if not again and member.log_bayes < least_growth(found):
+                if not again and not _enough(screen, found, larger):
                     # Too weak to be claimed beside the others: a thought, not a way on.
                     member = replace(member, log_bayes=min(member.log_bayes, 0.0))
                     larger = EffectSet((*found.members, member), found.log_bayes + member.log_bayes)
+                if in_reach and len(larger.members) == 2 and not again and UNKNOWN not in larger.key:
+                    larger = _recomposed(screen, larger)
                 if larger.names not in sets or sets[larger.names].log_bayes < larger.log_bayes:
                     sets[larger.names] = larger
-                    if member.log_bayes > GAIN:
+                    if larger.log_bayes > found.log_bayes + GAIN:
                         grown.append(larger)
         front = grown
     # One set of names counts once, in its best composition.
@@ -340,11 +361,27 @@ def search(screen: Screen) -> list[EffectSet]:
     for found in sets.values():
         if found.key not in best or best[found.key].log_bayes < found.log_bayes:
             best[found.key] = found
-    found = _held_to_names(screen, _each_earned(best))
+    found = _held_to_names(screen, _each_earned(screen, best))
     return sorted(found, key=lambda s: -(s.log_bayes + log_prior(s, len(first))))
 
 
-def _each_earned(best: Mapping[frozenset, EffectSet]) -> list[EffectSet]:
+def _recomposed(screen: Screen, pair: EffectSet) -> EffectSet:
+    """The pair in other forms, where these together explain it better.
+
+    The form that suits the first effect alone may be a rich one that explains part of the second as well:
+    beside the second a leaner one may do.  So the first's form is chosen anew beside that of the second.
+    """
+    first, second = pair.members
+    kept = screen.as_first(second)
+    other = screen.by_effect((kept,), lambda effect: effect == first.effect).get(first.effect)
+    if other is None:
+        return pair
+    found = EffectSet((kept, other), kept.log_bayes + other.log_bayes)
+    better = found.log_bayes > pair.log_bayes and _supported(screen, EffectSet((kept,), kept.log_bayes), other)
+    return found if better else pair
+
+
+def _each_earned(screen: Screen, best: Mapping[frozenset, EffectSet]) -> list[EffectSet]:
     """The sets; none is better than one without an effect that brings less to it than a further effect must,
     in whichever order they were found."""
     result: dict[frozenset, EffectSet] = {}
@@ -352,7 +389,7 @@ def _each_earned(best: Mapping[frozenset, EffectSet]) -> list[EffectSet]:
         found = best[key]
         for name in key if len(key) > 1 else ():
             less = result.get(key - {name})
-            if less is not None and found.log_bayes - less.log_bayes < least_growth(less):
+            if less is not None and not _enough(screen, less, found):
                 found = replace(found, log_bayes=min(found.log_bayes, less.log_bayes))
         result[key] = found
     return list(result.values())
@@ -402,13 +439,26 @@ def _supported(screen: Screen, found: EffectSet, member: Member) -> bool:
     return screen.stop_support(found.members, member.candidate) > STOP_SUPPORT
 
 
-def least_growth(found: EffectSet) -> float:
+def least_growth(found: EffectSet, shared: float = 1.0) -> float:
     """Log evidence that one more effect must bring.
 
     No form fits reality to the last part: of what the set explains so far, a few percent may be left
-    over by its own forms, and a further effect must bring more than that.
+    over by its own forms, and a further effect must bring more than that; ``shared``: the part of that in
+    channels that speak for the further effect too.
     """
-    return MEMBER_ALARM + min(MISFIT * found.log_bayes, MISFIT_MOST)
+    return MEMBER_ALARM + min(MISFIT * shared * found.log_bayes, MISFIT_MOST)
+
+
+def _enough(screen: Screen, less: EffectSet, more: EffectSet) -> bool:
+    """Whether ``more`` brings enough beside ``less``, of which it has all names and another.
+
+    What a form leaves over is a share of what it explains, in the channels where it explains it: a drift of
+    the tool cannot leave a pattern of the spot.
+    """
+    growth = more.log_bayes - less.log_bayes
+    if growth >= least_growth(less) or growth < MEMBER_ALARM or UNKNOWN in more.key:
+        return growth >= least_growth(less)
+    return growth >= least_growth(less, screen.shared(less.members, more.members))
 
 
 def _may_join(screen: Screen, found: EffectSet, effect: str) -> bool:

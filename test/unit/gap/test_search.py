@@ -9,16 +9,16 @@ from stepdiag_ros.effects.base import Form
 from stepdiag_ros.gap.evidence import SIZES
 from stepdiag_ros.gap.joint import solve, tuned
 from stepdiag_ros.gap.parity import Parity
-from stepdiag_ros.gap.search import Candidate, Member, Screen
+from stepdiag_ros.gap.search import Candidate, Member, Screen, search
 
 N = 400
 
 
 def space(data: np.ndarray) -> Parity:
-    """White data that no machine absorbs anything of."""
+    """White data that no machine absorbs anything of; the last quarter is of the spot."""
     nothing = np.zeros((1, 1))
-    return Parity(data, N, (N, 0), np.zeros(N, int), np.arange(N), 1.0, [lambda flat: flat],
-                  np.zeros((N, 1)), nothing, nothing, nothing)
+    return Parity(data, N, (N, 0), np.repeat([0, 1], [3 * N // 4, N // 4]), np.arange(N), 1.0, [lambda flat: flat],
+                  np.zeros((N, 1)), nothing, nothing, np.zeros((1, 1, 3)))
 
 
 def form(label: str, columns: np.ndarray, scale: np.ndarray, process: bool = False) -> Form:
@@ -70,6 +70,36 @@ def test_the_joint_fit_holds_a_process_to_the_size_it_shows(wide):
     loose, = solve(space(data), [(None, bigger)])
     error = np.sum((columns @ (found.coefficients / wide.scale - truth)) ** 2)
     assert error < np.sum((columns @ (loose.coefficients / wide.scale - truth)) ** 2)
+
+
+def test_a_pair_is_found_although_a_rich_form_of_the_first_swallows_the_second():
+    rng = np.random.default_rng(4)
+    a, b, *more = np.linalg.qr(rng.normal(size=(N, 12)))[0].T
+    lean = form('lean', a[None], np.ones(1))
+    rich = form('rich', np.stack([a, 0.98 * b + 0.2 * more[0], *more[1:]]), np.ones(11))
+    other = form('other', b[None], np.ones(1))
+    screen = Screen(space(14.0 * a + 14.0 * b + rng.normal(size=N)),
+                    [Candidate('A', '', lean), Candidate('A', '', rich), Candidate('B', '', other)], 1e9)
+    first = screen.by_effect()['A']
+    assert screen.candidates[first.candidate].form is rich
+    assert screen.by_effect([first])['B'].log_bayes < 3.0
+    best = search(screen)[0]
+    assert best.key == {'A', 'B'}
+    assert {screen.candidates[m.candidate].form.label for m in best.members} == {'lean', 'other'}
+
+
+@pytest.mark.parametrize('at, named', [(3 * N // 4, True), (0, False)])
+def test_a_form_leaves_nothing_over_in_channels_where_it_explains_nothing(at, named):
+    """A gross effect of the lengths and a faint one: beside it if of the spot, perhaps its own if of the lengths."""
+    rng = np.random.default_rng(5)
+    gross, faint = np.zeros(N), np.zeros(N)
+    gross[:3 * N // 4] = rng.normal(size=3 * N // 4)
+    faint[at:at + N // 4] = np.sign(rng.normal(size=N // 4))
+    faint -= gross * (gross @ faint) / (gross @ gross)
+    data = 3.0 * gross + 6.0 * faint / np.linalg.norm(faint)
+    screen = Screen(space(data), [Candidate('gross', '', form('gross', gross[None], np.ones(1))),
+                                  Candidate('faint', '', form('faint', faint[None], np.ones(1)))], 1e9)
+    assert (search(screen)[0].key == {'gross', 'faint'}) == named
 
 
 def test_courses_that_share_columns_are_judged_as_if_each_were_alone(wide):
