@@ -45,14 +45,14 @@ def compositions(screen: Screen, best: EffectSet) -> list[Composition]:
     for member in best.members:
         grown: dict[frozenset, EffectSet] = {}
         for found in sets:
-            judged = screen.judge_all(found.members)
-            for number, candidate in enumerate(screen.candidates):
-                if member.effect == UNKNOWN:
-                    fits = number == member.candidate
-                else:
-                    fits = candidate.effect != UNKNOWN and not candidate.decoy
-                if not fits or any(m.candidate == number for m in found.members):
-                    continue
+            taken = {m.candidate for m in found.members}
+            fitting = [member.candidate] if member.effect == UNKNOWN else [
+                number for number, candidate in enumerate(screen.candidates)
+                if candidate.effect != UNKNOWN and not candidate.decoy]
+            fitting = [number for number in fitting if number not in taken]
+            judged = screen.judge_all(found.members, fitting)
+            for number in fitting:
+                candidate = screen.candidates[number]
                 evidence = found.log_bayes + judged[number].log_bayes - np.log(forms[candidate.effect])
                 size = judged[number].size if candidate.form.process else member.size
                 larger = EffectSet((*found.members, replace(

@@ -18,8 +18,8 @@ from stepdiag_ros.model.machine import AXES, CURVES
 
 KNEES = (0.2, 0.35, 0.5, 0.65, 0.8)
 """Shares of the range of lengths beyond which a reading is bent."""
-SPOTS_M = (3e-4, 1e-3)
-"""Spot from which a leak saturates [m]."""
+SPOTS_M = (2.5e-4, 4e-4, 6.3e-4, 1e-3)
+"""Spots from which a leak saturates [m], so close that between two of them little is lost."""
 BEARINGS = 8
 """Directions in the detector's plane, evenly over half a turn."""
 
