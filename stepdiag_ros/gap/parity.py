@@ -100,10 +100,19 @@ class Parity:
         the data (k,) and to add to those with themselves (k, k), per unit of the form's ``scale``.
 
         Data z = r − model − a·c(r) have the density of the noise times |∂z/∂r| = Π(1 − a·c′(r)); the
-        logarithm of that, −a Σc′ − ½ a² Σc′², is part of the likelihood.
+        logarithm of that, −a Σc′ − ½ a² Σc′², is part of the likelihood.  Against data with less noise than was
+        taken for granted (where air boils or a laser hops it is an upper bound) it counts by that much less.
         """
         slopes = form.by_reading.reshape(len(form.columns), -1) * form.scale[:, None]
-        return slopes @ self.own_share, (slopes * self.own_share) @ slopes.T
+        return self.level * (slopes @ self.own_share), self.level * (slopes * self.own_share) @ slopes.T
+
+    @cached_property
+    def level(self) -> float:
+        """Mean square of the lengths' data where it is below what is expected of noise, as a share of that; else 1."""
+        channel = self.channel[:self.stops]
+        lengths = self.data[:self.stops][(channel >= 0) & ~self.of_spot[:self.stops]]
+        expected = len(lengths) * self.dof[0] / max(int(np.sum(channel >= 0)), 1)
+        return min(1.0, float(lengths @ lengths) / expected) if expected else 1.0
 
     def project(self, form: Form) -> np.ndarray:
         """What a form looks like here, per unit of its ``scale``: (N, k)."""

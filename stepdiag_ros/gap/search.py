@@ -19,10 +19,12 @@ from stepdiag_ros.gap.thresholds import (
     BEYOND_DOUBT,
     DECOY_SHARE,
     FORM_ERROR,
+    GROSS_EVIDENCE,
     MEMBER_ALARM,
     MISFIT,
     MISFIT_MOST,
     STOP_SUPPORT,
+    TAKEN_OF_REST,
 )
 from stepdiag_ros.gap.unknown import NAME as UNKNOWN
 
@@ -456,9 +458,17 @@ def _enough(screen: Screen, less: EffectSet, more: EffectSet) -> bool:
     the tool cannot leave a pattern of the spot.
     """
     growth = more.log_bayes - less.log_bayes
-    if growth >= least_growth(less) or growth < MEMBER_ALARM or UNKNOWN in more.key:
-        return growth >= least_growth(less)
-    return growth >= least_growth(less, screen.shared(less.members, more.members))
+    if growth < least_growth(less) and (growth < MEMBER_ALARM or UNKNOWN in more.key or growth < least_growth(
+            less, screen.shared(less.members, more.members))):
+        return False
+    if less.log_bayes < GROSS_EVIDENCE:
+        return True
+    # Of what a gross effect's form leaves any other takes some part, however large in log evidence; the
+    # effect that made it takes most.
+    freedom = sum(screen.parity.dof)
+    explained, further = _reach(screen, less), _reach(screen, more)
+    left = float(screen.parity.data @ screen.parity.data) - freedom - explained
+    return left < 5.0 * np.sqrt(2.0 * freedom) or further - explained > TAKEN_OF_REST * left
 
 
 def _may_join(screen: Screen, found: EffectSet, effect: str) -> bool:

@@ -12,6 +12,10 @@ MISFIT = 0.03
 """… plus this share of theirs, which forms that are not quite right may leave over."""
 MISFIT_MOST = 12.0
 """… but not more than this."""
+GROSS_EVIDENCE = 1000.0
+"""Log evidence (some 45 σ) from which what a form leaves may be far above the noise …"""
+TAKEN_OF_REST = 0.5
+"""… and a further effect must take more than this share of it."""
 FORM_ERROR = 0.1
 """Share of the variance that nameless patterns explain which a name may leave: forms are taken to be right
 to a third (0.1 = 0.32²) of the amplitude."""
