@@ -109,10 +109,9 @@ class Parity:
     @cached_property
     def level(self) -> float:
         """Mean square of the lengths' data where it is below what is expected of noise, as a share of that; else 1."""
-        channel = self.channel[:self.stops]
-        lengths = self.data[:self.stops][(channel >= 0) & ~self.of_spot[:self.stops]]
-        expected = len(lengths) * self.dof[0] / max(int(np.sum(channel >= 0)), 1)
-        return min(1.0, float(lengths @ lengths) / expected) if expected else 1.0
+        mine = np.flatnonzero((self.channel >= 0)[:self.stops] & ~self.of_spot[:self.stops])
+        expected = len(mine) - float(np.sum(self._basis[mine]**2))
+        return min(1.0, float(np.sum(self.data[mine]**2)) / expected) if len(mine) else 1.0
 
     def project(self, form: Form) -> np.ndarray:
         """What a form looks like here, per unit of its ``scale``: (N, k)."""

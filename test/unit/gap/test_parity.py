@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from stepdiag_ros.effects.base import Form
 from stepdiag_ros.estimate.enhanced import readings_of
@@ -73,10 +74,17 @@ def test_what_columns_of_readings_owe_to_noise(case):
         form = Form('swing', np.sin(phase).reshape(1, n, c), ('a',), np.ones(1),
                     by_reading=(turn * np.cos(phase)).reshape(1, n, c))
         found.append(float(space.stop_part(noise.reshape(1, n, c))[:, 0] @ space.project(form)[:space.stops, 0]))
-        owed.append(float(space.own_noise(form)[0][0]))
+        owed.append(float(space.own_noise(form)[0][0]) / space.level)
     error = np.std(found) / np.sqrt(len(found))
     assert np.mean(owed) > 20.0 * error
     assert abs(np.mean(found) - np.mean(owed)) < 5.0 * error
+
+
+def test_a_fringe_owes_less_to_less_noise(case):
+    space = _space(case.observe())
+    assert 0.8 < space.level <= 1.0
+    quiet = replace(space, data=0.5 * space.data)
+    assert quiet.level == pytest.approx(0.25 * space.level, rel=0.3)
 
 
 def test_what_one_axis_always_leaves_keeps_its_shape(case):
