@@ -18,7 +18,8 @@ from stepdiag_ros.estimate.gauge import reporting_matrix
 from stepdiag_ros.estimate.solution import Solution
 from stepdiag_ros.estimate.standing import with_standing
 from stepdiag_ros.gap.joint import Active, Joint, held_to_log, inverse, solve, unexplained, widths
-from stepdiag_ros.gap.search import EffectSet, Screen
+from stepdiag_ros.gap.screen import Screen
+from stepdiag_ros.gap.search import EffectSet
 from stepdiag_ros.gap.thresholds import FORM_ERROR
 from stepdiag_ros.gap.unknown import NAME as UNKNOWN
 

@@ -1,9 +1,10 @@
 """From a log to its diagnosis: where the gap lies, which effect causes it, how far it closes.
 
-The steps, each in a file of its own: :mod:`observe` (reduce, fit), :mod:`inside` (samples: vibration,
-clocks), :mod:`parity` and :mod:`search` (evidence for sets of effects), :mod:`joint` (machine and
-effects together), :mod:`closing` (the part held out), :mod:`where` (shares).  Search and joint fit
-take turns until the set of effects stands.
+The steps, each in a file of its own: :mod:`observe` (reduce, fit), :mod:`inside`, :mod:`clocks`, :mod:`lines`
+and :mod:`hops` (samples: stamps, vibration, a unit that hops), :mod:`gross` (where to begin), :mod:`parity`,
+:mod:`screen` and :mod:`search` (evidence for sets of effects), :mod:`joint` (machine and effects together),
+:mod:`scatter` (what has no pattern), :mod:`closing` (the part held out), :mod:`where` (shares), :mod:`averaged`
+(the 21 errors).  Search and joint fit take turns until the set of effects stands.
 """
 
 from collections.abc import Iterable, Mapping
@@ -30,7 +31,8 @@ from stepdiag_ros.gap.next_measurement import advise
 from stepdiag_ros.gap.next_run import NextRun
 from stepdiag_ros.gap.observe import Observation, observe
 from stepdiag_ros.gap.scatter import excess_scatter, strays
-from stepdiag_ros.gap.search import Candidate, EffectSet, Screen, probabilities, search
+from stepdiag_ros.gap.screen import Candidate, Screen
+from stepdiag_ros.gap.search import EffectSet, probabilities, search
 from stepdiag_ros.gap.thresholds import (
     ALARM,
     BEYOND_DOUBT,

@@ -19,7 +19,7 @@ from stepdiag_ros.estimate.noise import NoiseModel
 from stepdiag_ros.gap.joint import Active, Joint, fit_jointly, solve, tuned, unexplained
 from stepdiag_ros.gap.observe import SETTLED, Observation, view_of
 from stepdiag_ros.gap.parity import Parity, parity
-from stepdiag_ros.gap.search import Candidate, Screen
+from stepdiag_ros.gap.screen import Candidate, Screen
 from stepdiag_ros.gap.thresholds import ALARM
 
 GROSS = 5.0

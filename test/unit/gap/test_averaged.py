@@ -9,7 +9,7 @@ from stepdiag_ros.effects import effect_class
 from stepdiag_ros.estimate.evaluate import solution_of
 from stepdiag_ros.estimate.standing import with_standing
 from stepdiag_ros.gap.averaged import averaged_solution, compositions
-from stepdiag_ros.gap.search import Candidate
+from stepdiag_ros.gap.screen import Candidate
 from stepdiag_ros.model.machine import CURVES
 
 

@@ -9,7 +9,8 @@ from stepdiag_ros.effects.base import Form
 from stepdiag_ros.gap.evidence import SIZES
 from stepdiag_ros.gap.joint import solve, tuned
 from stepdiag_ros.gap.parity import Parity
-from stepdiag_ros.gap.search import Candidate, Member, Screen, search
+from stepdiag_ros.gap.screen import Candidate, Member, Screen
+from stepdiag_ros.gap.search import search
 
 N = 400
 
