@@ -16,6 +16,7 @@ import numpy as np
 from stepdiag_ros.effects.base import Effect, Form
 from stepdiag_ros.effects.tuning import tune
 from stepdiag_ros.estimate.noise import estimate_noise
+from stepdiag_ros.estimate.reduce import StopTable
 from stepdiag_ros.estimate.solution import Solution
 from stepdiag_ros.gap.averaged import averaged_solution
 from stepdiag_ros.gap.beyond import beyond_families
@@ -141,7 +142,7 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
     log, observation, clocks, late = _set_clocks(log, observation)
     distance = observation.view.distance.mean(axis=1)
     samples = unrest(log, observation.table, distance)
-    observation = _with_unrest(observation, samples)
+    bare, observation = observation.table, _with_unrest(observation, samples)
     hopping = hops(log.displacement, observation.table, distance)
     if hopping:
         observation = _with_hops(observation, hopping)
@@ -178,7 +179,8 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
     rivals = [[(effects[m.effect], screen.candidates[m.candidate].form) for m in found.members]
               for found in (best, *_stand_ins(sets, best)) if UNKNOWN not in found.key]
     words, run = advise(joint, rivals, groups, bool(leftover))
-    return Diagnosis(log, verdict, how_far, shares(joint, found, bool(leftover)), tuple(found),
+    disturbed = _as_noise(bare, observation.table) if hopping or samples.boils else None
+    return Diagnosis(log, verdict, how_far, shares(joint, found, bool(leftover), disturbed), tuple(found),
                      {**names, 'nothing': nothing},
                      tuple((s.names, w) for s, w in zip(sets, weights, strict=True))[:20],
                      groups, observation, joint, clocks, samples.displacement, leftover,
@@ -189,6 +191,12 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
 def _noise(observation: Observation):
     return estimate_noise(observation.table, observation.log.description.noise,
                           observation.fit.arrival)
+
+
+def _as_noise(bare: StopTable, table: StopTable) -> np.ndarray:
+    """What was added to the variance of the lengths' means (n, beams) [m²]."""
+    added = table.displacement_scatter**2 - bare.displacement_scatter**2
+    return np.nan_to_num(added / np.maximum(bare.displacement_count, 1)[:, None])
 
 
 def _with_unrest(observation: Observation, samples: Unrest) -> Observation:

@@ -37,16 +37,18 @@ class Share:
         return {key: value for key, value in full.items() if value is not None}
 
 
-def shares(joint: Joint, found: Sequence, leftover: bool) -> tuple[Share, ...]:
+def shares(joint: Joint, found: Sequence, leftover: bool,
+           as_noise: np.ndarray | None = None) -> tuple[Share, ...]:
     """Cells that hold more than noise and at least a few percent of the excess, largest first.
 
-    ``found``: the effects named, ``leftover``: whether something without a name is left.
+    ``found``: the effects named, ``leftover``: whether something without a name is left; ``as_noise`` (n, beams)
+    [m²]: what that adds to the variance of the lengths where it was taken for noise.
     """
     if not found and not leftover and not joint.active:
         return ()
     table, beams = joint.observation.table, joint.fit.model.beams
     axis = np.array([{0: 'X', 1: 'Y', 2: 'Z'}.get(int(a)) for a in table.axis], dtype=object)
-    excess = excess_of(joint, leftover)
+    excess = excess_of(joint, leftover, as_noise)
     total = float(excess.sum())
     result = []
     for channel, columns in zip(CHANNELS, (slice(0, beams), slice(beams, beams + 1),
@@ -60,10 +62,15 @@ def shares(joint: Joint, found: Sequence, leftover: bool) -> tuple[Share, ...]:
     return tuple(sorted(result, key=lambda r: -r.share))
 
 
-def excess_of(joint: Joint, leftover: bool = False) -> np.ndarray:
+def excess_of(joint: Joint, leftover: bool = False, as_noise: np.ndarray | None = None) -> np.ndarray:
     """Excess variance of each reading (n, c), in units of its own noise; 0 in cells that hold only noise."""
     excess = _of_effects(joint) if joint.active else np.zeros(joint.fit.residual.shape)
-    if leftover or not joint.active:
+    if as_noise is not None:
+        beams = as_noise.shape[1]
+        whole = np.nan_to_num(_sigma(joint)[:, :beams] ** 2)
+        # Of a variance that holds it, no less than a hundredth is the sensors' and the arrivals'.
+        excess[:, :beams] += as_noise / np.maximum(whole - as_noise, 0.01 * np.maximum(whole, 1e-30))
+    elif leftover or not joint.active:
         excess = excess + _of_residuals(joint)
     return excess if excess.any() else _inside(joint)
 

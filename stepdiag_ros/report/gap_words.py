@@ -122,6 +122,9 @@ def how_far(diagnosis: Diagnosis) -> str:
     if diagnosis.verdict == 'no_gap':
         return (f'On {gap.held_out} simulator and machine differ by {micrometres(gap.before_m)}; '
                 f'noise alone makes {micrometres(gap.floor_m)}.')
+    if diagnosis.leftover and not diagnosis.effects and not diagnosis.joint.active:
+        return (f'The readings at the stops differ by {micrometres(gap.before_m)} (noise alone, with what it adds: '
+                f'{micrometres(gap.floor_m)}); it has no pattern that the simulator could be given.')
     if diagnosis.leftover and not diagnosis.effects:
         return (f'A pattern without a name brings the gap from {micrometres(gap.before_m)} to '
                 f'{micrometres(gap.after_m)} (noise alone: {micrometres(gap.floor_m)}). It describes the trouble; '
