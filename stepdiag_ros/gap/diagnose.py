@@ -58,6 +58,8 @@ AIR_IN_MEANS = 16.0
 and between the length of a dwell and that of a run lie four times as many as a dwell resolves.  It does not come anew
 at each stop: at K cycles a log its power is N/11K times that of white noise as large, for N stops, some four
 times for what changes ten times in a log."""
+BEYOND_PATTERNS = 0.95
+"""Probability that something else acts where scatter, hops or coarse readings say so, each far beyond its alarm."""
 TUNED = 4
 """Leading effects whose shape parameters are tuned before sets are formed."""
 
@@ -83,7 +85,8 @@ class Diagnosis:
 
     ``verdict`` as in the contract; ``effects`` what the diagnosis would add to the simulator;
     ``ranking`` probabilities of all effects, ``unknown`` and ``nothing``; ``sets`` the sets thought of with
-    their probabilities.
+    their probabilities.  ``as_noise`` (n, beams) [m²]: what a disturbance without a pattern adds to the variance of
+    the lengths.
     """
 
     log: CalibrationLog
@@ -104,6 +107,7 @@ class Diagnosis:
     screen: Screen
     next_measurement: str | None = None
     next_run: NextRun | None = None
+    as_noise: np.ndarray | None = None
 
     def to_json_dict(self) -> dict:
         """``gap.json`` of the contract, and more beside it."""
@@ -155,13 +159,9 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
     how_far = closing(joint)
     found = [_found(name, effects[name], names.get(name, 0.0), joint)
              for name in dict.fromkeys(a.effect.name for a in joint.active) if name]
-    if late:
-        found += late
-        names = {**names, 'clock_skew': late[0].probability}
-    if samples.shakes:
-        found.append(_shaking(effects, samples.displacement))
-        names = {**names, 'vibration': found[-1].probability}
-    found = sorted(found, key=lambda f: -f.probability)
+    beside = [*late, *([_shaking(effects, samples.displacement)] if samples.shakes else [])]
+    outside = {f.name: f.probability for f in beside}
+    found = sorted([*found, *beside], key=lambda f: -f.probability)
     # Of several patterns the first explains the most.
     leftover = next((screen.candidates[m.candidate].form.label for m in best.members if m.effect == UNKNOWN), '')
     leftover = (hopping.words if hopping else '') or leftover or _coarse(joint) or _restless(samples, names)
@@ -172,6 +172,8 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
         if not leftover and not found:
             evidence, words = excess_forecast(how_far, float(sum(joint.noise.dof)))
             leftover = words if evidence > SCATTER_ALARM else ''
+    if leftover and UNKNOWN not in best.key:
+        outside[UNKNOWN] = BEYOND_PATTERNS
     if found and not leftover and how_far.left > LEAST_LEFT:
         leftover = f'{how_far.left:.0%} of the gap does not follow the forms known of what was named'
     verdict = _verdict(found, leftover)
@@ -181,11 +183,11 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
     words, run = advise(joint, rivals, groups, bool(leftover))
     disturbed = _as_noise(bare, observation.table) if hopping or samples.boils else None
     return Diagnosis(log, verdict, how_far, shares(joint, found, bool(leftover), disturbed), tuple(found),
-                     {**names, 'nothing': nothing},
-                     tuple((s.names, w) for s, w in zip(sets, weights, strict=True))[:20],
+                     {**names, **outside, 'nothing': nothing * float(np.prod([1.0 - p for p in outside.values()]))},
+                     tuple((tuple(sorted((*s.names, *outside))), w) for s, w in zip(sets, weights, strict=True))[:20],
                      groups, observation, joint, clocks, samples.displacement, leftover,
                      log.warnings + observation.table.warnings, sets, screen,
-                     words, run)
+                     words, run, disturbed)
 
 
 def _noise(observation: Observation):

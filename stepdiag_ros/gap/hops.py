@@ -46,8 +46,8 @@ class Hops:
 
     @property
     def words(self) -> str:
-        return (f'displacement: lengths hop by {self.unit:.2g} of themselves while the machine stands, '
-                f'seen in {len(self.rows)} dwells')
+        return (f'displacement: lengths hop to and fro by {self.unit * 1e9:.3g} nm in each metre while the machine '
+                f'stands, seen in {len(self.rows)} dwells (look at the laser: is it locked to one mode?)')
 
 
 def hops(samples: Samples, table: StopTable, distance: np.ndarray) -> Hops | None:
