@@ -158,7 +158,7 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
         joint = fit_jointly(observation, [], _noise(observation))
     how_far = closing(joint)
     found = [_found(name, effects[name], names.get(name, 0.0), joint)
-             for name in dict.fromkeys(a.effect.name for a in joint.active) if name]
+             for name in dict.fromkeys(a.effect.name for a in joint.active) if name in best.key]
     beside = [*late, *([_shaking(effects, samples.displacement)] if samples.shakes else [])]
     outside = {f.name: f.probability for f in beside}
     found = sorted([*found, *beside], key=lambda f: -f.probability)
@@ -174,8 +174,9 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
             leftover = words if evidence > SCATTER_ALARM else ''
     if leftover and UNKNOWN not in best.key:
         outside[UNKNOWN] = BEYOND_PATTERNS
-    if found and not leftover and how_far.left > LEAST_LEFT:
-        leftover = f'{how_far.left:.0%} of the gap does not follow the forms known of what was named'
+    if found and not leftover and (how_far.left > LEAST_LEFT or how_far.after > GROSS**2):
+        leftover = (f'{100.0 * how_far.left:.2g} % of the gap does not follow the forms known of what was named '
+                    f'({np.sqrt(how_far.after):.2g} times the noise is left)')
     verdict = _verdict(found, leftover)
     groups = _confused(sets, best)
     rivals = [[(effects[m.effect], screen.candidates[m.candidate].form) for m in found.members]
