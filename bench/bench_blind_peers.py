@@ -103,6 +103,7 @@ def main() -> None:
     parser.add_argument('folder', type=Path, metavar='SET', nargs='?', default=ROOT / 'bags' / 'blind')
     parser.add_argument('--peers', action='store_true', help='install the peers first')
     parser.add_argument('--processes', type=int, default=2)
+    parser.add_argument('--first', type=int, help='only so many logs; their numbers are drawn, so that any part is fair')
     args = parser.parse_args()
     python = PEERS / 'bin' / 'python'
     if args.peers and not python.exists():
@@ -112,7 +113,7 @@ def main() -> None:
     if not python.exists():
         print(f'{python} is missing: the peers are left out; run with --peers to install them')
         return
-    cases = [c for c in load(args.folder)[0] if not {'vibration', 'clock_skew'} & set(c.true_names)]
+    cases = [c for c in load(args.folder)[0] if not {'vibration', 'clock_skew'} & set(c.true_names)][:args.first]
     problems = args.folder / 'peers'
     problems.mkdir(exist_ok=True)
     # A few logs at a time: a problem is some ten megabytes.
