@@ -88,13 +88,14 @@ def _attempt(order: Order, rng: np.random.Generator, last: bool) -> SealedWorld 
     if not kinds:
         return _finish(order, cell, conditions, None, (), ())
     bare = measure(cell, conditions)
-    yardstick = Yardstick(cell, bare, measure(without_sensor_noise(cell), conditions))
+    stamps = any(kind.inside == 'stamps' for kind in kinds)
+    yardstick = Yardstick(cell, bare, measure(without_sensor_noise(cell), conditions) if stamps else None)
     stage = stage_of(cell, bare, conditions.start_ns)
     effects, seen = [], []
     for kind in kinds:
         effect = kind(stage, rng)
         def see(effect: Hidden) -> Visibility:
-            return _seen(yardstick, cell, conditions, [effect])
+            return _visible(yardstick, measure(_as_seen(cell, [effect]), conditions, [effect]), [effect])
         target = draw_target(rng, order.category == 'pair')
         if effect.drawn is not None:
             effect.size = float(np.exp(rng.uniform(*np.log(effect.drawn))))
@@ -108,11 +109,20 @@ def _attempt(order: Order, rng: np.random.Generator, last: bool) -> SealedWorld 
     return _finish(order, cell, conditions, yardstick, tuple(effects), tuple(seen))
 
 
-def _seen(yardstick: Yardstick, cell: Cell, conditions: Conditions, effects: Sequence[Hidden]) -> Visibility:
-    inside = next((e.inside for e in effects if e.inside), None)
-    # Wrong stamps are told from an exchange of noise by doing without noise.
-    cell = without_sensor_noise(cell) if inside == 'stamps' else cell
-    return yardstick.visibility(measure(cell, conditions, effects), all(e.random for e in effects), inside)
+def _acts_inside(effects: Sequence[Hidden]) -> str | None:
+    """How the first of the effects that acts inside the dwells does so."""
+    return next((e.inside for e in effects if e.inside), None)
+
+
+def _as_seen(cell: Cell, effects: Sequence[Hidden]) -> Cell:
+    """The cell in whose log the effects are measured by the yardstick: wrong stamps are told from an exchange of
+    noise by doing without noise."""
+    return without_sensor_noise(cell) if _acts_inside(effects) == 'stamps' else cell
+
+
+def _visible(yardstick: Yardstick, log: CalibrationLog, effects: Sequence[Hidden]) -> Visibility:
+    """Of the effects in ``log``, that of the cell as seen."""
+    return yardstick.visibility(log, all(e.random for e in effects), _acts_inside(effects))
 
 
 def _size(effect: Hidden, target: float, see: Callable[[Hidden], Visibility]) -> Visibility:
@@ -149,6 +159,8 @@ def _finish(order: Order, cell, conditions, yardstick, effects, seen) -> SealedW
         'noise': vars(cell.description.noise), 'errors': truth(cell)['errors'],
         'misalignments': truth(cell)['misalignments']}
     if effects:
-        entry['visibility'] = _seen(yardstick, cell, conditions, effects).total
+        seen_in = _as_seen(cell, effects)
+        entry['visibility'] = _visible(
+            yardstick, log if seen_in is cell else measure(seen_in, conditions, effects), effects).total
         entry['shares'] = yardstick.shares(yardstick.change(log))
     return SealedWorld(log, entry, effects, yardstick, cell, conditions)

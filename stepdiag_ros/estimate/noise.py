@@ -14,7 +14,7 @@ a single jump does not either.  A log without repeats falls back on what its mak
 believes, and says so.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import linalg
@@ -49,6 +49,10 @@ class NoiseModel:
     sensor: np.ndarray
     source: str
     dof: tuple[int, int] = (0, 0)
+
+    def scaled(self, factor: float) -> 'NoiseModel':
+        """All of it ``factor`` times as large."""
+        return replace(self, position=self.position * factor, angle=self.angle * factor, sensor=self.sensor * factor)
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ either: of each correction a share remains uncertain that the log would let pass
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -29,16 +29,8 @@ MOST = 6
 """… nor have those beyond so many."""
 
 
-@dataclass(frozen=True)
-class Composition:
-    """Forms that explain a log together, by their candidates' numbers, and their log evidence."""
-
-    candidates: tuple[int, ...]
-    log_bayes: float
-
-
-def compositions(screen: Screen, best: EffectSet) -> list[Composition]:
-    """Compositions of as many forms as ``best`` has that explain the log nearly as well; nameless members stay."""
+def compositions(screen: Screen, best: EffectSet) -> list[EffectSet]:
+    """Sets of as many forms as ``best`` has that explain the log nearly as well; nameless members stay."""
     forms: dict[str, int] = {}
     for candidate in screen.candidates:
         forms[candidate.effect] = forms.get(candidate.effect, 0) + 1
@@ -63,7 +55,7 @@ def compositions(screen: Screen, best: EffectSet) -> list[Composition]:
                     grown[key] = larger
         leading = sorted(grown.values(), key=lambda s: -s.log_bayes)[:MOST]
         sets = [s for s in leading if s.log_bayes > leading[0].log_bayes - WITHIN]
-    return [Composition(tuple(m.candidate for m in s.members), s.log_bayes) for s in sets]
+    return sets
 
 
 def averaged_solution(joint: Joint, screen: Screen, best: EffectSet) -> Solution:
@@ -90,24 +82,20 @@ def averaged_solution(joint: Joint, screen: Screen, best: EffectSet) -> Solution
     return with_standing(solution, joint.fit, table)
 
 
-def _fitted(joint: Joint, screen: Screen, composition: Composition) -> tuple[Active, ...]:
-    chosen: list[tuple[Effect, Form]] = [(Effect(), screen.candidates[c].form) for c in composition.candidates]
+def _fitted(joint: Joint, screen: Screen, found: EffectSet) -> tuple[Active, ...]:
+    chosen: list[tuple[Effect, Form]] = [(Effect(), screen.candidates[m.candidate].form) for m in found.members]
     return solve(joint.parity, held_to_log(joint.parity, chosen))
 
 
 def _pull(joint: Joint, active: Sequence[Active]) -> tuple[np.ndarray, np.ndarray]:
     """What effects, if not taken out, do to the unknowns (size,), and the unknowns' covariance beside them."""
-    result, space = joint.fit, joint.parity
     size = np.concatenate([a.coefficients / a.form.scale for a in active])
-    jacobian = np.concatenate([w(result.jacobian.toarray()) for w in space._white])
-    white = np.concatenate([space.white_part(a.form.columns) * a.form.scale for a in active], axis=1)
-    white = white[:len(jacobian)]
-    # The unknowns follow a change of the coefficients by −(JᵀJ + P)⁻¹ JᵀB.
-    normal = jacobian.T @ jacobian + result.precision
-    follow = np.linalg.solve(normal, jacobian.T @ white)
-    left = white.T @ white - white.T @ jacobian @ follow
+    white = np.concatenate([joint.parity.white_part(a.form.columns) * a.form.scale for a in active], axis=1)
+    white = white[:len(joint.jacobian)]
+    follow = joint.followed(white)
+    left = white.T @ white - white.T @ joint.jacobian @ follow
     spread = inverse(left + np.diag(widths(a.form for a in active) ** -2.0))
-    return follow @ size, inverse(normal) + follow @ spread @ follow.T
+    return follow @ size, inverse(joint.normal) + follow @ spread @ follow.T
 
 
 def _allowance(joint: Joint, pull: np.ndarray, rest: np.ndarray) -> np.ndarray:

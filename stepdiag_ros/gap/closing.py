@@ -64,16 +64,14 @@ def closing(joint: Joint) -> Closing:
                for a in joint.active]
     columns = np.concatenate(effects, axis=1) if effects else np.zeros((len(residual), 0))
     stop = np.concatenate([w.rows for w in white]) // channels
-    jacobian_white, residual_white, columns_white = (
-        np.concatenate([w(values) for w in white])
-        for values in (joint.fit.jacobian.toarray(), residual, columns))
+    residual_white, columns_white = (np.concatenate([w(values) for w in white]) for values in (residual, columns))
     precision = joint.fit.precision.copy()
     offsets = np.arange(joint.fit.parameters.offset_first, joint.fit.parameters.size)
     precision[offsets, offsets] = RESET_WIDTH_M**-2.0
-    designs = [(jacobian_white, precision)]
+    designs = [(joint.jacobian, precision)]
     if columns.shape[1]:
         free = widths(a.form for a in joint.active)
-        designs.append((np.concatenate([jacobian_white, columns_white], axis=1),
+        designs.append((np.concatenate([joint.jacobian, columns_white], axis=1),
                         linalg.block_diag(precision, np.diag(free ** -2.0))))
     total, freedom, count = np.zeros(len(designs)), 0, 0
     for held in parts:

@@ -16,8 +16,8 @@ from stepdiag_ros.effects.base import Effect, Form
 from stepdiag_ros.effects.tuning import same_form
 from stepdiag_ros.estimate.enhanced import fit, readings_of
 from stepdiag_ros.estimate.noise import NoiseModel
-from stepdiag_ros.gap.joint import Active, Joint, fit_jointly, solve, tuned, unexplained
-from stepdiag_ros.gap.observe import SETTLED, Observation, view_of
+from stepdiag_ros.gap.joint import Active, Joint, fit_jointly, freed, refitted, solve, tuned, unexplained
+from stepdiag_ros.gap.observe import SETTLED, Observation
 from stepdiag_ros.gap.parity import Parity, parity
 from stepdiag_ros.gap.screen import Candidate, Screen
 from stepdiag_ros.gap.thresholds import ALARM
@@ -94,7 +94,7 @@ def _fitted(trial: _Trial, further: tuple[Effect, Form], noise: NoiseModel) -> _
     for _ in range(ROUNDS):
         space, active = _solved(trial, noise)
         scale = max(1.0, trial.scale * _left(space, unexplained(space, active)))
-        observation = _freed(trial.observation, active, _scaled(noise, scale))
+        observation = _freed(trial.observation, active, noise.scaled(scale))
         chosen = tuple((a.effect, same_form(a.effect, a.form, observation.view)) for a in active)
         trial = _Trial(observation, chosen, scale)
         steady = trial.scale > STEADY * best.scale
@@ -107,24 +107,17 @@ def _fitted(trial: _Trial, further: tuple[Effect, Form], noise: NoiseModel) -> _
 def _solved(trial: _Trial, noise: NoiseModel) -> tuple[Parity, tuple[Active, ...]]:
     """The trial's parity space at its scaled-up noise and its effects' coefficients there."""
     observation = trial.observation
-    space = parity(observation, observation.fit, _scaled(noise, trial.scale), readings_of(observation.table))
+    space = parity(observation, observation.fit, noise.scaled(trial.scale), readings_of(observation.table))
     return space, solve(space, tuned(space, list(trial.chosen)))
 
 
 def _freed(observation: Observation, active: Sequence[Active], noise: NoiseModel) -> Observation:
     """The observation with the machine fitted to the readings freed of the effects."""
-    table, added = observation.table, sum(a.contribution for a in active)
-    freed = replace(table, displacement=table.displacement - added[:, :-2], spot=table.spot - added[:, -2:])
-    result = fit(observation.log.description, freed, noise=noise, theta=observation.fit.theta, settled=SETTLED)
-    view = replace(view_of(observation.log, table, result, observation.view.bin_time),
-                   reading=readings_of(table))
-    return replace(observation, fit=result, view=view)
+    table = freed(observation.table, active)
+    result = fit(observation.log.description, table, noise=noise, theta=observation.fit.theta, settled=SETTLED)
+    return refitted(observation, result)
 
 
 def _left(space: Parity, rest: np.ndarray) -> float:
     """Root mean square of the stops' residuals in units of the noise."""
     return float(np.sqrt(rest[:space.stops] @ rest[:space.stops] / max(space.dof[0], 1)))
-
-
-def _scaled(noise: NoiseModel, scale: float) -> NoiseModel:
-    return replace(noise, position=noise.position * scale, angle=noise.angle * scale, sensor=noise.sensor * scale)

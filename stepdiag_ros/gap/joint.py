@@ -7,6 +7,7 @@ fit: a few rounds, for misalignments act to second order and a gross effect move
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from stepdiag_ros.effects.base import Effect, Form
 from stepdiag_ros.effects.tuning import same_form, tune
 from stepdiag_ros.estimate.enhanced import Fit, readings_of
 from stepdiag_ros.estimate.noise import NoiseModel, estimate_noise
+from stepdiag_ros.estimate.reduce import StopTable
 from stepdiag_ros.gap.evidence import SIZES, judge, width_of
 from stepdiag_ros.gap.observe import Observation, sane_fit, view_of
 from stepdiag_ros.gap.parity import Parity, parity
@@ -68,26 +70,37 @@ class Joint:
     def fit(self) -> Fit:
         return self.observation.fit
 
+    @cached_property
+    def jacobian(self) -> np.ndarray:
+        """White Jacobian ``J`` (rows, size) of the fit."""
+        dense = self.fit.jacobian.toarray()
+        return np.concatenate([w(dense) for w in self.parity._white])
+
+    @cached_property
+    def normal(self) -> np.ndarray:
+        """``JᵀJ + P`` (size, size) of the unknowns and their widths."""
+        return self.jacobian.T @ self.jacobian + self.fit.precision
+
+    def followed(self, white: np.ndarray) -> np.ndarray:
+        """How the unknowns follow a change ``white`` (rows, k) of the readings: (JᵀJ + P)⁻¹ Jᵀ of it."""
+        return np.linalg.solve(self.normal, self.jacobian.T @ white)
+
 
 def fit_jointly(observation: Observation, chosen: list[tuple[Effect, Form]],
                 noise: NoiseModel) -> Joint:
     """Fit machine and ``chosen`` effects; ``observation`` and ``noise`` start the rounds."""
-    table, readings = observation.table, readings_of(observation.table)
+    readings = readings_of(observation.table)
     space = parity(observation, observation.fit, noise, readings)
     chosen = tuned(space, chosen)
     active = solve(space, chosen)
     if not chosen:
         return Joint(observation, noise, space, ())
     for _ in range(ROUNDS):
-        added = sum(a.contribution for a in active)
-        freed = replace(table, displacement=table.displacement - added[:, :-2],
-                        spot=table.spot - added[:, -2:])
-        result = sane_fit(observation.log, freed, observation.fit.theta)
-        noise = estimate_noise(freed, observation.log.description.noise, result.arrival)
-        view = replace(view_of(observation.log, table, result, observation.view.bin_time),
-                       reading=readings)
-        observation = replace(observation, fit=result, view=view)
-        chosen = [(effect, same_form(effect, form, view)) for effect, form in chosen]
+        without = freed(observation.table, active)
+        result = sane_fit(observation.log, without, observation.fit.theta)
+        noise = estimate_noise(without, observation.log.description.noise, result.arrival)
+        observation = refitted(observation, result)
+        chosen = [(effect, same_form(effect, form, observation.view)) for effect, form in chosen]
         rest = observation.bins - sum(a.inside for a in active)
         scale = _bin_scale(rest, observation.bin_sigma)
         space = parity(observation, result, noise, readings, scale)
@@ -101,6 +114,18 @@ def fit_jointly(observation: Observation, chosen: list[tuple[Effect, Form]],
         if moved < 1.0:
             break
     return Joint(observation, noise, space, with_shapes(space, active))
+
+
+def freed(table: StopTable, active: Iterable[Active]) -> StopTable:
+    """The stops with the effects taken off their readings."""
+    added = sum(a.contribution for a in active)
+    return replace(table, displacement=table.displacement - added[:, :-2], spot=table.spot - added[:, -2:])
+
+
+def refitted(observation: Observation, result: Fit) -> Observation:
+    """The observation at another fit: what effects depend on is laid anew, the readings are as they were read."""
+    return replace(observation, fit=result,
+                   view=view_of(observation.log, observation.table, result, observation.view.bin_time))
 
 
 def _bin_scale(bins: np.ndarray, sigma: np.ndarray) -> float:

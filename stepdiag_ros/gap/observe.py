@@ -5,7 +5,7 @@ beside: times, directions of approach, strikes on the mirror, derivatives, the e
 each dwell the samples are averaged in a few bins, so that what creeps or settles is kept.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -61,9 +61,7 @@ def sane_fit(log: CalibrationLog, table: StopTable, theta: np.ndarray | None = N
         if np.isfinite(reduced) and reduced < GROSS and result.converged:
             break
         scale *= np.sqrt(max(reduced, GROSS)) if np.isfinite(reduced) else 100.0
-        softened = replace(noise, position=noise.position * scale, angle=noise.angle * scale,
-                           sensor=noise.sensor * scale)
-        result = fit(log.description, table, noise=softened, theta=theta, settled=SETTLED)
+        result = fit(log.description, table, noise=noise.scaled(scale), theta=theta, settled=SETTLED)
     return result
 
 

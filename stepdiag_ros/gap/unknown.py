@@ -54,7 +54,7 @@ def _static(view: StopView) -> Iterator[Form]:
             setup_name = view.setup_names[setup]
             yield pattern_form(view, f'{name}: places in {setup_name}', patterns, columns, scale)
             yield pattern_form(view, f'{name}: places by direction in {setup_name}',
-                        patterns * view.direction, columns, scale)
+                               patterns * view.direction, columns, scale)
         keys = np.unique(place)
         patterns = (place[None] == keys[:, None]).astype(float)
         yield pattern_form(view, f'{name}: places', patterns, columns, scale)
@@ -67,7 +67,7 @@ def _static(view: StopView) -> Iterator[Form]:
             mine = (view.setup == setup).astype(float)
             if mine.sum() >= 8:
                 yield pattern_form(view, f'{name}: slow shape along {view.setup_names[setup]}',
-                            waves[::3] * mine, columns, scale)
+                                   waves[::3] * mine, columns, scale)
         yield pattern_form(view, f'{name}: slow shape by direction', waves * view.direction, columns, scale)
 
 
@@ -97,7 +97,7 @@ def _in_time(view: StopView) -> Iterator[Form]:
             start = view.mount_time * mine
             start = start / max(start.max(), 1e-9)
             yield pattern_form(view, f'{name}: slow in time in {view.setup_names[setup]}',
-                        np.stack([start, start**2, start**3]) * mine, columns, scale)
+                               np.stack([start, start**2, start**3]) * mine, columns, scale)
     for label, derivative, scale in (('tool point', view.by_shift, 1e-6),
                                      ('beam', view.by_laser, 1e-6), ('mirror', view.by_mirror, 1e-6)):
         for run_wise in (False, True):
@@ -124,13 +124,13 @@ def _jumps(view: StopView) -> Iterator[Form]:
             single = np.zeros((1, len(view.time)))
             single[0, i] = 1.0
             yield pattern_form(view, f'{name}: one stop, {view.run_ids[view.run[i]]} stop {view.index[i]}',
-                        single, columns, scale)
+                               single, columns, scale)
         if name == 'displacement':
             continue
         for i in order:
             after = (view.setup == view.setup[i]) & (view.time >= view.time[i])
             yield pattern_form(view, f'{name}: jump at {view.run_ids[view.run[i]]} stop {view.index[i]}',
-                        after[None].astype(float), columns, scale)
+                               after[None].astype(float), columns, scale)
 
 
 def _mirror_jumps(view: StopView) -> Iterator[Form]:

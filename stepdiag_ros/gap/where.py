@@ -84,10 +84,8 @@ def _of_effects(joint: Joint) -> np.ndarray:
     factor = inverse_root(seen.T @ seen + np.diag(widths(a.form for a in joint.active) ** -2.0))
     spread = factor @ factor.T
     # The unknowns follow a change of the coefficients by (JᵀJ + P)⁻¹ JᵀB; what they cannot follow is left.
-    jacobian = result.jacobian.toarray()
-    white = np.concatenate([w(jacobian) for w in space._white])
-    follow = np.linalg.solve(white.T @ white + result.precision, white.T @ space.white_part(columns)[:len(white)])
-    left = columns.reshape(len(size), -1).T - jacobian @ follow
+    follow = joint.followed(space.white_part(columns)[:len(joint.jacobian)])
+    left = columns.reshape(len(size), -1).T - result.jacobian @ follow
     left = np.where(result.present.ravel(), 1.0, 0.0)[:, None] * left / _sigma(joint).ravel()[:, None]
     excess = ((left @ size)**2 - np.einsum('rk,kl,rl->r', left, spread, left, optimize=True)).reshape(shape)
 
