@@ -7,26 +7,22 @@ standard deviations.  Where some rival leaves less than a few, no diagnosis coul
 log does not count among the separable ones.
 """
 
-from typing import Any
-
 import numpy as np
 
-from stepdiag_ros.blind.seal import kind_order
-from stepdiag_ros.blind.world import make
+from stepdiag_ros.blind.world import SealedWorld
 from stepdiag_ros.effects import all_effects
 from stepdiag_ros.effects.base import Form
 from stepdiag_ros.estimate.enhanced import readings_of
 from stepdiag_ros.estimate.noise import NoiseModel, sensor_noise
-from stepdiag_ros.gap.observe import observe
+from stepdiag_ros.gap.observe import Observation, observe
 from stepdiag_ros.gap.parity import parity
 from stepdiag_ros.model.description import Noise
 
 
-def apart(purpose: str, seed: int, entry: dict[str, Any]) -> dict[str, float]:
-    """σ that the best form of each effect of the vocabulary leaves of the truth ``entry``'s effect."""
-    made = make(kind_order(purpose, seed, entry))
-    bare, changed = observe(made.yardstick.log), observe(made.log)
-    true = Noise(**entry['noise'])
+def apart(made: SealedWorld, bare: Observation) -> dict[str, float]:
+    """σ that the best form of each effect of the vocabulary leaves of the one that acts; ``bare``: without it."""
+    changed = observe(made.log)
+    true = Noise(**made.truth['noise'])
     noise = NoiseModel(true.position_repeatability, true.angle_repeatability,
                        sensor_noise(bare.table, true), 'belief')
     space = parity(bare, bare.fit, noise, readings_of(bare.table))

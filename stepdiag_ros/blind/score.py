@@ -67,6 +67,11 @@ class Case:
                    for e in self.truth['effects'])
 
     @property
+    def floor(self) -> float:
+        """Reduced χ² of what is held out that the noise which fell leaves without any effect; 1 where not judged."""
+        return self.truth.get('noise_chi2', 1.0)
+
+    @property
     def separable(self) -> bool:
         """Whether the sealed truth says that no rival could stand for the effect."""
         return self.truth.get('least_apart', np.inf) >= SEPARABLE
@@ -184,8 +189,8 @@ def where_f1(case: Case) -> float:
 
 
 def closed(case: Case) -> float:
-    """Share of the gap's variance above the noise floor that is gone on held-out data; NaN: no gap there."""
-    before, after = case.extra['closing']['before'] - 1.0, case.extra['closing']['after'] - 1.0
+    """Share of the gap's variance above the noise that fell that is gone on held-out data; NaN: no gap there."""
+    before, after = (case.extra['closing'][when] - case.floor for when in ('before', 'after'))
     # Below three standard deviations of a reduced χ² the held-out part shows no gap to close.
     if before < 3.0 * np.sqrt(2.0 / max(case.extra['closing']['count'], 1)):
         return float('nan')
@@ -195,10 +200,10 @@ def closed(case: Case) -> float:
 def closed_together(cases: Sequence[Case]) -> dict[str, Any]:
     """Share of all logs' gaps that is gone, summed before it is divided.
 
-    The noise that fell moves a log's reduced χ² by some percent, before and after alike; clipped log by log it
-    only ever takes away from what was closed, summed it cancels.
+    Clipped log by log what is not known of the noise that fell only ever takes away from what was closed, summed it
+    cancels.
     """
-    before, after = (sum(c.extra['closing'][when] - 1.0 for c in cases) for when in ('before', 'after'))
+    before, after = (sum(c.extra['closing'][when] - c.floor for c in cases) for when in ('before', 'after'))
     return {'value': float(1.0 - after / before) if before > 0.0 else None, 'count': len(cases)}
 
 

@@ -33,7 +33,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     opened = steps.add_parser('open', help='check the hashes and score')
     opened.add_argument('folder', type=Path, help='folder of the set')
     opened.add_argument('--apart', action='store_true',
-                        help='judge first which effects another could stand for (some seconds a log)')
+                        help='judge first in the sealed worlds which effects another could stand for, and what '
+                             'noise alone leaves of each log (some ten seconds a log)')
     opened.add_argument('--settle', action='store_true',
                         help='first do the further run that an undecided answer recommends, in the sealed world')
     opened.add_argument('--json', action='store_true', help='print the score as JSON')
@@ -64,9 +65,9 @@ def _answer(args: argparse.Namespace) -> int:
 
 
 def _open(args: argparse.Namespace) -> int:
-    from stepdiag_ros.blind.opened import into_page, judge_apart, open_set, table
+    from stepdiag_ros.blind.opened import into_page, judge_worlds, open_set, table
     if args.apart:
-        judge_apart(args.folder, args.processes, not args.quiet)
+        judge_worlds(args.folder, args.processes, not args.quiet)
     if args.settle:
         from stepdiag_ros.blind.settle import settle
         settle(args.folder, None if args.quiet else _tell)

@@ -1,5 +1,7 @@
 """Every figure of the table on answers whose score is known."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -103,6 +105,12 @@ def test_where_counts_what_is_missed() -> None:
 def test_closed_is_of_the_excess() -> None:
     assert closed(case()) == pytest.approx(1.0 - 0.02 / 2.0)
     assert np.isnan(closed(case(closing={'before': 1.1, 'after': 1.0, 'count': 200})))
+
+
+def test_what_the_noise_that_fell_leaves_is_no_gap() -> None:
+    answer = case(closing={'before': 3.0, 'after': 1.1, 'count': 200})
+    assert closed(answer) == pytest.approx(0.95)
+    assert closed(replace(answer, truth={**answer.truth, 'noise_chi2': 1.1})) == 1.0
 
 
 def test_errors_are_compared_in_one_gauge() -> None:

@@ -1,0 +1,16 @@
+"""How well can a log be foretold at all?  The gap that the noise alone leaves.
+
+The noise that fell moves the reduced χ² of what is held out by some percent off 1.  The same world without
+its effects, the same noise falling, shows by how much: no diagnosis can close more of a gap than down to there.
+"""
+
+from stepdiag_ros.estimate.noise import estimate_noise
+from stepdiag_ros.gap.closing import closing
+from stepdiag_ros.gap.joint import fit_jointly
+from stepdiag_ros.gap.observe import Observation
+
+
+def floor(bare: Observation) -> float:
+    """Reduced χ² of what is held out of a log without effects."""
+    noise = estimate_noise(bare.table, bare.log.description.noise, bare.fit.arrival)
+    return closing(fit_jointly(bare, [], noise)).before
