@@ -1,10 +1,10 @@
 """The 21 errors with the effects taken out, and how uncertain that leaves them.
 
 What an effect takes of the errors depends on the form that it is given, and forms that explain a log as well as
-each other may take different things: a motion that depends on two axes' places can be laid to either.  The
-errors are therefore averaged over the forms by their evidence; their variance is the mean of the forms'
-own and the variance between them (law of total variance).  No form of the list is right to the last part
-either: of each correction a share remains uncertain that the log would let pass unseen.
+each other may take different things: a motion that depends on two axes' places can be laid to either.  So may a
+course whose size the log hardly shows.  The errors are therefore averaged over forms and sizes by their evidence;
+their variance is the mean of the forms' own and the variance between them (law of total variance).  No form of the
+list is right to the last part either: of each correction a share remains uncertain that the log would let pass unseen.
 """
 
 from collections.abc import Sequence
@@ -17,7 +17,7 @@ from stepdiag_ros.estimate.evaluate import solution_of
 from stepdiag_ros.estimate.gauge import reporting_matrix
 from stepdiag_ros.estimate.solution import Solution
 from stepdiag_ros.estimate.standing import with_standing
-from stepdiag_ros.gap.joint import Active, Joint, held_to_log, inverse, solve, unexplained, widths
+from stepdiag_ros.gap.joint import Active, Joint, held_to_sizes, inverse, solve, unexplained, widths
 from stepdiag_ros.gap.screen import Screen
 from stepdiag_ros.gap.search import EffectSet
 from stepdiag_ros.gap.thresholds import FORM_ERROR
@@ -67,10 +67,12 @@ def averaged_solution(joint: Joint, screen: Screen, best: EffectSet) -> Solution
         return with_standing(solution_of(result, table), joint.fit, table)
     pull, covariance = _pull(joint, joint.active)
     other = compositions(screen, best)
-    if len(other) > 1:
-        weight = np.exp([c.log_bayes - other[0].log_bayes for c in other])
+    fitted = [(np.exp(c.log_bayes - other[0].log_bayes) * share, active)
+              for c in other for share, active in _fitted(joint, screen, c)]
+    if len(fitted) > 1:
+        weight = np.array([w for w, _ in fitted])
         weight /= weight.sum()
-        parts = [_pull(joint, _fitted(joint, screen, c)) for c in other]
+        parts = [_pull(joint, active) for _, active in fitted]
         shift = np.array([pull - p for p, _ in parts])
         mean = weight @ shift
         away = (shift - mean) * np.sqrt(weight)[:, None]
@@ -82,9 +84,10 @@ def averaged_solution(joint: Joint, screen: Screen, best: EffectSet) -> Solution
     return with_standing(solution, joint.fit, table)
 
 
-def _fitted(joint: Joint, screen: Screen, found: EffectSet) -> tuple[Active, ...]:
+def _fitted(joint: Joint, screen: Screen, found: EffectSet) -> list[tuple[float, tuple[Active, ...]]]:
+    """The effects at each size that the log leaves them, with its probability."""
     chosen: list[tuple[Effect, Form]] = [(Effect(), screen.candidates[m.candidate].form) for m in found.members]
-    return solve(joint.parity, held_to_log(joint.parity, chosen))
+    return [(share, solve(joint.parity, held)) for share, held in held_to_sizes(joint.parity, chosen)]
 
 
 def _pull(joint: Joint, active: Sequence[Active]) -> tuple[np.ndarray, np.ndarray]:

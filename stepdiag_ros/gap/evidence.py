@@ -23,11 +23,12 @@ SIZES = np.logspace(-1.5, 1.5, 9)
 @dataclass(frozen=True)
 class Judged:
     """``log_bayes`` of a form against nothing; ``fall``: what of zᵀz its best fit takes away; ``size``, in
-    typical ones, that speaks best for it."""
+    typical ones, that speaks best for it; ``of_sizes``: the probability of each of ``SIZES``."""
 
     log_bayes: float
     fall: float
     size: float = float(SIZES[-1])
+    of_sizes: tuple[float, ...] = ()
 
 
 def judge(gram: np.ndarray, along: np.ndarray, total: float, dof: float,
@@ -46,8 +47,9 @@ def judge(gram: np.ndarray, along: np.ndarray, total: float, dof: float,
     mean = top + np.log(np.mean(np.exp(logs - top), axis=0))
     shrink = 1.0 / (value + SIZES[-1] ** -2.0)
     fall = np.sum(turned**2 * shrink * (2.0 - value * shrink), axis=1)
-    return [Judged(float(m), max(float(f), 0.0), float(SIZES[k]))
-            for m, f, k in zip(mean, fall, logs.argmax(axis=0), strict=True)]
+    odds = np.exp(logs - top)
+    return [Judged(float(m), max(float(f), 0.0), float(SIZES[k]), tuple(p))
+            for m, f, k, p in zip(mean, fall, logs.argmax(axis=0), (odds / odds.sum(axis=0)).T, strict=True)]
 
 
 def width_of(form: Form) -> float:

@@ -8,6 +8,7 @@ fit: a few rounds, for misalignments act to second order and a gross effect move
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import product
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from stepdiag_ros.effects.tuning import same_form, tune
 from stepdiag_ros.estimate.enhanced import Fit, readings_of
 from stepdiag_ros.estimate.noise import NoiseModel, estimate_noise
 from stepdiag_ros.estimate.reduce import StopTable
-from stepdiag_ros.gap.evidence import SIZES, judge, width_of
+from stepdiag_ros.gap.evidence import SIZES, Judged, judge, width_of
 from stepdiag_ros.gap.observe import Observation, sane_fit, view_of
 from stepdiag_ros.gap.parity import Parity, parity
 
@@ -26,6 +27,8 @@ SHAPE_STEP = 1e-3
 FREE = 3.0
 """Coefficients that are no process are held to this many times the size that the log shows: those that it
 settles hardly feel it, those that nothing settles stay where the model is linear."""
+LEAST_SIZE = 0.02
+"""Sizes of an unknown course less probable than this are left out."""
 SETTLED = 0.02
 """Rounds end when no coefficient moves by more than this many standard deviations … or percent."""
 
@@ -147,25 +150,40 @@ def tuned(space: Parity, chosen: list[tuple[Effect, Form]]) -> list[tuple[Effect
             along = columns.T @ rest
             return float(along @ np.linalg.solve(normal, along))
 
-        result.append((effect, _held(space, form if form.process else tune(form, explained), rest)))
+        form = form if form.process else tune(form, explained)
+        result.append((effect, _held(form, _judged(space, form, rest))))
     return result
 
 
-def held_to_log(space: Parity, chosen: list[tuple[Effect, Form]]) -> list[tuple[Effect, Form]]:
-    """The chosen forms, untuned, each held to the size that the log shows."""
-    active = solve(space, chosen)
-    return [(effect, _held(space, form, unexplained(space, active[:k] + active[k + 1:])))
-            for k, (effect, form) in enumerate(chosen)]
+def held_to_sizes(space: Parity, chosen: list[tuple[Effect, Form]]) -> list[tuple[float, list[tuple[Effect, Form]]]]:
+    """The chosen forms, untuned, each held to the size that the log shows, an unknown course in turn to each size
+    that the log leaves it; with their probabilities.
+
+    Where little of a course is seen (a gain that ages, of which only the ageing shows), its size is hardly known,
+    nor how far what is not seen may go.
+    """
+    active, ways = solve(space, chosen), []
+    for k, (effect, form) in enumerate(chosen):
+        judged = _judged(space, form, unexplained(space, active[:k] + active[k + 1:]))
+        if form.process:
+            sizes = [(p, float(size)) for p, size in zip(judged.of_sizes, SIZES, strict=True) if p > LEAST_SIZE]
+            ways.append([(p, (effect, replace(form, held=size))) for p, size in sizes])
+        else:
+            ways.append([(1.0, (effect, _held(form, judged)))])
+    return [(float(np.prod([p for p, _ in way])), [pair for _, pair in way]) for way in product(*ways)]
 
 
-def _held(space: Parity, form: Form, rest: np.ndarray) -> Form:
-    """A form held to the size that speaks best for it in what the others leave: an unknown course to that
-    itself, other coefficients to a few times as much."""
+def _judged(space: Parity, form: Form, rest: np.ndarray) -> Judged:
+    """A form judged in what the others leave."""
     columns = space.project(form)
-    judged = judge((columns.T @ columns)[None], (columns.T @ rest)[None], float(rest @ rest),
-                   sum(space.dof), float(sum(space.dof)))
-    size = judged[0].size
-    return replace(form, held=size if form.process else min(FREE * size, float(SIZES[-1])))
+    return judge((columns.T @ columns)[None], (columns.T @ rest)[None], float(rest @ rest), sum(space.dof),
+                 float(sum(space.dof)))[0]
+
+
+def _held(form: Form, judged: Judged) -> Form:
+    """A form held to the size that speaks best for it: an unknown course to that itself, other coefficients to a
+    few times as much."""
+    return replace(form, held=judged.size if form.process else min(FREE * judged.size, float(SIZES[-1])))
 
 
 def solve(space: Parity, chosen: list[tuple[Effect, Form]]) -> tuple[Active, ...]:
