@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from stepdiag_ros.effects import effect_class
+from stepdiag_ros.estimate.noise import estimate_noise
 from stepdiag_ros.gap.joint import fit_jointly
-from stepdiag_ros.gap.next_run import recommend
+from stepdiag_ros.gap.next_run import GREY, Run, _evidence, _Longer, _with_run, recommend
+from stepdiag_ros.gap.observe import observe
 
 
 @pytest.fixture(scope='module')
@@ -41,3 +43,52 @@ def test_a_drift_without_a_like_in_the_longer_log_is_not_foretold(small_offset):
     effect, form = first['psd_zero_offset']
     strange = replace(form, label='strange', columns=np.random.default_rng(1).normal(size=form.columns.shape))
     assert recommend(joint, [[first['psd_gain']], [(effect, strange)]]) is None
+
+
+def _worth(joint, sets, run):
+    """Expected log evidence of one run, the less of both directions."""
+    longer = _Longer(joint, run, lambda effect: [f.label for f in effect.appearance(joint.observation.view)])
+    one, other = (longer.forecast(members) for members in sets)
+    return min(_evidence(one, other), _evidence(other, one))
+
+
+def _explained_by(case, effect, rivals):
+    """A log with an effect, fitted with the first of some forms, and all of them as sets of one."""
+    observation = observe(case.log(effect))
+    sets = []
+    for name, label in rivals:
+        one = effect_class(name)()
+        sets.append([(one, next(form for form in one.appearance(observation.view) if form.label == label))])
+    joint = fit_jointly(observation, sets[0], estimate_noise(
+        observation.table, observation.log.description.noise, observation.fit.arrival))
+    return joint, sets
+
+
+def test_waiting_tells_creep_from_a_turning_beam(case):
+    """What is foretold of a mount that stands is how little it still moves; the beam goes on."""
+    joint, sets = _explained_by(case, effect_class('mirror_mount_creep')(amp=[2e-5, -1e-5], tau=40.0), [
+        ('mirror_mount_creep', 'each mounting nearly the same amount, linear'),
+        ('beam_pointing_drift', 'smooth')])
+    run = Run(replace(joint.observation.log.description.setups['ppp'], name='ppp.2'), '')
+    assert _worth(joint, sets, replace(run, again_after=600.0)) > _worth(joint, sets, run) + 3.0
+
+
+def test_less_light_tells_background_from_a_gain(case):
+    joint, sets = _explained_by(case, effect_class('psd_gain')(x=-0.2, y=-0.2), [
+        ('psd_gain', 'alike in x and y'), ('ambient_light', 'linear')])
+    run = Run(replace(joint.observation.log.description.setups['ppp'], name='ppp.2'), '', (4e-4, -4e-4))
+    assert _worth(joint, sets, replace(run, light=GREY)) > 1.0 > 10.0 * _worth(joint, sets, run)
+
+
+def test_a_run_left_standing_is_measured_twice(small_offset):
+    joint, _ = small_offset
+    table = joint.observation.table
+    rows = np.flatnonzero(table.setup == 0)
+    setup = replace(joint.observation.log.description.setups['ppp'], name='ppp.2')
+    longer = _with_run(table, rows, Run(setup, '', light=GREY, again_after=600.0))
+    new = longer.setup == len(table.setup_names)
+    assert longer.setup_names[-1] == 'ppp.2' and new.sum() == 2 * len(rows)
+    assert sorted(set(longer.repeat[new])) == [0, 1, 2, 3] and len(set(longer.run_ids)) == len(longer.run_ids)
+    first, second = np.split(np.flatnonzero(new), 2)
+    assert longer.dwell_ns[second[0]] - longer.done_ns[first[-1]] == 600_000_000_000
+    np.testing.assert_allclose(longer.intensity[new], GREY * np.tile(table.intensity[rows], 2))
