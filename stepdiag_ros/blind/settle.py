@@ -47,13 +47,13 @@ def longer_log(made: SealedWorld, run: Mapping[str, Any]) -> CalibrationLog:
         misalignments={**cell.misalignments, setup.name: Misalignment(tuple(laser.tolist()),
                                                                      tuple(mirror.tolist()))})
     effects = [_mounted_again(effect, cell.setup_names[:-1], setup.name, rng) for effect in made.effects]
-    if run['light'] < 1.0:
+    if run.get('light', 1.0) < 1.0:
         effects = [_GreyFilter(setup.name, run['light']), *effects]
         for effect in effects:
             if isinstance(effect, AmbientLight):
                 effect.beam = {setup.name: run['light']}
     pauses = {setup.name: AT_ONCE_S} if run['at_once'] else None
-    again = {setup.name: run['again_after_s']} if run['again_after_s'] is not None else None
+    again = {setup.name: run['again_after_s']} if run.get('again_after_s') is not None else None
     log = measure(cell, made.conditions, effects, pauses, again)
     # What was measured before stays as it was; only the description's new setup comes beside it.
     return replace(log, description=replace(made.log.description, setups=description.setups))

@@ -9,7 +9,9 @@ If set A acts, the run is expected to bring the log evidence
 
     KL(A‖B) = ½ [tr(V_B⁻¹V_A) − n + ln |V_B|/|V_A| + (m_A − m_B)ᵀ V_B⁻¹ (m_A − m_B)]
 
-against B; the least over both directions and all pairs is what the run is worth.
+against B; the least over both directions and all pairs is what the run is worth.  A set may act in several
+ways, forms of its effects that the log does not tell apart: its forecast is their mixture, and the evidence
+that of Hershey and Olsen 2007 between mixtures.
 """
 
 from collections.abc import Callable, Sequence
@@ -50,6 +52,8 @@ SOON = 'Begin right after mounting the mirror: a mount that relaxes moves most t
 """An effect that a fresh mounting shows best, whatever its forms foretell."""
 
 Member = tuple[Effect, Form]
+Ways = Sequence[tuple[float, Sequence[Member]]]
+"""A set of effects in the forms that it may take, with the share of probability of each."""
 
 
 @dataclass(frozen=True)
@@ -95,11 +99,11 @@ class NextRun:
                 'between': list(self.between), 'text': self.text}
 
 
-def recommend(joint: Joint, rivals: Sequence[Sequence[Member]]) -> NextRun | None:
+def recommend(joint: Joint, rivals: Sequence[Ways]) -> NextRun | None:
     """The further run that tells the likeliest set, the first of ``rivals``, from all others best."""
     if len(rivals) < 2:
         return None
-    names = [{effect.name for effect, _ in members} for members in rivals]
+    names = [{effect.name for effect, _ in ways[0][1]} for ways in rivals]
     between = tuple(sorted(set.union(*names) - set.intersection(*names)))
     if not between:
         return None
@@ -123,16 +127,15 @@ def recommend(joint: Joint, rivals: Sequence[Sequence[Member]]) -> NextRun | Non
 Best = tuple[Run, float] | None
 
 
-def _best(joint: Joint, rivals: Sequence[Sequence[Member]], runs: Sequence[Run], best: Best,
+def _best(joint: Joint, rivals: Sequence[Ways], runs: Sequence[Run], best: Best,
           labels: Callable[[Effect], list[str]]) -> Best:
     """The run that is worth most among ``runs`` and ``best``, and its worth."""
     for run in runs:
         longer = _Longer(joint, run, labels)
-        forecasts = [longer.forecast(members) for members in rivals]
-        if None in forecasts:
+        forecasts = [longer.forecasts(ways) for ways in rivals]
+        if not all(forecasts):
             continue
-        worth = min(min(_evidence(forecasts[0], other), _evidence(other, forecasts[0]))
-                    for other in forecasts[1:])
+        worth = min(min(_between(forecasts[0], other), _between(other, forecasts[0])) for other in forecasts[1:])
         if best is None or worth > best[1]:
             best = run, float(worth)
     return best
@@ -196,18 +199,40 @@ def _standing(joint: Joint, run: Run) -> list[Run]:
 
 @dataclass(frozen=True)
 class _Forecast:
-    """White new readings as a set foretells them: ``mean`` (n,), ``factor`` (n, n) of their covariance."""
+    """White new readings (n,) as a set foretells them: ``mean`` and ``spread`` (n, p) of their covariance
+    ``1 + SSᵀ``; ``certain`` (p, n) is L⁻¹Sᵀ with ``LLᵀ = 1 + SᵀS``, ``volume`` ½ ln |1 + SSᵀ|, ``own`` the trace of
+    ``(1 + SSᵀ)⁻¹ − 1``."""
 
     mean: np.ndarray
-    factor: np.ndarray
+    spread: np.ndarray
+    certain: np.ndarray
+    volume: float
+    own: float
+
+
+def _foretold(mean: np.ndarray, spread: np.ndarray) -> _Forecast:
+    root = linalg.cholesky(np.eye(spread.shape[1]) + spread.T @ spread, lower=True)
+    certain = linalg.solve_triangular(root, spread.T, lower=True, check_finite=False)
+    return _Forecast(mean, spread, certain, float(np.sum(np.log(np.diag(root)))), -float(np.sum(certain**2)))
+
+
+Mixture = Sequence[tuple[float, _Forecast]]
 
 
 def _evidence(true: _Forecast, other: _Forecast) -> float:
-    """Expected log evidence of the new readings for ``true`` against ``other``."""
-    spread = linalg.solve_triangular(other.factor, true.factor, lower=True, check_finite=False)
-    shift = linalg.solve_triangular(other.factor, true.mean - other.mean, lower=True, check_finite=False)
-    volume = np.sum(np.log(np.diag(other.factor))) - np.sum(np.log(np.diag(true.factor)))
-    return float(0.5 * (np.sum(spread**2) - len(shift) + shift @ shift) + volume)
+    """Expected log evidence of the new readings for ``true`` against ``other``; all in the few directions in
+    which they are not known."""
+    shift = true.mean - other.mean
+    trace = other.own + np.sum(true.spread**2) - np.sum((other.certain @ true.spread) ** 2)
+    return float(0.5 * (trace + shift @ shift - np.sum((other.certain @ shift) ** 2)) + other.volume - true.volume)
+
+
+def _between(true: Mixture, other: Mixture) -> float:
+    """Expected log evidence for one mixture of forecasts against another."""
+    def near(forecast: _Forecast, mixture: Mixture) -> float:
+        return float(np.logaddexp.reduce([
+            np.log(share) - (0.0 if one is forecast else _evidence(forecast, one)) for share, one in mixture]))
+    return sum(share * (near(one, true) - near(one, other)) for share, one in true)
 
 
 class _Longer:
@@ -250,6 +275,11 @@ class _Longer:
         residual[:start] = observation.view.reading - predicted[:start]
         self._data = self._whitened(np.where(present, residual, 0.0).ravel())[~self._new]
 
+    def forecasts(self, ways: Ways) -> Mixture:
+        """The new readings in each of the ways that have their like in the longer log."""
+        found = [(share, self.forecast(members)) for share, members in ways]
+        return [(share, forecast) for share, forecast in found if forecast is not None]
+
     def forecast(self, members: Sequence[Member]) -> _Forecast | None:
         """The new readings if ``members`` act; None where one of them has no like in the longer log."""
         forms = [self._laid(effect, form) for effect, form in members]
@@ -271,8 +301,8 @@ class _Longer:
             if best is None or fits > best[0]:
                 best = fits, factor, scale, half
         _, factor, scale, half = best
-        spread = linalg.solve_triangular(factor, (new * scale).T, lower=True)
-        return _Forecast(spread.T @ half, linalg.cholesky(np.eye(len(new)) + spread.T @ spread, lower=True))
+        spread = linalg.solve_triangular(factor, (new * scale).T, lower=True).T
+        return _foretold(spread @ half, spread)
 
     def _laid(self, effect: Effect, form: Form) -> Form | None:
         """The form at the longer log, its shape kept: time constants in a label follow the log's length, the

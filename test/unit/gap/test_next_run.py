@@ -8,7 +8,7 @@ import pytest
 from stepdiag_ros.effects import effect_class
 from stepdiag_ros.estimate.noise import estimate_noise
 from stepdiag_ros.gap.joint import fit_jointly
-from stepdiag_ros.gap.next_run import GREY, Run, _evidence, _Longer, _with_run, recommend
+from stepdiag_ros.gap.next_run import GREY, Run, _between, _evidence, _foretold, _Longer, _with_run, recommend
 from stepdiag_ros.gap.observe import observe
 
 
@@ -23,9 +23,14 @@ def small_offset(case):
     return joint, first
 
 
+def _only(*members):
+    """A set of effects that acts in one way."""
+    return [(1.0, list(members))]
+
+
 def test_a_run_is_recommended_that_tells_two_effects_apart(small_offset):
     joint, first = small_offset
-    run = recommend(joint, [[first['psd_zero_offset']], [first['psd_gain']]])
+    run = recommend(joint, [_only(first['psd_zero_offset']), _only(first['psd_gain'])])
     assert run.between == ('psd_gain', 'psd_zero_offset')
     assert run.setup.name.endswith('.2') and run.evidence > 0.5
     said = run.to_json_dict()
@@ -34,15 +39,15 @@ def test_a_run_is_recommended_that_tells_two_effects_apart(small_offset):
 
 def test_no_run_tells_an_effect_from_itself(small_offset):
     joint, first = small_offset
-    assert recommend(joint, [[first['psd_gain']], [first['psd_gain']]]) is None
-    assert recommend(joint, [[first['psd_gain']]]) is None
+    assert recommend(joint, [_only(first['psd_gain']), _only(first['psd_gain'])]) is None
+    assert recommend(joint, [_only(first['psd_gain'])]) is None
 
 
 def test_a_drift_without_a_like_in_the_longer_log_is_not_foretold(small_offset):
     joint, first = small_offset
     effect, form = first['psd_zero_offset']
     strange = replace(form, label='strange', columns=np.random.default_rng(1).normal(size=form.columns.shape))
-    assert recommend(joint, [[first['psd_gain']], [(effect, strange)]]) is None
+    assert recommend(joint, [_only(first['psd_gain']), _only((effect, strange))]) is None
 
 
 def _worth(joint, sets, run):
@@ -92,3 +97,17 @@ def test_a_run_left_standing_is_measured_twice(small_offset):
     first, second = np.split(np.flatnonzero(new), 2)
     assert longer.dwell_ns[second[0]] - longer.done_ns[first[-1]] == 600_000_000_000
     np.testing.assert_allclose(longer.intensity[new], GREY * np.tile(table.intensity[rows], 2))
+
+
+def test_evidence_is_that_of_the_whole_covariance():
+    rng = np.random.default_rng(3)
+
+    def drawn():
+        return _foretold(rng.normal(size=9), rng.normal(size=(9, 2)))
+    a, b = drawn(), drawn()
+    whole = [np.eye(9) + f.spread @ f.spread.T for f in (a, b)]
+    ratio, shift = np.linalg.solve(whole[1], whole[0]), a.mean - b.mean
+    plain = 0.5 * (np.trace(ratio) - 9 - np.linalg.slogdet(ratio)[1] + shift @ np.linalg.solve(whole[1], shift))
+    assert _evidence(a, b) == pytest.approx(plain) and _evidence(a, a) == pytest.approx(0.0, abs=1e-9)
+    # A mixture that holds the other's forecast as well is told from it by no more than its share.
+    assert 0.0 < _between([(1.0, a)], [(0.5, a), (0.5, b)]) <= np.log(2.0) + 1e-9
