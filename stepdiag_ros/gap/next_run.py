@@ -5,13 +5,18 @@ aligned anew, perhaps from another distance, with the detector's beam elsewhere,
 light; perhaps left standing and measured again, so that what goes on while nothing is touched shows.  Given
 the log, each set of effects foretells the new readings as a normal distribution N(m, V): from its own
 sizes, the machine, all misalignments and resets, none of them better known than the log tells, and the noise.
-If set A acts, the run is expected to bring the log evidence
+The probability that the run speaks for the wrong one of two sets is at most ½ρ, with
 
-    KL(A‖B) = ½ [tr(V_B⁻¹V_A) − n + ln |V_B|/|V_A| + (m_A − m_B)ᵀ V_B⁻¹ (m_A − m_B)]
+    −ln ρ = ⅛ (m_A − m_B)ᵀ V⁻¹ (m_A − m_B) + ½ ln |V| − ¼ ln |V_A| − ¼ ln |V_B|,   V = ½ (V_A + V_B)
 
-against B; the least over both directions and all pairs is what the run is worth.  A set may act in several
-ways, forms of its effects that the log does not tell apart: its forecast is their mixture, and the evidence
-that of Hershey and Olsen 2007 between mixtures.
+(Kailath 1967).  A set may act in several ways, forms of its effects that the log does not tell apart; then
+ρ ≤ Σ √(w_a w_b) ρ_ab over these.  The run with the least ρ is taken, the largest over all sets that rival the
+likeliest.  Expected log evidence, which is given beside, would be a worse guide: where one set foretells little, it is
+large on the average of outcomes and nothing in many of them.  If A acts, it is
+
+    KL(A‖B) = ½ [tr(V_B⁻¹V_A) − n + ln |V_B|/|V_A| + (m_A − m_B)ᵀ V_B⁻¹ (m_A − m_B)],
+
+between mixtures that of Hershey and Olsen 2007, the least over both directions and all rivals.
 """
 
 from collections.abc import Callable, Sequence
@@ -42,8 +47,8 @@ ASIDE_M = 0.02
 
 RESTS = (0.0, 0.3, 1.0)
 """How long a run is left standing before it is measured again: shares of the log's length, the first that is …"""
-ENOUGH = 10.0
-"""… worth this log evidence is taken: forms are never quite right, so that a forecast is met in part."""
+ENOUGH = 5.0
+"""… told apart by this −ln ρ is taken: at most one run in 300 then misleads, were the forms right."""
 GREY = 0.5
 """Light that is left in the beam where background is to be told from it."""
 BACKGROUND = 'ambient_light'
@@ -75,12 +80,14 @@ class Run:
 class NextRun:
     """The ``run`` to add at the end of the log.
 
-    ``evidence``: log evidence that it is expected to bring at least; ``between``: the effects it decides between.
+    ``evidence``: log evidence that it is expected to bring at least; ``error``: most that the probability may be of
+    its speaking for the wrong effect; ``between``: the effects it decides between.
     ``at_once``: the run should begin right after mounting, which the forecast does not count on.
     """
 
     run: Run
     evidence: float
+    error: float
     between: tuple[str, ...]
     at_once: bool
     text: str
@@ -95,8 +102,26 @@ class NextRun:
         return {'setup': s.name, 'standoff_m': s.standoff, 'psd_offset_m': list(s.psd_offset), **length,
                 'mirror_turn_rad': list(self.run.mirror_turn_rad), 'light': self.run.light,
                 'again_after_s': self.run.again_after, 'at_once': self.at_once,
-                'expected_log_evidence': self.evidence,
+                'expected_log_evidence': self.evidence, 'error_probability': self.error,
                 'between': list(self.between), 'text': self.text}
+
+
+@dataclass(frozen=True)
+class _Forecast:
+    """White new readings (n,) as a set foretells them: ``mean`` and ``spread`` (n, p) of their covariance
+    ``1 + SSᵀ``; ``certain`` (p, n) is L⁻¹Sᵀ with ``LLᵀ = 1 + SᵀS``, ``volume`` ½ ln |1 + SSᵀ|, ``own`` the trace of
+    ``(1 + SSᵀ)⁻¹ − 1``."""
+
+    mean: np.ndarray
+    spread: np.ndarray
+    certain: np.ndarray
+    volume: float
+    own: float
+
+
+Mixture = Sequence[tuple[float, _Forecast]]
+Best = tuple[Run, float, Mixture, list[Mixture]] | None
+"""A run, its −ln ρ and the forecasts of the likeliest set and of the others."""
 
 
 def recommend(joint: Joint, rivals: Sequence[Ways]) -> NextRun | None:
@@ -118,35 +143,34 @@ def recommend(joint: Joint, rivals: Sequence[Ways]) -> NextRun | None:
             best = _best(joint, rivals, [run], best, labels)
     if best is None:
         return None
-    run, worth = best
-    at_once = FRESH in between
-    return NextRun(run, worth, between, at_once,
-                   run.text + (f' {SOON}' if at_once else '') + _hope(worth, between))
-
-
-Best = tuple[Run, float] | None
+    run, apart, first, others = best
+    evidence = min(min(_between(first, other), _between(other, first)) for other in others)
+    error, at_once = 0.5 * float(np.exp(-max(apart, 0.0))), FRESH in between
+    return NextRun(run, evidence, error, between, at_once,
+                   run.text + (f' {SOON}' if at_once else '') + _hope(error, between))
 
 
 def _best(joint: Joint, rivals: Sequence[Ways], runs: Sequence[Run], best: Best,
           labels: Callable[[Effect], list[str]]) -> Best:
-    """The run that is worth most among ``runs`` and ``best``, and its worth."""
+    """The run that tells the sets apart best among ``runs`` and ``best``."""
     for run in runs:
         longer = _Longer(joint, run, labels)
         forecasts = [longer.forecasts(ways) for ways in rivals]
         if not all(forecasts):
             continue
-        worth = min(min(_between(forecasts[0], other), _between(other, forecasts[0])) for other in forecasts[1:])
-        if best is None or worth > best[1]:
-            best = run, float(worth)
+        apart = min(_apart(forecasts[0], other) for other in forecasts[1:])
+        if best is None or apart > best[1]:
+            best = run, apart, forecasts[0], forecasts[1:]
     return best
 
 
-def _hope(worth: float, between: Sequence[str]) -> str:
+def _hope(error: float, between: Sequence[str]) -> str:
     """What is expected of a run, in words."""
     names = f'{", ".join(between[:-1])} and {between[-1]}'
-    odds = 'more than 10000' if worth > np.log(1e4) else f'{np.exp(worth):.0f}'
+    odds = 'more than 10000' if error < 1e-4 else f'{1.0 / error:.0f}'
     return f' It is to decide between {names}' + (
-        f', with odds of {odds} to one to be expected.' if worth > np.log(3.0) else '.')
+        f', with odds of {odds} to one that it does.' if error < 0.25 else
+        '; no run that was thought of promises to.')
 
 
 def _label(setup: Setup) -> str:
@@ -197,26 +221,10 @@ def _standing(joint: Joint, run: Run) -> list[Run]:
         f'{f"after {m} min" if m else "at once"}.')) for m in minutes]
 
 
-@dataclass(frozen=True)
-class _Forecast:
-    """White new readings (n,) as a set foretells them: ``mean`` and ``spread`` (n, p) of their covariance
-    ``1 + SSᵀ``; ``certain`` (p, n) is L⁻¹Sᵀ with ``LLᵀ = 1 + SᵀS``, ``volume`` ½ ln |1 + SSᵀ|, ``own`` the trace of
-    ``(1 + SSᵀ)⁻¹ − 1``."""
-
-    mean: np.ndarray
-    spread: np.ndarray
-    certain: np.ndarray
-    volume: float
-    own: float
-
-
 def _foretold(mean: np.ndarray, spread: np.ndarray) -> _Forecast:
     root = linalg.cholesky(np.eye(spread.shape[1]) + spread.T @ spread, lower=True)
     certain = linalg.solve_triangular(root, spread.T, lower=True, check_finite=False)
     return _Forecast(mean, spread, certain, float(np.sum(np.log(np.diag(root)))), -float(np.sum(certain**2)))
-
-
-Mixture = Sequence[tuple[float, _Forecast]]
 
 
 def _evidence(true: _Forecast, other: _Forecast) -> float:
@@ -233,6 +241,21 @@ def _between(true: Mixture, other: Mixture) -> float:
         return float(np.logaddexp.reduce([
             np.log(share) - (0.0 if one is forecast else _evidence(forecast, one)) for share, one in mixture]))
     return sum(share * (near(one, true) - near(one, other)) for share, one in true)
+
+
+def _apart(some: Mixture, other: Mixture) -> float:
+    """−ln ρ between two mixtures of forecasts, at least."""
+    return -float(np.logaddexp.reduce([0.5 * np.log(share * weight) - _distance(a, b)
+                                       for share, a in some for weight, b in other]))
+
+
+def _distance(a: _Forecast, b: _Forecast) -> float:
+    """−ln ρ between two forecasts."""
+    spread, shift = np.concatenate([a.spread, b.spread], axis=1) / np.sqrt(2.0), 0.5 * (a.mean - b.mean)
+    root = linalg.cholesky(np.eye(spread.shape[1]) + spread.T @ spread, lower=True)
+    taken = linalg.solve_triangular(root, spread.T @ shift, lower=True)
+    volume = np.sum(np.log(np.diag(root)))
+    return float(0.5 * (shift @ shift - taken @ taken) + volume - 0.5 * (a.volume + b.volume))
 
 
 class _Longer:
@@ -278,7 +301,9 @@ class _Longer:
     def forecasts(self, ways: Ways) -> Mixture:
         """The new readings in each of the ways that have their like in the longer log."""
         found = [(share, self.forecast(members)) for share, members in ways]
-        return [(share, forecast) for share, forecast in found if forecast is not None]
+        found = [(share, forecast) for share, forecast in found if forecast is not None]
+        total = sum(share for share, _ in found)
+        return [(share / total, forecast) for share, forecast in found]
 
     def forecast(self, members: Sequence[Member]) -> _Forecast | None:
         """The new readings if ``members`` act; None where one of them has no like in the longer log."""

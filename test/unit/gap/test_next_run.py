@@ -8,7 +8,18 @@ import pytest
 from stepdiag_ros.effects import effect_class
 from stepdiag_ros.estimate.noise import estimate_noise
 from stepdiag_ros.gap.joint import fit_jointly
-from stepdiag_ros.gap.next_run import GREY, Run, _between, _evidence, _foretold, _Longer, _with_run, recommend
+from stepdiag_ros.gap.next_run import (
+    GREY,
+    Run,
+    _apart,
+    _between,
+    _distance,
+    _evidence,
+    _foretold,
+    _Longer,
+    _with_run,
+    recommend,
+)
 from stepdiag_ros.gap.observe import observe
 
 
@@ -51,10 +62,10 @@ def test_a_drift_without_a_like_in_the_longer_log_is_not_foretold(small_offset):
 
 
 def _worth(joint, sets, run):
-    """Expected log evidence of one run, the less of both directions."""
+    """How well one run tells two sets apart."""
     longer = _Longer(joint, run, lambda effect: [f.label for f in effect.appearance(joint.observation.view)])
     one, other = (longer.forecast(members) for members in sets)
-    return min(_evidence(one, other), _evidence(other, one))
+    return _apart([(1.0, one)], [(1.0, other)])
 
 
 def _explained_by(case, effect, rivals):
@@ -75,14 +86,14 @@ def test_waiting_tells_creep_from_a_turning_beam(case):
         ('mirror_mount_creep', 'each mounting nearly the same amount, linear'),
         ('beam_pointing_drift', 'smooth')])
     run = Run(replace(joint.observation.log.description.setups['ppp'], name='ppp.2'), '')
-    assert _worth(joint, sets, replace(run, again_after=600.0)) > _worth(joint, sets, run) + 3.0
+    assert _worth(joint, sets, replace(run, again_after=600.0)) > _worth(joint, sets, run) + 1.0
 
 
 def test_less_light_tells_background_from_a_gain(case):
     joint, sets = _explained_by(case, effect_class('psd_gain')(x=-0.2, y=-0.2), [
         ('psd_gain', 'alike in x and y'), ('ambient_light', 'linear')])
     run = Run(replace(joint.observation.log.description.setups['ppp'], name='ppp.2'), '', (4e-4, -4e-4))
-    assert _worth(joint, sets, replace(run, light=GREY)) > 1.0 > 10.0 * _worth(joint, sets, run)
+    assert _worth(joint, sets, replace(run, light=GREY)) > 10.0 * _worth(joint, sets, run) > 0.0
 
 
 def test_a_run_left_standing_is_measured_twice(small_offset):
@@ -109,5 +120,10 @@ def test_evidence_is_that_of_the_whole_covariance():
     ratio, shift = np.linalg.solve(whole[1], whole[0]), a.mean - b.mean
     plain = 0.5 * (np.trace(ratio) - 9 - np.linalg.slogdet(ratio)[1] + shift @ np.linalg.solve(whole[1], shift))
     assert _evidence(a, b) == pytest.approx(plain) and _evidence(a, a) == pytest.approx(0.0, abs=1e-9)
+    middle = 0.5 * (whole[0] + whole[1])
+    logs = [np.linalg.slogdet(v)[1] for v in (middle, *whole)]
+    assert _distance(a, b) == pytest.approx(0.125 * shift @ np.linalg.solve(middle, shift)
+                                            + 0.5 * logs[0] - 0.25 * logs[1] - 0.25 * logs[2])
+    assert _apart([(0.5, a), (0.5, b)], [(0.5, b), (0.5, a)]) <= 1e-9
     # A mixture that holds the other's forecast as well is told from it by no more than its share.
     assert 0.0 < _between([(1.0, a)], [(0.5, a), (0.5, b)]) <= np.log(2.0) + 1e-9
