@@ -60,9 +60,11 @@ at each stop: at K cycles a log its power is N/11K times that of white noise as 
 times for what changes ten times in a log."""
 BEYOND_PATTERNS = 0.95
 """Probability that something else acts where scatter, hops or coarse readings say so, each far beyond its alarm."""
-OTHER_WAYS = 3
+OTHER_WAYS = 2
 LEAST_WAY = 0.05
 """Most further forms of an effect in which a set of effects is foretold, and the least share of one."""
+BEYOND_LOG = 0.3
+"""Power of a form's odds beyond the log: the form that suits best there need not be that in which things go on."""
 TUNED = 4
 """Leading effects whose shape parameters are tuned before sets are formed."""
 
@@ -462,7 +464,7 @@ def _ways(screen: Screen, effects: Mapping[str, Effect], found: EffectSet,
         ways += [(found.log_bayes + judged[i].log_bayes - judged[member.candidate].log_bayes,
                   [*forms[:k], (effects[member.effect], screen.candidates[i].form), *forms[k + 1:]])
                  for i in others[:OTHER_WAYS]]
-    shares = np.exp([log - max(log for log, _ in ways) for log, _ in ways])
+    shares = np.exp([BEYOND_LOG * (log - max(log for log, _ in ways)) for log, _ in ways])
     shares[shares < LEAST_WAY * shares.sum()] = 0.0
     return [(float(share), members) for share, (_, members) in zip(shares / shares.sum(), ways, strict=True) if share]
 

@@ -19,7 +19,7 @@ large on the average of outcomes and nothing in many of them.  If A acts, it is
 between mixtures that of Hershey and Olsen 2007, the least over both directions and all rivals.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -134,13 +134,13 @@ def recommend(joint: Joint, rivals: Sequence[Ways]) -> NextRun | None:
         return None
     # Which diagonal or line matters most by its place in time; how it is set up is tried on the best, and
     # at last how long it is to stand.
-    labels = cache(lambda effect: [form.label for form in effect.appearance(joint.observation.view)])
-    best = _best(joint, rivals, _once_more(joint), None, labels)
+    log = _Log(joint)
+    best = _best(joint, rivals, _once_more(joint), None, log)
     if best and best[1] < ENOUGH:
-        best = _best(joint, rivals, _set_up(joint, best[0], between), best, labels)
+        best = _best(joint, rivals, _set_up(joint, best[0], between), best, log)
     for run in _standing(joint, best[0]) if best else ():
         if best[1] < ENOUGH:
-            best = _best(joint, rivals, [run], best, labels)
+            best = _best(joint, rivals, [run], best, log)
     if best is None:
         return None
     run, apart, first, others = best
@@ -151,10 +151,10 @@ def recommend(joint: Joint, rivals: Sequence[Ways]) -> NextRun | None:
 
 
 def _best(joint: Joint, rivals: Sequence[Ways], runs: Sequence[Run], best: Best,
-          labels: Callable[[Effect], list[str]]) -> Best:
+          log: '_Log') -> Best:
     """The run that tells the sets apart best among ``runs`` and ``best``."""
     for run in runs:
-        longer = _Longer(joint, run, labels)
+        longer = _Longer(joint, run, log)
         forecasts = [longer.forecasts(ways) for ways in rivals]
         if not all(forecasts):
             continue
@@ -258,10 +258,19 @@ def _distance(a: _Forecast, b: _Forecast) -> float:
     return float(0.5 * (shift @ shift - taken @ taken) + volume - 0.5 * (a.volume + b.volume))
 
 
+class _Log:
+    """What is known of the log whatever comes after it: labels of effects' forms in their order, and the size
+    at which a set in some forms suits it best."""
+
+    def __init__(self, joint: Joint):
+        self.labels = cache(lambda effect: [form.label for form in effect.appearance(joint.observation.view)])
+        self.sizes: dict[tuple[tuple[str, str], ...], Sequence[float]] = {}
+
+
 class _Longer:
     """The log with one more setup: what is known of it before it is measured."""
 
-    def __init__(self, joint: Joint, run: Run, labels: Callable[[Effect], list[str]]):
+    def __init__(self, joint: Joint, run: Run, known: _Log):
         observation, old, setup = joint.observation, joint.fit, run.setup
         like = next(i for i, name in enumerate(observation.table.setup_names)
                     if path_of(name) == path_of(setup.name))
@@ -287,7 +296,7 @@ class _Longer:
         self.view: StopView = view_of(log, table, replace(old, model=model, theta=theta), np.concatenate(
             [bins, bins[rows]]))
         self._forms: dict[str, list[Form]] = {}
-        self._labels = labels
+        self._log = known
         self._white = whiteners(table, noise, arrival, present)
         self._new = np.concatenate([w.rows for w in self._white]) >= start * present.shape[1]
         self._nominal = self._whitened(jacobian.toarray())
@@ -315,8 +324,8 @@ class _Longer:
         design = np.concatenate([self._nominal, effects], axis=1)
         known, new = design[~self._new], design[self._new]
         normal, along = known.T @ known, known.T @ self._data
-        best = None
-        for size in SIZES:
+        best, way = None, tuple((effect.name, form.label) for effect, form in members)
+        for size in self._log.sizes.get(way, SIZES):
             # The size that suits the log best: a wider one would let the effect do more than it ever did.
             precision = linalg.block_diag(self._precision, np.eye(len(columns)) / size**2)
             scale = 1.0 / np.sqrt(np.diag(normal + precision))
@@ -324,8 +333,8 @@ class _Longer:
             half = linalg.solve_triangular(factor, scale * along, lower=True)
             fits = 0.5 * half @ half - np.sum(np.log(np.diag(factor) / scale)) - len(columns) * np.log(size)
             if best is None or fits > best[0]:
-                best = fits, factor, scale, half
-        _, factor, scale, half = best
+                best = fits, factor, scale, half, size
+        _, factor, scale, half, self._log.sizes[way] = *best[:-1], best[-1:]
         spread = linalg.solve_triangular(factor, (new * scale).T, lower=True).T
         return _foretold(spread @ half, spread)
 
@@ -334,8 +343,9 @@ class _Longer:
         order of an effect's forms does not."""
         if effect.name not in self._forms:
             self._forms[effect.name] = effect.appearance(self.view)
-        forms, origin = self._forms[effect.name], form.tuned_from or form.label
-        place = self._labels(effect).index(origin) if origin in self._labels(effect) else len(forms)
+        forms, labels = self._forms[effect.name], self._log.labels(effect)
+        origin = form.tuned_from or form.label
+        place = labels.index(origin) if origin in labels else len(forms)
         if place >= len(forms):
             return None
         return forms[place] if forms[place].retune is None else forms[place].at(form.shape)

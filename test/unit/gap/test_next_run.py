@@ -16,6 +16,7 @@ from stepdiag_ros.gap.next_run import (
     _distance,
     _evidence,
     _foretold,
+    _Log,
     _Longer,
     _with_run,
     recommend,
@@ -63,7 +64,7 @@ def test_a_drift_without_a_like_in_the_longer_log_is_not_foretold(small_offset):
 
 def _worth(joint, sets, run):
     """How well one run tells two sets apart."""
-    longer = _Longer(joint, run, lambda effect: [f.label for f in effect.appearance(joint.observation.view)])
+    longer = _Longer(joint, run, _Log(joint))
     one, other = (longer.forecast(members) for members in sets)
     return _apart([(1.0, one)], [(1.0, other)])
 
