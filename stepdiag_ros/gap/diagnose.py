@@ -29,7 +29,7 @@ from stepdiag_ros.gap.inside import Timing, apart, steps, timing
 from stepdiag_ros.gap.joint import Joint, fit_jointly, unexplained
 from stepdiag_ros.gap.lines import Unrest, Vibration, unrest
 from stepdiag_ros.gap.next_measurement import advise
-from stepdiag_ros.gap.next_run import NextRun, Ways
+from stepdiag_ros.gap.next_run import NextRun, Ways, kind
 from stepdiag_ros.gap.observe import Observation, observe
 from stepdiag_ros.gap.scatter import excess_scatter, strays
 from stepdiag_ros.gap.screen import Candidate, Screen
@@ -459,19 +459,14 @@ def _ways(screen: Screen, effects: Mapping[str, Effect], found: EffectSet,
         numbers = [i for i, c in enumerate(screen.candidates) if c.effect == member.effect]
         judged = screen.judge_all(rest, numbers)
         # Of each kind of form one: time constants next to each other say the same.
-        kinds = {_kind(screen.candidates[i].form): i for i in sorted(numbers, key=lambda i: judged[i].log_bayes)}
-        others = [i for kind, i in reversed(kinds.items()) if kind != _kind(forms[k][1])]
+        kinds = {kind(screen.candidates[i].form): i for i in sorted(numbers, key=lambda i: judged[i].log_bayes)}
+        others = [i for name, i in reversed(kinds.items()) if name != kind(forms[k][1])]
         ways += [(found.log_bayes + judged[i].log_bayes - judged[member.candidate].log_bayes,
                   [*forms[:k], (effects[member.effect], screen.candidates[i].form), *forms[k + 1:]])
                  for i in others[:OTHER_WAYS]]
     shares = np.exp([BEYOND_LOG * (log - max(log for log, _ in ways)) for log, _ in ways])
     shares[shares < LEAST_WAY * shares.sum()] = 0.0
     return [(float(share), members) for share, (_, members) in zip(shares / shares.sum(), ways, strict=True) if share]
-
-
-def _kind(form: Form) -> str:
-    """A form's label without its numbers."""
-    return ''.join(c for c in form.label if not c.isdigit() and c != '.')
 
 
 def _confused(sets: list[EffectSet], best: EffectSet) -> tuple[tuple[str, ...], ...]:

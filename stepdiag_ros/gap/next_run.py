@@ -19,9 +19,9 @@ large on the average of outcomes and nothing in many of them.  If A acts, it is
 between mixtures that of Hershey and Olsen 2007, the least over both directions and all rivals.
 """
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cache
 
 import numpy as np
 from scipy import linalg
@@ -258,13 +258,35 @@ def _distance(a: _Forecast, b: _Forecast) -> float:
     return float(0.5 * (shift @ shift - taken @ taken) + volume - 0.5 * (a.volume + b.volume))
 
 
+def kind(form: Form) -> str:
+    """A form's label without its numbers."""
+    return ''.join(c for c in form.label if not c.isdigit() and c != '.')
+
+
+def _in_order(forms: Sequence[Form]) -> list[tuple[str, int]]:
+    """Kind of each form and its number among those of its kind."""
+    seen: Counter[str] = Counter()
+    result = []
+    for form in forms:
+        result.append((kind(form), seen[kind(form)]))
+        seen[kind(form)] += 1
+    return result
+
+
 class _Log:
-    """What is known of the log whatever comes after it: labels of effects' forms in their order, and the size
-    at which a set in some forms suits it best."""
+    """What is known of the log whatever comes after it: places of an effect's forms by label, and the size at
+    which a set in some forms suits it best."""
 
     def __init__(self, joint: Joint):
-        self.labels = cache(lambda effect: [form.label for form in effect.appearance(joint.observation.view)])
+        self._view = joint.observation.view
         self.sizes: dict[tuple[tuple[str, str], ...], Sequence[float]] = {}
+        self._places: dict[str, dict[str, tuple[str, int]]] = {}
+
+    def places(self, effect: Effect) -> dict[str, tuple[str, int]]:
+        if effect.name not in self._places:
+            forms = effect.appearance(self._view)
+            self._places[effect.name] = {form.label: at for form, at in zip(forms, _in_order(forms), strict=True)}
+        return self._places[effect.name]
 
 
 class _Longer:
@@ -295,7 +317,7 @@ class _Longer:
         bins = observation.view.bin_time[:, :1]
         self.view: StopView = view_of(log, table, replace(old, model=model, theta=theta), np.concatenate(
             [bins, bins[rows]]))
-        self._forms: dict[str, list[Form]] = {}
+        self._forms: dict[str, dict[tuple[str, int], Form]] = {}
         self._log = known
         self._white = whiteners(table, noise, arrival, present)
         self._new = np.concatenate([w.rows for w in self._white]) >= start * present.shape[1]
@@ -340,15 +362,15 @@ class _Longer:
 
     def _laid(self, effect: Effect, form: Form) -> Form | None:
         """The form at the longer log, its shape kept: time constants in a label follow the log's length, the
-        order of an effect's forms does not."""
+        order of an effect's forms of one kind does not."""
         if effect.name not in self._forms:
-            self._forms[effect.name] = effect.appearance(self.view)
-        forms, labels = self._forms[effect.name], self._log.labels(effect)
-        origin = form.tuned_from or form.label
-        place = labels.index(origin) if origin in labels else len(forms)
-        if place >= len(forms):
+            forms = effect.appearance(self.view)
+            self._forms[effect.name] = dict(zip(_in_order(forms), forms, strict=True))
+        place = self._log.places(effect).get(form.tuned_from or form.label)
+        laid = self._forms[effect.name].get(place) if place else None
+        if laid is None or set(laid.shape) != set(form.shape):
             return None
-        return forms[place] if forms[place].retune is None else forms[place].at(form.shape)
+        return laid if laid.retune is None else laid.at(form.shape)
 
     def _whitened(self, values: np.ndarray) -> np.ndarray:
         return np.concatenate([w(values) for w in self._white])

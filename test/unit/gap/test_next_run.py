@@ -128,3 +128,15 @@ def test_evidence_is_that_of_the_whole_covariance():
     assert _apart([(0.5, a), (0.5, b)], [(0.5, b), (0.5, a)]) <= 1e-9
     # A mixture that holds the other's forecast as well is told from it by no more than its share.
     assert 0.0 < _between([(1.0, a)], [(0.5, a), (0.5, b)]) <= np.log(2.0) + 1e-9
+
+
+def test_forms_that_come_with_less_light_do_not_shift_the_others(case):
+    """The sum signal takes part in a form only where it moves: with a grey filter it does."""
+    joint, sets = _explained_by(case, effect_class('psd_gain')(x=-0.2, y=-0.2), [
+        ('psd_gain', 'alike in x and y'), ('ambient_light', 'linear')])
+    view, effect = joint.observation.view, sets[1][0][0]
+    cycle = next(form for form in effect.appearance(view) if 'period_s' in form.shape)
+    run = Run(replace(joint.observation.log.description.setups['ppp'], name='ppp.2'), '', light=GREY)
+    longer = _Longer(joint, run, _Log(joint))
+    assert len(effect.appearance(longer.view)) > len(effect.appearance(view))
+    assert longer._laid(effect, cycle).shape == cycle.shape
