@@ -313,8 +313,7 @@ class _Longer:
             table, displacement=np.concatenate([table.displacement[:start], predicted[start:, :beams]]),
             spot=np.concatenate([table.spot[:start], predicted[start:, beams:]]))
         present = np.concatenate([old.present, old.present[rows]])
-        # Of the dwells' insides nothing is foretold: one bin, in which nothing happens, saves half the time.
-        bins = observation.view.bin_time[:, :1]
+        bins = observation.view.bin_time
         self.view: StopView = view_of(log, table, replace(old, model=model, theta=theta), np.concatenate(
             [bins, bins[rows]]))
         self._forms: dict[str, dict[tuple[str, int], Form]] = {}
