@@ -336,12 +336,14 @@ class _Longer:
         return [(share / total, forecast) for share, forecast in found]
 
     def forecast(self, members: Sequence[Member]) -> _Forecast | None:
-        """The new readings if ``members`` act; None where one of them has no like in the longer log."""
+        """The new readings if ``members`` act; None where one of them has no like, or no bound, in the longer log."""
         forms = [self._laid(effect, form) for effect, form in members]
         if None in forms:
             return None
         columns = np.concatenate([form.columns * form.scale[:, None, None] for form in forms])
         effects = self._whitened(columns.reshape(len(columns), -1).T)
+        if not np.isfinite(effects).all():
+            return None
         design = np.concatenate([self._nominal, effects], axis=1)
         known, new = design[~self._new], design[self._new]
         normal, along = known.T @ known, known.T @ self._data
