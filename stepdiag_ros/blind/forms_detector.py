@@ -80,7 +80,10 @@ class PsdRotation(Hidden):
 
 
 class AmbientLight(Hidden):
-    """lamps go on and off while daylight changes slowly; size: background over signal"""
+    """lamps go on and off while daylight changes slowly; size: background over signal
+
+    ``beam``: light in the beam of setups in which there is less than the full.
+    """
 
     name, unit, typical, largest = 'ambient_light', '1', 0.02, 0.4
 
@@ -89,11 +92,12 @@ class AmbientLight(Hidden):
         self._daylight, kind = course(rng, stage.span_s)
         self._switch = np.sort(rng.uniform(0.0, stage.span_s, int(rng.integers(1, 6))))
         self._lamp = rng.uniform(0.2, 1.0)
+        self.beam: dict[str, float] = {}
         self.facts = {'course': kind, 'switched_s': self._switch.tolist()}
 
     def after_light(self, moment: Moment) -> None:
         lamp = np.sum(moment.seconds[:, None] >= self._switch, axis=1) % 2
         day = self._daylight(moment.seconds)
-        light = self.size * (np.abs(day) + self._lamp * lamp)
+        light = self.size * (np.abs(day) + self._lamp * lamp) / self.beam.get(moment.setup, 1.0)
         moment.spot = moment.spot / (1.0 + light)[:, None]
         moment.intensity = moment.intensity * (1.0 + light)

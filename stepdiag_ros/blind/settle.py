@@ -15,12 +15,14 @@ from typing import Any
 import numpy as np
 
 from stepdiag_ros.blind.cells import MOST_WALK_M
+from stepdiag_ros.blind.forms_detector import AmbientLight
 from stepdiag_ros.blind.hidden import Hidden
 from stepdiag_ros.blind.logs import measure
 from stepdiag_ros.blind.opened import SETTLED, load
 from stepdiag_ros.blind.seal import kind_order, write_json
 from stepdiag_ros.blind.world import SealedWorld, make
 from stepdiag_ros.effects import all_effects
+from stepdiag_ros.effects.base import Moment
 from stepdiag_ros.gap.diagnose import diagnose
 from stepdiag_ros.model.description import Setup, path_of
 from stepdiag_ros.model.log import CalibrationLog
@@ -45,10 +47,29 @@ def longer_log(made: SealedWorld, run: Mapping[str, Any]) -> CalibrationLog:
         misalignments={**cell.misalignments, setup.name: Misalignment(tuple(laser.tolist()),
                                                                      tuple(mirror.tolist()))})
     effects = [_mounted_again(effect, cell.setup_names[:-1], setup.name, rng) for effect in made.effects]
+    if run.get('light', 1.0) < 1.0:
+        effects = [_GreyFilter(setup.name, run['light']), *effects]
+        for effect in effects:
+            if isinstance(effect, AmbientLight):
+                effect.beam = {setup.name: run['light']}
     pauses = {setup.name: AT_ONCE_S} if run['at_once'] else None
-    log = measure(cell, made.conditions, effects, pauses)
+    again = {setup.name: run['again_after_s']} if run.get('again_after_s') is not None else None
+    log = measure(cell, made.conditions, effects, pauses, again)
     # What was measured before stays as it was; only the description's new setup comes beside it.
     return replace(log, description=replace(made.log.description, setups=description.setups))
+
+
+class _GreyFilter(Hidden):
+    """less light in the beam of one setup"""
+
+    name = 'grey_filter'
+
+    def __init__(self, setup: str, light: float):
+        self._setup, self._light = setup, light
+
+    def after_light(self, moment: Moment) -> None:
+        if moment.setup == self._setup:
+            moment.intensity = moment.intensity * self._light
 
 
 def _aligned(made: SealedWorld) -> float:

@@ -2,7 +2,9 @@
 
 The detector weighs all light that falls on it.  Light spread evenly has its centre in the middle: with a
 share ``f`` of it in the sum the spot is read ``(1 − f)`` times where it is.  Sun and lamps change; the
-sum signal rises with them, and where it is recorded steadily enough it tells how much.
+sum signal rises with them, and where it is recorded steadily enough it tells how much.  A setup that was
+measured with less light in the beam has as much background, so a larger share: this tells a constant
+background from a wrong gain.
 """
 
 import numpy as np
@@ -11,6 +13,9 @@ from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
 from stepdiag_ros.effects.patterns import Drawn, follow, recorded
 from stepdiag_ros.effects.timeforms import Course, courses, drift_form
 
+DIMMED = 0.7
+"""A setup whose sum signal is a smaller share of the brightest's than this had less light in its beam: no
+background that a detector is used with changes so much."""
 NOTICEABLE = 2.0e-4
 """Relative standard deviation of the sum signal over the stops from which it may be background."""
 
@@ -40,9 +45,11 @@ class AmbientLight(Effect):
     def appearance(self, view: StopView) -> list[Form]:
         pull = view.zeros(1)
         pull[0, :, view.beams:] = -view.spot_model
-        forms = [follow(view, self._with_constant(course), pull, ('share',), 0.02, '1')
+        beam = _beam(view)
+        pull_of_light = pull / beam[:, None]
+        forms = [follow(view, self._with_constant(course), pull_of_light, ('share',), 0.02, '1')
                  for course in courses(view.elapsed)]
-        return self._from_intensity(view, pull) + forms
+        return self._from_intensity(view, pull, beam) + forms
 
     def _with_constant(self, course: Course) -> Course:
         one = np.ones((1, course.values.shape[1]))
@@ -52,15 +59,30 @@ class AmbientLight(Effect):
                       None if course.sizes is None else np.concatenate([[1.0], course.sizes]))
 
     @staticmethod
-    def _from_intensity(view: StopView, pull: np.ndarray) -> list[Form]:
+    def _from_intensity(view: StopView, pull: np.ndarray, beam: np.ndarray) -> list[Form]:
         """With the sum I = beam + background: f = (I − min)/I, and what was there at the minimum."""
         total = view.intensity
         if not np.isfinite(total).all() or total.min() <= 0.0 \
                 or total.std() < NOTICEABLE * total.mean():
             return []
-        least = total.min()
+        least = np.empty_like(total)
+        for level in np.unique(beam):
+            least[beam == level] = total[beam == level].min()
         rising = recorded(view, ((total - least) / total)[None], 'as the sum signal says')
-        always = recorded(view, np.stack([rising.values[0], least / total]),
+        always = recorded(view, np.stack([rising.values[0], least.max() / total]),
                           'as the sum signal says, and a constant')
         return [follow(view, rising, pull, ('trust',), 1.0, '1'),
                 drift_form(view, always, pull, ('share',), np.ones(1), units='1')]
+
+
+def _beam(view: StopView) -> np.ndarray:
+    """Light in the beam at the stops (n,), 1 but in setups that were measured with less."""
+    beam = np.ones(len(view.setup))
+    if not np.isfinite(view.intensity).all() or view.intensity.min() <= 0.0:
+        return beam
+    numbers = np.unique(view.setup)
+    level = np.array([np.median(view.intensity[view.setup == number]) for number in numbers])
+    for number, share in zip(numbers, level / level.max(), strict=True):
+        if share < DIMMED:
+            beam[view.setup == number] = share
+    return beam

@@ -29,7 +29,7 @@ from stepdiag_ros.gap.inside import Timing, apart, steps, timing
 from stepdiag_ros.gap.joint import Joint, fit_jointly, unexplained
 from stepdiag_ros.gap.lines import Unrest, Vibration, unrest
 from stepdiag_ros.gap.next_measurement import advise
-from stepdiag_ros.gap.next_run import NextRun
+from stepdiag_ros.gap.next_run import NextRun, Ways, kind
 from stepdiag_ros.gap.observe import Observation, observe
 from stepdiag_ros.gap.scatter import excess_scatter, strays
 from stepdiag_ros.gap.screen import Candidate, Screen
@@ -60,6 +60,11 @@ at each stop: at K cycles a log its power is N/11K times that of white noise as 
 times for what changes ten times in a log."""
 BEYOND_PATTERNS = 0.95
 """Probability that something else acts where scatter, hops or coarse readings say so, each far beyond its alarm."""
+OTHER_WAYS = 2
+LEAST_WAY = 0.05
+"""Most further forms of an effect in which a set of effects is foretold, and the least share of one."""
+BEYOND_LOG = 0.3
+"""Power of a form's odds beyond the log: the form that suits best there need not be that in which things go on."""
 TUNED = 4
 """Leading effects whose shape parameters are tuned before sets are formed."""
 
@@ -179,8 +184,8 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
                     f'({np.sqrt(how_far.after):.2g} times the noise is left)')
     verdict = _verdict(found, leftover)
     groups = _confused(sets, best)
-    rivals = [[(effects[m.effect], screen.candidates[m.candidate].form) for m in found.members]
-              for found in (best, *_stand_ins(sets, best)) if UNKNOWN not in found.key]
+    rivals = [_ways(screen, effects, found, groups) for found in (best, *_stand_ins(sets, best))
+              if UNKNOWN not in found.key]
     words, run = advise(joint, rivals, groups, bool(leftover))
     disturbed = _as_noise(bare, observation.table) if hopping or samples.boils else None
     return Diagnosis(log, verdict, how_far, shares(joint, found, bool(leftover), disturbed), tuple(found),
@@ -439,6 +444,29 @@ def _stand_ins(sets: list[EffectSet], best: EffectSet) -> list[EffectSet]:
     return [other for other in sets
             if len(other.key) == len(best.key) and len(best.key - other.key) == 1
             and UNKNOWN not in other.key and best.log_bayes - other.log_bayes < CONFUSED]
+
+
+def _ways(screen: Screen, effects: Mapping[str, Effect], found: EffectSet,
+          groups: Iterable[Iterable[str]]) -> Ways:
+    """A set with the forms that the member which another may stand for can take nearly as well."""
+    forms = [(effects[m.effect], screen.candidates[m.candidate].form) for m in found.members]
+    doubtful = {name for group in groups for name in group}
+    ways = [(found.log_bayes, forms)]
+    for k, member in enumerate(found.members):
+        rest = found.members[:k] + found.members[k + 1:]
+        if member.effect not in doubtful or any(m.effect == member.effect for m in rest):
+            continue
+        numbers = [i for i, c in enumerate(screen.candidates) if c.effect == member.effect]
+        judged = screen.judge_all(rest, numbers)
+        # Of each kind of form one: time constants next to each other say the same.
+        kinds = {kind(screen.candidates[i].form): i for i in sorted(numbers, key=lambda i: judged[i].log_bayes)}
+        others = [i for name, i in reversed(kinds.items()) if name != kind(forms[k][1])]
+        ways += [(found.log_bayes + judged[i].log_bayes - judged[member.candidate].log_bayes,
+                  [*forms[:k], (effects[member.effect], screen.candidates[i].form), *forms[k + 1:]])
+                 for i in others[:OTHER_WAYS]]
+    shares = np.exp([BEYOND_LOG * (log - max(log for log, _ in ways)) for log, _ in ways])
+    shares[shares < LEAST_WAY * shares.sum()] = 0.0
+    return [(float(share), members) for share, (_, members) in zip(shares / shares.sum(), ways, strict=True) if share]
 
 
 def _confused(sets: list[EffectSet], best: EffectSet) -> tuple[tuple[str, ...], ...]:

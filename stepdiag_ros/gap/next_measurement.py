@@ -7,9 +7,8 @@ pairs, which follows from what the effects are.
 
 from collections.abc import Sequence
 
-from stepdiag_ros.effects.base import Effect, Form
 from stepdiag_ros.gap.joint import Joint
-from stepdiag_ros.gap.next_run import NextRun, recommend
+from stepdiag_ros.gap.next_run import NextRun, Ways, recommend
 
 WORTH = 3.0
 """A further run is advised from this expected log evidence: from even odds to 95 %; one that
@@ -34,11 +33,11 @@ FOR_UNKNOWN = ('Repeat the diagonal with the largest share of the gap at once an
                'what stays belongs to the place, what changes belongs to time.')
 
 
-def advise(joint: Joint, rivals: Sequence[Sequence[tuple[Effect, Form]]], groups: Sequence[Sequence[str]],
+def advise(joint: Joint, rivals: Sequence[Ways], groups: Sequence[Sequence[str]],
            unknown: bool) -> tuple[str | None, NextRun | None]:
     """The advice in words, or None where nothing is left to tell apart; the run, where one is worth it.
 
-    ``rivals``: the likeliest set of effects in their best forms, then those that may stand for it;
+    ``rivals``: the likeliest set of effects in the forms that it may take, then those that may stand for it;
     ``groups``: names that cannot be told apart.
     """
     run = recommend(joint, rivals) if groups else None

@@ -1,16 +1,25 @@
 """The further run that settles which of two sets of effects acts: computed, not guessed.
 
 A run is one more setup at the end of the log: a diagonal or line that the plan holds already, mounted and
-aligned anew, perhaps from another distance, with the detector's beam elsewhere or the mirror turned.  Given
+aligned anew, perhaps from another distance, with the detector's beam elsewhere, the mirror turned or less
+light; perhaps left standing and measured again, so that what goes on while nothing is touched shows.  Given
 the log, each set of effects foretells the new readings as a normal distribution N(m, V): from its own
 sizes, the machine, all misalignments and resets, none of them better known than the log tells, and the noise.
-If set A acts, the run is expected to bring the log evidence
+The probability that the run speaks for the wrong one of two sets is at most ½ρ, with
 
-    KL(A‖B) = ½ [tr(V_B⁻¹V_A) − n + ln |V_B|/|V_A| + (m_A − m_B)ᵀ V_B⁻¹ (m_A − m_B)]
+    −ln ρ = ⅛ (m_A − m_B)ᵀ V⁻¹ (m_A − m_B) + ½ ln |V| − ¼ ln |V_A| − ¼ ln |V_B|,   V = ½ (V_A + V_B)
 
-against B; the least over both directions and all pairs is what the run is worth.
+(Kailath 1967).  A set may act in several ways, forms of its effects that the log does not tell apart; then
+ρ ≤ Σ √(w_a w_b) ρ_ab over these.  The run with the least ρ is taken, the largest over all sets that rival the
+likeliest.  Expected log evidence, which is given beside, would be a worse guide: where one set foretells little, it is
+large on the average of outcomes and nothing in many of them.  If A acts, it is
+
+    KL(A‖B) = ½ [tr(V_B⁻¹V_A) − n + ln |V_B|/|V_A| + (m_A − m_B)ᵀ V_B⁻¹ (m_A − m_B)],
+
+between mixtures that of Hershey and Olsen 2007, the least over both directions and all rivals.
 """
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -18,7 +27,6 @@ import numpy as np
 from scipy import linalg
 
 from stepdiag_ros.effects.base import Effect, Form, StopView
-from stepdiag_ros.effects.tuning import same_form
 from stepdiag_ros.estimate.enhanced import prior_precision
 from stepdiag_ros.estimate.forward import ForwardModel
 from stepdiag_ros.estimate.noise import whiteners
@@ -37,132 +45,266 @@ FARTHER_M = 1.0
 ASIDE_M = 0.02
 """How far the detector's beam is set aside."""
 
+RESTS = (0.0, 0.3, 1.0)
+"""How long a run is left standing before it is measured again: shares of the log's length, the first that is …"""
+ENOUGH = 5.0
+"""… told apart by this −ln ρ is taken: at most one run in 300 then misleads, were the forms right."""
+GREY = 0.5
+"""Light that is left in the beam where background is to be told from it."""
+BACKGROUND = 'ambient_light'
 FRESH = 'mirror_mount_creep'
 SOON = 'Begin right after mounting the mirror: a mount that relaxes moves most then, nothing else does.'
 """An effect that a fresh mounting shows best, whatever its forms foretell."""
 
 Member = tuple[Effect, Form]
-Run = tuple[Setup, tuple[float, float], str]
+Ways = Sequence[tuple[float, Sequence[Member]]]
+"""A set of effects in the forms that it may take, with the share of probability of each."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """A further run: a setup, how its mirror is turned, what is to be done in words.
+
+    ``light`` in the beam against that of the log; ``again_after`` [s]: left standing so long and measured as
+    often again, None: not.
+    """
+
+    setup: Setup
+    text: str
+    mirror_turn_rad: tuple[float, float] = (0.0, 0.0)
+    light: float = 1.0
+    again_after: float | None = None
 
 
 @dataclass(frozen=True)
 class NextRun:
-    """A setup to add at the end of the log: ``setup`` with its ``mirror_turn_rad`` about u and v.
+    """The ``run`` to add at the end of the log.
 
-    ``evidence``: log evidence that it is expected to bring at least; ``between``: the effects it decides between.
+    ``evidence``: log evidence that it is expected to bring at least; ``error``: most that the probability may be of
+    its speaking for the wrong effect; ``between``: the effects it decides between.
     ``at_once``: the run should begin right after mounting, which the forecast does not count on.
     """
 
-    setup: Setup
-    mirror_turn_rad: tuple[float, float]
+    run: Run
     evidence: float
+    error: float
     between: tuple[str, ...]
     at_once: bool
     text: str
+
+    @property
+    def setup(self) -> Setup:
+        return self.run.setup
 
     def to_json_dict(self) -> dict:
         s = self.setup
         length = {'length': s.length, 'stops': s.stops} if s.is_linear else {}
         return {'setup': s.name, 'standoff_m': s.standoff, 'psd_offset_m': list(s.psd_offset), **length,
-                'mirror_turn_rad': list(self.mirror_turn_rad), 'at_once': self.at_once,
-                'expected_log_evidence': self.evidence,
+                'mirror_turn_rad': list(self.run.mirror_turn_rad), 'light': self.run.light,
+                'again_after_s': self.run.again_after, 'at_once': self.at_once,
+                'expected_log_evidence': self.evidence, 'error_probability': self.error,
                 'between': list(self.between), 'text': self.text}
-
-
-def recommend(joint: Joint, rivals: Sequence[Sequence[Member]]) -> NextRun | None:
-    """The further run that tells the likeliest set, the first of ``rivals``, from all others best."""
-    if len(rivals) < 2:
-        return None
-    names = [{effect.name for effect, _ in members} for members in rivals]
-    between = tuple(sorted(set.union(*names) - set.intersection(*names)))
-    if not between:
-        return None
-    plain, varied = _runs(joint)
-    best = _best(joint, rivals, between, plain, None)
-    # Which diagonal or line matters most by its place in time; how it is set up is tried on the best.
-    return _best(joint, rivals, between, varied.get(best.setup.name, []), best) if best else None
-
-
-def _best(joint: Joint, rivals: Sequence[Sequence[Member]], between: tuple[str, ...], runs: Sequence[Run],
-          best: NextRun | None) -> NextRun | None:
-    """The run that is worth most among ``runs`` and ``best``."""
-    for setup, turn, text in runs:
-        longer = _Longer(joint, setup, turn)
-        forecasts = [longer.forecast(members) for members in rivals]
-        if None in forecasts:
-            continue
-        worth = min(min(_evidence(forecasts[0], other), _evidence(other, forecasts[0]))
-                    for other in forecasts[1:])
-        if best is None or worth > best.evidence:
-            at_once = FRESH in between
-            best = NextRun(setup, turn, float(worth), between, at_once,
-                           text + (f' {SOON}' if at_once else '') + _hope(worth, between))
-    return best
-
-
-def _hope(worth: float, between: Sequence[str]) -> str:
-    """What is expected of a run, in words."""
-    names = f'{", ".join(between[:-1])} and {between[-1]}'
-    odds = 'more than 10000' if worth > np.log(1e4) else f'{np.exp(worth):.0f}'
-    return f' It is to decide between {names}' + (
-        f', with odds of {odds} to one to be expected.' if worth > np.log(3.0) else '.')
-
-
-def _runs(joint: Joint) -> tuple[list[Run], dict[str, list[Run]]]:
-    """Every diagonal and line once more as it was; by name of the new setup, other ways to set it up."""
-    description, names = joint.observation.log.description, joint.observation.table.setup_names
-    turn = WALK_M / (2.0 * (float(np.linalg.norm(description.machine.volume)) + FARTHER_M))
-    plain: list[Run] = []
-    varied: dict[str, list[Run]] = {}
-    for base in dict.fromkeys(path_of(name) for name in names):
-        old = description.setups[base if base in names else
-                                 next(name for name in names if path_of(name) == base)]
-        again = replace(old, name=f'{base}.{1 + sum(path_of(name) == base for name in names)}')
-        label = f'line {base}' if old.is_linear else f'diagonal {base}'
-        plain.append((again, (0.0, 0.0), f'Mount and align the {label} once more and measure it again.'))
-        if old.is_linear:
-            continue
-        varied[again.name] = [
-            (again, (turn, -turn), f'Measure the {label} once more with the mirror turned by '
-                                   f'{turn * 1e3:.1f} mrad about both of its axes.'),
-            (replace(again, standoff=round(old.standoff + FARTHER_M, 4)), (0.0, 0.0),
-             f'Measure the {label} once more with the base unit {FARTHER_M:g} m farther away.'),
-            (replace(again, psd_offset=(old.psd_offset[0], old.psd_offset[1] + ASIDE_M)), (0.0, 0.0),
-             f"Measure the {label} once more with the position sensor's beam {ASIDE_M * 1e3:.0f} mm aside.")]
-    return plain, varied
 
 
 @dataclass(frozen=True)
 class _Forecast:
-    """White new readings as a set foretells them: ``mean`` (n,), ``factor`` (n, n) of their covariance."""
+    """White new readings (n,) as a set foretells them: ``mean`` and ``spread`` (n, p) of their covariance
+    ``1 + SSᵀ``; ``certain`` (p, n) is L⁻¹Sᵀ with ``LLᵀ = 1 + SᵀS``, ``volume`` ½ ln |1 + SSᵀ|, ``own`` the trace of
+    ``(1 + SSᵀ)⁻¹ − 1``."""
 
     mean: np.ndarray
-    factor: np.ndarray
+    spread: np.ndarray
+    certain: np.ndarray
+    volume: float
+    own: float
+
+
+Mixture = Sequence[tuple[float, _Forecast]]
+Best = tuple[Run, float, Mixture, list[Mixture]] | None
+"""A run, its −ln ρ and the forecasts of the likeliest set and of the others."""
+
+
+def recommend(joint: Joint, rivals: Sequence[Ways]) -> NextRun | None:
+    """The further run that tells the likeliest set, the first of ``rivals``, from all others best."""
+    if len(rivals) < 2:
+        return None
+    names = [{effect.name for effect, _ in ways[0][1]} for ways in rivals]
+    between = tuple(sorted(set.union(*names) - set.intersection(*names)))
+    if not between:
+        return None
+    # Which diagonal or line matters most by its place in time; how it is set up is tried on the best, and
+    # at last how long it is to stand.
+    log = _Log(joint)
+    best = _best(joint, rivals, _once_more(joint), None, log)
+    if best and best[1] < ENOUGH:
+        best = _best(joint, rivals, _set_up(joint, best[0], between), best, log)
+    for run in _standing(joint, best[0]) if best else ():
+        if best[1] < ENOUGH:
+            best = _best(joint, rivals, [run], best, log)
+    if best is None:
+        return None
+    run, apart, first, others = best
+    evidence = min(min(_between(first, other), _between(other, first)) for other in others)
+    error, at_once = 0.5 * float(np.exp(-max(apart, 0.0))), FRESH in between
+    return NextRun(run, evidence, error, between, at_once,
+                   run.text + (f' {SOON}' if at_once else '') + _hope(error, between))
+
+
+def _best(joint: Joint, rivals: Sequence[Ways], runs: Sequence[Run], best: Best,
+          log: '_Log') -> Best:
+    """The run that tells the sets apart best among ``runs`` and ``best``."""
+    for run in runs:
+        longer = _Longer(joint, run, log)
+        forecasts = [longer.forecasts(ways) for ways in rivals]
+        if not all(forecasts):
+            continue
+        apart = min(_apart(forecasts[0], other) for other in forecasts[1:])
+        if best is None or apart > best[1]:
+            best = run, apart, forecasts[0], forecasts[1:]
+    return best
+
+
+def _hope(error: float, between: Sequence[str]) -> str:
+    """What is expected of a run, in words."""
+    names = f'{", ".join(between[:-1])} and {between[-1]}'
+    odds = 'more than 10000' if error < 1e-4 else f'{1.0 / error:.0f}'
+    return f' It is to decide between {names}' + (
+        f', with odds of {odds} to one that it does.' if error < 0.25 else
+        '; no run that was thought of promises to.')
+
+
+def _label(setup: Setup) -> str:
+    return f'{"line" if setup.is_linear else "diagonal"} {path_of(setup.name)}'
+
+
+def _once_more(joint: Joint) -> list[Run]:
+    """Every diagonal and line once more as it was."""
+    description, names = joint.observation.log.description, joint.observation.table.setup_names
+    runs = []
+    for base in dict.fromkeys(path_of(name) for name in names):
+        old = description.setups[base if base in names else
+                                 next(name for name in names if path_of(name) == base)]
+        again = replace(old, name=f'{base}.{1 + sum(path_of(name) == base for name in names)}')
+        runs.append(Run(again, f'Mount and align the {_label(again)} once more and measure it again.'))
+    return runs
+
+
+def _set_up(joint: Joint, run: Run, between: Sequence[str]) -> list[Run]:
+    """Other ways to set up a run: the mirror turned, farther away, the detector's beam aside, less light."""
+    setup, label = run.setup, _label(run.setup)
+    turn = WALK_M / (2.0 * (float(np.linalg.norm(joint.observation.log.description.machine.volume)) + FARTHER_M))
+    turned = f'with the mirror turned by {turn * 1e3:.1f} mrad about both of its axes'
+    runs = []
+    if not setup.is_linear:
+        aside = (setup.psd_offset[0], setup.psd_offset[1] + ASIDE_M)
+        runs = [replace(run, mirror_turn_rad=(turn, -turn), text=f'Measure the {label} once more {turned}.'),
+                replace(run, setup=replace(setup, standoff=round(setup.standoff + FARTHER_M, 4)),
+                        text=f'Measure the {label} once more with the base unit {FARTHER_M:g} m farther away.'),
+                replace(run, setup=replace(setup, psd_offset=aside),
+                        text=f"Measure the {label} once more with the position sensor's beam "
+                             f'{ASIDE_M * 1e3:.0f} mm aside.')]
+    light = joint.observation.table.intensity
+    if BACKGROUND in between and np.isfinite(light).all() and light.min() > 0.0:
+        grey = f'Put a grey filter that leaves {GREY:.0%} of the light into the beam'
+        runs += [replace(run, light=GREY, text=f'{grey} and measure the {label} once more.'),
+                 replace(run, light=GREY, mirror_turn_rad=(turn, -turn),
+                         text=f'{grey} and measure the {label} once more {turned}.')]
+    return runs
+
+
+def _standing(joint: Joint, run: Run) -> list[Run]:
+    """The run left standing, mirror and base unit untouched, and measured again."""
+    span = float(np.ptp(joint.observation.table.time_s))
+    minutes = [round(share * span / 60.0) for share in RESTS]
+    return [replace(run, again_after=60.0 * m, text=(
+        f'{run.text} Then leave mirror and base unit as they are and measure it as often again '
+        f'{f"after {m} min" if m else "at once"}.')) for m in minutes]
+
+
+def _foretold(mean: np.ndarray, spread: np.ndarray) -> _Forecast:
+    root = linalg.cholesky(np.eye(spread.shape[1]) + spread.T @ spread, lower=True)
+    certain = linalg.solve_triangular(root, spread.T, lower=True, check_finite=False)
+    return _Forecast(mean, spread, certain, float(np.sum(np.log(np.diag(root)))), -float(np.sum(certain**2)))
 
 
 def _evidence(true: _Forecast, other: _Forecast) -> float:
-    """Expected log evidence of the new readings for ``true`` against ``other``."""
-    spread = linalg.solve_triangular(other.factor, true.factor, lower=True, check_finite=False)
-    shift = linalg.solve_triangular(other.factor, true.mean - other.mean, lower=True, check_finite=False)
-    volume = np.sum(np.log(np.diag(other.factor))) - np.sum(np.log(np.diag(true.factor)))
-    return float(0.5 * (np.sum(spread**2) - len(shift) + shift @ shift) + volume)
+    """Expected log evidence of the new readings for ``true`` against ``other``; all in the few directions in
+    which they are not known."""
+    shift = true.mean - other.mean
+    trace = other.own + np.sum(true.spread**2) - np.sum((other.certain @ true.spread) ** 2)
+    return float(0.5 * (trace + shift @ shift - np.sum((other.certain @ shift) ** 2)) + other.volume - true.volume)
+
+
+def _between(true: Mixture, other: Mixture) -> float:
+    """Expected log evidence for one mixture of forecasts against another."""
+    def near(forecast: _Forecast, mixture: Mixture) -> float:
+        return float(np.logaddexp.reduce([
+            np.log(share) - (0.0 if one is forecast else _evidence(forecast, one)) for share, one in mixture]))
+    return sum(share * (near(one, true) - near(one, other)) for share, one in true)
+
+
+def _apart(some: Mixture, other: Mixture) -> float:
+    """−ln ρ between two mixtures of forecasts, at least."""
+    return -float(np.logaddexp.reduce([0.5 * np.log(share * weight) - _distance(a, b)
+                                       for share, a in some for weight, b in other]))
+
+
+def _distance(a: _Forecast, b: _Forecast) -> float:
+    """−ln ρ between two forecasts."""
+    spread, shift = np.concatenate([a.spread, b.spread], axis=1) / np.sqrt(2.0), 0.5 * (a.mean - b.mean)
+    root = linalg.cholesky(np.eye(spread.shape[1]) + spread.T @ spread, lower=True)
+    taken = linalg.solve_triangular(root, spread.T @ shift, lower=True)
+    volume = np.sum(np.log(np.diag(root)))
+    return float(0.5 * (shift @ shift - taken @ taken) + volume - 0.5 * (a.volume + b.volume))
+
+
+def kind(form: Form) -> str:
+    """A form's label without its numbers."""
+    return ''.join(c for c in form.label if not c.isdigit() and c != '.')
+
+
+def _in_order(forms: Sequence[Form]) -> list[tuple[str, int]]:
+    """Kind of each form and its number among those of its kind."""
+    seen: Counter[str] = Counter()
+    result = []
+    for form in forms:
+        result.append((kind(form), seen[kind(form)]))
+        seen[kind(form)] += 1
+    return result
+
+
+class _Log:
+    """What is known of the log whatever comes after it: places of an effect's forms by label, and the size at
+    which a set in some forms suits it best."""
+
+    def __init__(self, joint: Joint):
+        self._view = joint.observation.view
+        self.sizes: dict[tuple[tuple[str, str], ...], Sequence[float]] = {}
+        self._places: dict[str, dict[str, tuple[str, int]]] = {}
+
+    def places(self, effect: Effect) -> dict[str, tuple[str, int]]:
+        if effect.name not in self._places:
+            forms = effect.appearance(self._view)
+            self._places[effect.name] = {form.label: at for form, at in zip(forms, _in_order(forms), strict=True)}
+        return self._places[effect.name]
 
 
 class _Longer:
     """The log with one more setup: what is known of it before it is measured."""
 
-    def __init__(self, joint: Joint, setup: Setup, turn: tuple[float, float]):
-        observation, old = joint.observation, joint.fit
+    def __init__(self, joint: Joint, run: Run, known: _Log):
+        observation, old, setup = joint.observation, joint.fit, run.setup
         like = next(i for i, name in enumerate(observation.table.setup_names)
                     if path_of(name) == path_of(setup.name))
         rows = np.flatnonzero(observation.table.setup == like)
-        table = _with_setup(observation.table, rows, setup)
+        table = _with_run(observation.table, rows, run)
+        rows = np.tile(rows, (len(table) - len(observation.table)) // len(rows))
         log = replace(observation.log, description=replace(
             observation.log.description, setups={**observation.log.description.setups, setup.name: setup}))
         noise = replace(joint.noise, sensor=np.concatenate([joint.noise.sensor, joint.noise.sensor[rows]]))
         parameters = parameters_of(log.description, table)
         first, new = old.parameters.offset_first, len(table.run_ids) - old.parameters.runs
-        theta = np.concatenate([old.theta[:first], [0.0, 0.0, *turn], old.theta[first:],
+        theta = np.concatenate([old.theta[:first], [0.0, 0.0, *run.mirror_turn_rad], old.theta[first:],
                                 np.zeros(new * old.parameters.beams)])
         model = ForwardModel(log.description, table, parameters)
         predicted, jacobian, arrival = model.jacobian(theta)
@@ -174,6 +316,8 @@ class _Longer:
         bins = observation.view.bin_time
         self.view: StopView = view_of(log, table, replace(old, model=model, theta=theta), np.concatenate(
             [bins, bins[rows]]))
+        self._forms: dict[str, dict[tuple[str, int], Form]] = {}
+        self._log = known
         self._white = whiteners(table, noise, arrival, present)
         self._new = np.concatenate([w.rows for w in self._white]) >= start * present.shape[1]
         self._nominal = self._whitened(jacobian.toarray())
@@ -184,18 +328,27 @@ class _Longer:
         residual[:start] = observation.view.reading - predicted[:start]
         self._data = self._whitened(np.where(present, residual, 0.0).ravel())[~self._new]
 
+    def forecasts(self, ways: Ways) -> Mixture:
+        """The new readings in each of the ways that have their like in the longer log."""
+        found = [(share, self.forecast(members)) for share, members in ways]
+        found = [(share, forecast) for share, forecast in found if forecast is not None]
+        total = sum(share for share, _ in found)
+        return [(share / total, forecast) for share, forecast in found]
+
     def forecast(self, members: Sequence[Member]) -> _Forecast | None:
-        """The new readings if ``members`` act; None where one of them has no like in the longer log."""
+        """The new readings if ``members`` act; None where one of them has no like, or no bound, in the longer log."""
         forms = [self._laid(effect, form) for effect, form in members]
         if None in forms:
             return None
         columns = np.concatenate([form.columns * form.scale[:, None, None] for form in forms])
         effects = self._whitened(columns.reshape(len(columns), -1).T)
+        if not np.isfinite(effects).all():
+            return None
         design = np.concatenate([self._nominal, effects], axis=1)
         known, new = design[~self._new], design[self._new]
         normal, along = known.T @ known, known.T @ self._data
-        best = None
-        for size in SIZES:
+        best, way = None, tuple((effect.name, form.label) for effect, form in members)
+        for size in self._log.sizes.get(way, SIZES):
             # The size that suits the log best: a wider one would let the effect do more than it ever did.
             precision = linalg.block_diag(self._precision, np.eye(len(columns)) / size**2)
             scale = 1.0 / np.sqrt(np.diag(normal + precision))
@@ -203,50 +356,47 @@ class _Longer:
             half = linalg.solve_triangular(factor, scale * along, lower=True)
             fits = 0.5 * half @ half - np.sum(np.log(np.diag(factor) / scale)) - len(columns) * np.log(size)
             if best is None or fits > best[0]:
-                best = fits, factor, scale, half
-        _, factor, scale, half = best
-        spread = linalg.solve_triangular(factor, (new * scale).T, lower=True)
-        return _Forecast(spread.T @ half, linalg.cholesky(np.eye(len(new)) + spread.T @ spread, lower=True))
+                best = fits, factor, scale, half, size
+        _, factor, scale, half, self._log.sizes[way] = *best[:-1], best[-1:]
+        spread = linalg.solve_triangular(factor, (new * scale).T, lower=True).T
+        return _foretold(spread @ half, spread)
 
     def _laid(self, effect: Effect, form: Form) -> Form | None:
-        """The form at the longer log: of the same name, else the one most like it in what is measured."""
-        laid = same_form(effect, form, self.view)
-        if laid is not form:
-            return laid
-        # Time constants in a label follow the log's length: the nearest of the longer log stands in.
-        count = len(form.columns[0])
-        old = (form.columns * form.scale[:, None, None]).reshape(len(form.columns), -1).T
-        alike = None
-        for other in effect.appearance(self.view):
-            if len(other.columns) < len(form.columns):
-                continue
-            new = (other.columns * other.scale[:, None, None])[:, :count].reshape(len(other.columns), -1).T
-            norms = np.maximum(np.linalg.norm(new, axis=0), 1e-300)
-            basis, value, _ = np.linalg.svd(new / norms, full_matrices=False)
-            basis = basis[:, value > 1e-6 * value[0]]
-            left = np.linalg.norm(old - basis @ (basis.T @ old))
-            if alike is None or (len(other.columns), left) < (alike[0], alike[1]):
-                alike = len(other.columns), left, other
-        return alike[2] if alike and alike[1] < 0.5 * np.linalg.norm(old) else None
+        """The form at the longer log, its shape kept: time constants in a label follow the log's length, the
+        order of an effect's forms of one kind does not."""
+        if effect.name not in self._forms:
+            forms = effect.appearance(self.view)
+            self._forms[effect.name] = dict(zip(_in_order(forms), forms, strict=True))
+        place = self._log.places(effect).get(form.tuned_from or form.label)
+        laid = self._forms[effect.name].get(place) if place else None
+        if laid is None or set(laid.shape) != set(form.shape):
+            return None
+        return laid if laid.retune is None else laid.at(form.shape)
 
     def _whitened(self, values: np.ndarray) -> np.ndarray:
         return np.concatenate([w(values) for w in self._white])
 
 
-def _with_setup(table: StopTable, rows: np.ndarray, setup: Setup) -> StopTable:
-    """The table with the stops ``rows`` of an old setup visited once more at its end."""
+def _with_run(table: StopTable, rows: np.ndarray, run: Run) -> StopTable:
+    """The table with the stops ``rows`` of an old setup visited once more at its end, or twice."""
     runs, number = np.unique(table.run[rows], return_inverse=True)
-    ids = tuple(f'{setup.name}/{table.run_ids[run].partition("/")[2]}' for run in runs)
     starts = [table.dwell_ns[table.setup == s].min() for s in np.unique(table.setup)]
     ends = [table.done_ns[table.setup == s].max() for s in np.unique(table.setup)]
     pause = int(np.median(np.array(starts)[1:] - np.array(ends)[:-1])) if len(starts) > 1 else 0
-    shift = int(table.done_ns.max()) + max(pause, 0) - int(table.dwell_ns[rows].min())
-    changed = {'run': number + len(table.run_ids), 'setup': np.full(len(rows), len(table.setup_names))}
-    for name in ('move_ns', 'dwell_ns', 'done_ns'):
-        changed[name] = getattr(table, name)[rows] + shift
-    for name in ('repeat', 'direction', 'index', 'axis', 'commanded', 'displacement', 'displacement_scatter',
-                 'displacement_count', 'displacement_rows', 'spot', 'spot_scatter', 'spot_count', 'spot_rows',
-                 'intensity', 'refractive_index'):
-        changed[name] = getattr(table, name)[rows]
-    return replace(table, run_ids=(*table.run_ids, *ids), setup_names=(*table.setup_names, setup.name),
-                   **{name: np.concatenate([getattr(table, name), value]) for name, value in changed.items()})
+    first = int(table.dwell_ns[rows].min())
+    shifts = [int(table.done_ns.max()) + max(pause, 0) - first]
+    if run.again_after is not None:
+        shifts.append(shifts[0] + int(table.done_ns[rows].max()) - first + int(run.again_after * 1e9))
+    repeats, parts, ids = int(table.repeat[rows].max()) + 1, [], []
+    for visit, shift in enumerate(shifts):
+        kept = {name: getattr(table, name)[rows] for name in (
+            'direction', 'index', 'axis', 'commanded', 'displacement', 'displacement_scatter', 'displacement_count',
+            'displacement_rows', 'spot', 'spot_scatter', 'spot_count', 'spot_rows', 'refractive_index')}
+        times = {name: getattr(table, name)[rows] + shift for name in ('move_ns', 'dwell_ns', 'done_ns')}
+        parts.append(kept | times | {
+            'run': number + len(table.run_ids) + len(ids), 'setup': np.full(len(rows), len(table.setup_names)),
+            'repeat': table.repeat[rows] + visit * repeats, 'intensity': table.intensity[rows] * run.light})
+        ids += [f'{run.setup.name}/{visit}/{table.run_ids[old].partition("/")[2]}' for old in runs]
+    return replace(table, run_ids=(*table.run_ids, *ids), setup_names=(*table.setup_names, run.setup.name),
+                   **{name: np.concatenate([getattr(table, name), *(part[name] for part in parts)])
+                      for name in parts[0]})

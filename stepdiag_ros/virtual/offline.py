@@ -58,16 +58,17 @@ class Run:
 def simulate_log(cell: Cell, start_ns: int = START_NS, setups: tuple[str, ...] | None = None,
                  rate: float | None = None, in_motion: bool | None = None,
                  effects: Sequence[Effect] | None = None,
-                 pauses: Mapping[str, float] | None = None) -> CalibrationLog:
+                 pauses: Mapping[str, float] | None = None,
+                 again: Mapping[str, float] | None = None) -> CalibrationLog:
     """The log of a calibration of ``cell``.
 
     ``setups``: which, in which order (all); ``rate`` [Hz] of both sensors and ``in_motion``
     override the cell's sampling; ``effects`` act instead of those that the cell names; ``pauses`` [s]:
-    setups that are measured sooner or later after mounting than the cell says.  The same
-    cell gives the same log, bit by bit.
+    setups that are measured sooner or later after mounting than the cell says; ``again`` [s]: setups that
+    are left standing so long and measured as often again.  The same cell gives the same log, bit by bit.
     """
     history = History()
-    runs = execute(cell, history, start_ns, setups or cell.setup_names, pauses)
+    runs = execute(cell, history, start_ns, setups or cell.setup_names, pauses, again)
     world = World(cell, history, start_ns, effects)
     moving = cell.sampling.in_motion if in_motion is None else in_motion
     spans = [(run, *span) for run in runs for span in _spans(run, moving)]
@@ -81,7 +82,8 @@ def simulate_log(cell: Cell, start_ns: int = START_NS, setups: tuple[str, ...] |
 
 
 def execute(cell: Cell, history: History, start_ns: int, setups: tuple[str, ...],
-            pauses: Mapping[str, float] | None = None) -> list[Run]:
+            pauses: Mapping[str, float] | None = None,
+            again: Mapping[str, float] | None = None) -> list[Run]:
     """Move through the plan, filling ``history``; returns the runs."""
     now, place, runs = start_ns, np.zeros(3), []
     rest = point_to_point(0.0, 1.0, 1.0, 1.0)
@@ -93,7 +95,10 @@ def execute(cell: Cell, history: History, start_ns: int, setups: tuple[str, ...]
         now += COMMAND_DELAY_NS
         history.append(now, place, place, rest, number)
         now += int((pauses or {}).get(setup, cell.motion.mount) * 1e9)
-        for repeat in range(cell.description.plan.repeats):
+        repeats = cell.description.plan.repeats
+        for repeat in range(2 * repeats if again and setup in again else repeats):
+            if repeat == repeats:
+                now += int(again[setup] * 1e9)
             for direction in (1, -1):
                 run = _run(cell.motion, history, now, place, path, number,
                            setup, repeat, direction)

@@ -12,12 +12,17 @@ from stepdiag_ros.estimate.reduce import reduce_log
 def test_the_run_comes_at_the_end_and_nothing_before_it_changes(kind):
     made = make(Order('develop', 5, 1, 'single', (kind,), 'field', small=True))
     run = {'setup': 'ppp.2', 'standoff_m': 0.9, 'psd_offset_m': [0.02, 0.0], 'mirror_turn_rad': [1e-4, -1e-4],
-           'at_once': True}
+           'at_once': True, 'light': 0.5, 'again_after_s': 300.0}
     longer = longer_log(made, run)
     for now, before in ((longer.displacement, made.log.displacement), (longer.spot, made.log.spot)):
         np.testing.assert_array_equal(now.values[:len(before)], before.values)
     table = reduce_log(longer)
+    new = table.setup == len(table.setup_names) - 1
     assert table.setup_names[-1] == 'ppp.2' and table.setup[-1] == len(table.setup_names) - 1
+    assert set(table.repeat[new]) == set(range(2 * made.cell.description.plan.repeats))
+    first, second = (table.repeat[new] < made.cell.description.plan.repeats), table.repeat[new] >= 2
+    assert 300.0 < (table.dwell_ns[new][second].min() - table.done_ns[new][first].max()) * 1e-9 < 310.0
+    assert np.median(table.intensity[new]) == pytest.approx(0.5 * np.median(table.intensity[~new]), rel=1e-2)
     assert longer.description.setups['ppp.2'].standoff == 0.9
     assert longer.description.noise == made.log.description.noise
 
@@ -28,3 +33,15 @@ def test_settled_is_one_sure_and_true_effect():
     assert not is_settled({'a': 0.9, 'b': 0.1}, ('a', 'b'), ['a'])
     assert not is_settled({'a': 0.97, 'b': 0.6}, ('a', 'b'), ['a'])
     assert not is_settled({}, ('a', 'b'), ['a'])
+
+
+def test_background_stays_when_the_beam_is_dimmed():
+    made = make(Order('develop', 5, 1, 'single', ('ambient_light',), 'field', small=True))
+    effect, = made.effects
+    run = {'setup': 'ppp.2', 'standoff_m': 0.5, 'psd_offset_m': [0.02, 0.0], 'mirror_turn_rad': [0.0, 0.0],
+           'at_once': False, 'light': 0.5, 'again_after_s': None}
+    bright, dim = (longer_log(made, run | {'light': light}) for light in (1.0, 0.5))
+    rows = bright.spot.setup == bright.spot.setup.max()
+    volts = made.cell.instruments.detector.sum_voltage
+    np.testing.assert_allclose((bright.spot.health - dim.spot.health)[rows], 0.5 * volts, rtol=1e-6)
+    assert effect.beam == {}

@@ -6,8 +6,22 @@ import numpy as np
 import pytest
 
 from stepdiag_ros.effects import effect_class
+from stepdiag_ros.estimate.noise import estimate_noise
 from stepdiag_ros.gap.joint import fit_jointly
-from stepdiag_ros.gap.next_run import recommend
+from stepdiag_ros.gap.next_run import (
+    GREY,
+    Run,
+    _apart,
+    _between,
+    _distance,
+    _evidence,
+    _foretold,
+    _Log,
+    _Longer,
+    _with_run,
+    recommend,
+)
+from stepdiag_ros.gap.observe import observe
 
 
 @pytest.fixture(scope='module')
@@ -21,9 +35,14 @@ def small_offset(case):
     return joint, first
 
 
+def _only(*members):
+    """A set of effects that acts in one way."""
+    return [(1.0, list(members))]
+
+
 def test_a_run_is_recommended_that_tells_two_effects_apart(small_offset):
     joint, first = small_offset
-    run = recommend(joint, [[first['psd_zero_offset']], [first['psd_gain']]])
+    run = recommend(joint, [_only(first['psd_zero_offset']), _only(first['psd_gain'])])
     assert run.between == ('psd_gain', 'psd_zero_offset')
     assert run.setup.name.endswith('.2') and run.evidence > 0.5
     said = run.to_json_dict()
@@ -32,12 +51,92 @@ def test_a_run_is_recommended_that_tells_two_effects_apart(small_offset):
 
 def test_no_run_tells_an_effect_from_itself(small_offset):
     joint, first = small_offset
-    assert recommend(joint, [[first['psd_gain']], [first['psd_gain']]]) is None
-    assert recommend(joint, [[first['psd_gain']]]) is None
+    assert recommend(joint, [_only(first['psd_gain']), _only(first['psd_gain'])]) is None
+    assert recommend(joint, [_only(first['psd_gain'])]) is None
 
 
 def test_a_drift_without_a_like_in_the_longer_log_is_not_foretold(small_offset):
     joint, first = small_offset
     effect, form = first['psd_zero_offset']
     strange = replace(form, label='strange', columns=np.random.default_rng(1).normal(size=form.columns.shape))
-    assert recommend(joint, [[first['psd_gain']], [(effect, strange)]]) is None
+    assert recommend(joint, [_only(first['psd_gain']), _only((effect, strange))]) is None
+
+
+def _worth(joint, sets, run):
+    """How well one run tells two sets apart."""
+    longer = _Longer(joint, run, _Log(joint))
+    one, other = (longer.forecast(members) for members in sets)
+    return _apart([(1.0, one)], [(1.0, other)])
+
+
+def _explained_by(case, effect, rivals):
+    """A log with an effect, fitted with the first of some forms, and all of them as sets of one."""
+    observation = observe(case.log(effect))
+    sets = []
+    for name, label in rivals:
+        one = effect_class(name)()
+        sets.append([(one, next(form for form in one.appearance(observation.view) if form.label == label))])
+    joint = fit_jointly(observation, sets[0], estimate_noise(
+        observation.table, observation.log.description.noise, observation.fit.arrival))
+    return joint, sets
+
+
+def test_waiting_tells_creep_from_a_turning_beam(case):
+    """What is foretold of a mount that stands is how little it still moves; the beam goes on."""
+    joint, sets = _explained_by(case, effect_class('mirror_mount_creep')(amp=[2e-5, -1e-5], tau=40.0), [
+        ('mirror_mount_creep', 'each mounting nearly the same amount, linear'),
+        ('beam_pointing_drift', 'smooth')])
+    run = Run(replace(joint.observation.log.description.setups['ppp'], name='ppp.2'), '')
+    assert _worth(joint, sets, replace(run, again_after=600.0)) > _worth(joint, sets, run) + 1.0
+
+
+def test_less_light_tells_background_from_a_gain(case):
+    joint, sets = _explained_by(case, effect_class('psd_gain')(x=-0.2, y=-0.2), [
+        ('psd_gain', 'alike in x and y'), ('ambient_light', 'linear')])
+    run = Run(replace(joint.observation.log.description.setups['ppp'], name='ppp.2'), '', (4e-4, -4e-4))
+    assert _worth(joint, sets, replace(run, light=GREY)) > 10.0 * _worth(joint, sets, run) > 0.0
+
+
+def test_a_run_left_standing_is_measured_twice(small_offset):
+    joint, _ = small_offset
+    table = joint.observation.table
+    rows = np.flatnonzero(table.setup == 0)
+    setup = replace(joint.observation.log.description.setups['ppp'], name='ppp.2')
+    longer = _with_run(table, rows, Run(setup, '', light=GREY, again_after=600.0))
+    new = longer.setup == len(table.setup_names)
+    assert longer.setup_names[-1] == 'ppp.2' and new.sum() == 2 * len(rows)
+    assert sorted(set(longer.repeat[new])) == [0, 1, 2, 3] and len(set(longer.run_ids)) == len(longer.run_ids)
+    first, second = np.split(np.flatnonzero(new), 2)
+    assert longer.dwell_ns[second[0]] - longer.done_ns[first[-1]] == 600_000_000_000
+    np.testing.assert_allclose(longer.intensity[new], GREY * np.tile(table.intensity[rows], 2))
+
+
+def test_evidence_is_that_of_the_whole_covariance():
+    rng = np.random.default_rng(3)
+
+    def drawn():
+        return _foretold(rng.normal(size=9), rng.normal(size=(9, 2)))
+    a, b = drawn(), drawn()
+    whole = [np.eye(9) + f.spread @ f.spread.T for f in (a, b)]
+    ratio, shift = np.linalg.solve(whole[1], whole[0]), a.mean - b.mean
+    plain = 0.5 * (np.trace(ratio) - 9 - np.linalg.slogdet(ratio)[1] + shift @ np.linalg.solve(whole[1], shift))
+    assert _evidence(a, b) == pytest.approx(plain) and _evidence(a, a) == pytest.approx(0.0, abs=1e-9)
+    middle = 0.5 * (whole[0] + whole[1])
+    logs = [np.linalg.slogdet(v)[1] for v in (middle, *whole)]
+    assert _distance(a, b) == pytest.approx(0.125 * shift @ np.linalg.solve(middle, shift)
+                                            + 0.5 * logs[0] - 0.25 * logs[1] - 0.25 * logs[2])
+    assert _apart([(0.5, a), (0.5, b)], [(0.5, b), (0.5, a)]) <= 1e-9
+    # A mixture that holds the other's forecast as well is told from it by no more than its share.
+    assert 0.0 < _between([(1.0, a)], [(0.5, a), (0.5, b)]) <= np.log(2.0) + 1e-9
+
+
+def test_forms_that_come_with_less_light_do_not_shift_the_others(case):
+    """The sum signal takes part in a form only where it moves: with a grey filter it does."""
+    joint, sets = _explained_by(case, effect_class('psd_gain')(x=-0.2, y=-0.2), [
+        ('psd_gain', 'alike in x and y'), ('ambient_light', 'linear')])
+    view, effect = joint.observation.view, sets[1][0][0]
+    cycle = next(form for form in effect.appearance(view) if 'period_s' in form.shape)
+    run = Run(replace(joint.observation.log.description.setups['ppp'], name='ppp.2'), '', light=GREY)
+    longer = _Longer(joint, run, _Log(joint))
+    assert len(effect.appearance(longer.view)) > len(effect.appearance(view))
+    assert longer._laid(effect, cycle).shape == cycle.shape
