@@ -48,7 +48,7 @@ def longer_log(made: SealedWorld, run: Mapping[str, Any]) -> CalibrationLog:
                                                                      tuple(mirror.tolist()))})
     effects = [_mounted_again(effect, cell.setup_names[:-1], setup.name, rng) for effect in made.effects]
     if run.get('light', 1.0) < 1.0:
-        effects = [_GreyFilter(setup.name, run['light']), *effects]
+        effects = [_GreyFilter(setup.name, run['light'], made.truth['noise']['spot'], rng), *effects]
         for effect in effects:
             if isinstance(effect, AmbientLight):
                 effect.beam = {setup.name: run['light']}
@@ -60,16 +60,18 @@ def longer_log(made: SealedWorld, run: Mapping[str, Any]) -> CalibrationLog:
 
 
 class _GreyFilter(Hidden):
-    """less light in the beam of one setup"""
+    """less light in the beam of one setup: against it the detector's own noise [m] is larger"""
 
     name = 'grey_filter'
 
-    def __init__(self, setup: str, light: float):
-        self._setup, self._light = setup, light
+    def __init__(self, setup: str, light: float, noise: float, rng: np.random.Generator):
+        self._setup, self._light, self._rng = setup, light, rng
+        self._more = noise * np.sqrt(light**-2 - 1.0)
 
     def after_light(self, moment: Moment) -> None:
         if moment.setup == self._setup:
             moment.intensity = moment.intensity * self._light
+            moment.spot = moment.spot + self._more * self._rng.standard_normal(moment.spot.shape)
 
 
 def _aligned(made: SealedWorld) -> float:

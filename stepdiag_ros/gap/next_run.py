@@ -301,7 +301,9 @@ class _Longer:
         rows = np.tile(rows, (len(table) - len(observation.table)) // len(rows))
         log = replace(observation.log, description=replace(
             observation.log.description, setups={**observation.log.description.setups, setup.name: setup}))
-        noise = replace(joint.noise, sensor=np.concatenate([joint.noise.sensor, joint.noise.sensor[rows]]))
+        new_noise = joint.noise.sensor[rows].copy()
+        new_noise[:, -2:] /= run.light  # the detector's own noise is larger against less light
+        noise = replace(joint.noise, sensor=np.concatenate([joint.noise.sensor, new_noise]))
         parameters = parameters_of(log.description, table)
         first, new = old.parameters.offset_first, len(table.run_ids) - old.parameters.runs
         theta = np.concatenate([old.theta[:first], [0.0, 0.0, *run.mirror_turn_rad], old.theta[first:],
