@@ -25,7 +25,7 @@ BEARINGS = 8
 
 
 def beyond_families(view: StopView) -> dict[str, list[Form]]:
-    """The forms by family; families count alike, however many forms they have."""
+    """The forms by family; each counts as one effect does, however many forms it has."""
     return {'range': list(_at_long_range(view)), 'leak': list(_leak(view)),
             'twist': list(_twist(view)), 'bow': list(_bow(view))}
 
@@ -51,11 +51,15 @@ def _leak(view: StopView) -> Iterator[Form]:
     yield _lengths(view, "displacement: follows the spot's distance, squared", (radius / size)[None] ** 2, 1e-6)
     yield _lengths(view, "displacement: follows the spot's distance, squared and cubed",
                    np.stack([(radius / size) ** 2, (radius / size) ** 3]), 1e-6)
+    # Between two bearings to first order: half a mesh away a strong leak would fit no longer.
+    between = np.pi / BEARINGS / np.sqrt(12.0)
     for angle in np.arange(BEARINGS) * np.pi / BEARINGS:
-        along = spot @ (np.cos(angle), np.sin(angle))
+        along, across = spot @ (np.cos(angle), np.sin(angle)), spot @ (-np.sin(angle), np.cos(angle))
         for knee in SPOTS_M:
+            leak = np.tanh(along / knee)
             yield _lengths(view, f'displacement: follows the spot at {np.degrees(angle):.0f}°, saturating at '
-                           f'{knee * 1e3:.1g} mm', np.tanh(along / knee)[None], 1e-6)
+                           f'{knee * 1e3:.1g} mm',
+                           np.stack([leak, between * (1.0 - leak**2) * across / knee]), 1e-6)
 
 
 def _twist(view: StopView) -> Iterator[Form]:

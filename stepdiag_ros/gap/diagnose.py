@@ -283,15 +283,16 @@ def _screen(joint: Joint, effects: Mapping[str, Effect]) -> Screen:
         if effect.needs_dwells and not joint.parity.dof[1]:
             continue
         candidates += [Candidate(effect.name, '', form) for form in effect.appearance(view)]
-    for a in joint.active:
-        if a.form.tuned_from:
-            candidates.append(Candidate(a.effect.name, '', a.form) if a.effect.name
-                              else Candidate(UNKNOWN, 'tuned', a.form, BEYOND_DOUBT))
+    tuned = [a for a in joint.active if a.form.tuned_from]
+    candidates += [Candidate(a.effect.name, '', a.form) for a in tuned if a.effect.name]
     for family, forms in unknown_families(view).items():
         doubt = LEAN_DOUBT if family in LEAN else UNKNOWN_DOUBT
         candidates += [Candidate(UNKNOWN, family, form, doubt) for form in forms]
     for family, forms in beyond_families(view).items():
-        candidates += [Candidate(UNKNOWN, family, form, BEYOND_DOUBT) for form in forms]
+        # A form that was tuned from one of a family is one more of that, not a way of its own.
+        labels = {form.label for form in forms}
+        forms += [a.form for a in tuned if a.form.tuned_from in labels]
+        candidates += [Candidate(UNKNOWN, family, form, BEYOND_DOUBT, own=True) for form in forms]
     stray = strays(joint)
     if stray:
         form, ways = stray
@@ -326,7 +327,7 @@ def _sharpened(screen: Screen) -> Screen:
 
         form = tune(candidate.form, explained, close=0.01)
         if form is not candidate.form:
-            added.append(Candidate(candidate.effect, candidate.family, form))
+            added.append(replace(candidate, form=form))
     return screen.extended(added) if added else screen
 
 

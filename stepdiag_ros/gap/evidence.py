@@ -60,6 +60,11 @@ def width_of(form: Form) -> float:
 
 def log_mean(values: list[float]) -> float:
     """Logarithm of the mean of exponentials."""
+    return log_sum(values) - float(np.log(len(values)))
+
+
+def log_sum(values: list[float]) -> float:
+    """Logarithm of the sum of exponentials."""
     numbers = np.asarray(values, float)
     top = numbers.max()
-    return float(top + np.log(np.mean(np.exp(numbers - top))))
+    return float(top + np.log(np.sum(np.exp(numbers - top))))

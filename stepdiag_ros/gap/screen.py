@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from stepdiag_ros.effects.base import Form
-from stepdiag_ros.gap.evidence import SIZES, Judged, judge, log_mean
+from stepdiag_ros.gap.evidence import SIZES, Judged, judge, log_mean, log_sum
 from stepdiag_ros.gap.parity import Parity
 from stepdiag_ros.gap.thresholds import DECOY_SHARE
 
@@ -23,7 +23,8 @@ class Candidate:
     """One form of one effect: ``family`` splits an effect's forms into groups of equal weight.
 
     ``doubt``: log odds against the family where a name explains as much.  ``decoy``: a form that the effect
-    named in ``family`` cannot take.
+    named in ``family`` cannot take.  ``own``: whether the family weighs as much as an effect does, instead of
+    sharing the weight of one with the others.
     """
 
     effect: str
@@ -31,6 +32,7 @@ class Candidate:
     form: Form
     doubt: float = 0.0
     decoy: bool = False
+    own: bool = False
 
 
 @dataclass(frozen=True)
@@ -218,12 +220,14 @@ class Screen:
         result = {}
         for effect, families in groups.items():
             doubts = {family: self._doubt(numbers, judged) for family, numbers in families.items()}
+            shared = sum(not self.candidates[numbers[0]].own for numbers in families.values())
             logs = [log_mean([judged[i].log_bayes for i in numbers]) - doubts[family]
+                    - (0.0 if self.candidates[numbers[0]].own else float(np.log(shared)))
                     for family, numbers in families.items()]
             family, best = max(((family, i) for family, numbers in families.items() for i in numbers),
                                key=lambda at: judged[at[1]].log_bayes - doubts[at[0]])
             size = judged[best].size if self.candidates[best].form.process else float(SIZES[-1])
-            result[effect] = Member(effect, best, log_mean(logs) + doubts[family], size, doubts[family])
+            result[effect] = Member(effect, best, log_sum(logs) + doubts[family], size, doubts[family])
         return result
 
     def _doubt(self, numbers: Sequence[int], judged: Mapping[int, Judged]) -> float:

@@ -27,8 +27,9 @@ UNKNOWN_DOUBT = 8.0
 """Log odds against a shapeless pattern of no name where a name explains as much."""
 LEAN_DOUBT = 4.0
 """The same against a nameless jump."""
-BEYOND_DOUBT = 1.0
-"""The same against a lean pattern of physics that no effect has: it errs no more than a name's forms do."""
+BEYOND_DOUBT = 0.0
+"""The same against a lean pattern of physics that no effect has: it errs no more than a name's forms do, and is
+one cause as an effect is one."""
 DECOY_SHARE = 0.2
 """Share of what an effect's decoys explain by which a name must beat them."""
 TEMPER = 1.0

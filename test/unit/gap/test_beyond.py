@@ -1,12 +1,14 @@
 """What no effect of the vocabulary does is not given the name of one, and what one does keeps its name."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from stepdiag_ros.effects import effect_class
 from stepdiag_ros.effects.base import Effect
 from stepdiag_ros.effects.cyclic_nonlinearity import DECOYS, WAVELENGTHS
-from stepdiag_ros.gap.beyond import beyond_families
+from stepdiag_ros.gap.beyond import BEARINGS, beyond_families
 from stepdiag_ros.gap.closing import Closing, excess_forecast
 from stepdiag_ros.gap.thresholds import SCATTER_ALARM
 from stepdiag_ros.gap.unknown import inconsistent_forms
@@ -86,3 +88,18 @@ def test_columns_fit_their_log(case):
         for form in forms:
             assert form.columns.shape[1:] == view.reading.shape, family
             assert np.all(np.isfinite(form.columns)) and np.any(form.columns), form.label
+
+
+def test_a_leak_between_two_bearings_is_followed(case):
+    """The net of bearings is coarse; half a mesh away hardly anything of a leak must be left."""
+    view = case.observe().view
+    across = np.stack([np.linspace(-8e-4, 8e-4, len(view.time)), 4e-4 * np.sin(np.arange(len(view.time)))], axis=1)
+    reading = view.model.copy()
+    reading[:, view.beams:] = across
+    angle = 0.5 * np.pi / BEARINGS
+    leak = np.tanh(across @ (np.cos(angle), np.sin(angle)) / 1e-3)
+    left = []
+    for form in beyond_families(replace(view, model=reading))['leak']:
+        columns = form.columns[:, :, 0].T
+        left.append(np.linalg.norm(leak - columns @ np.linalg.lstsq(columns, leak, rcond=None)[0]))
+    assert min(left) < 0.01 * np.linalg.norm(leak)

@@ -141,3 +141,20 @@ def test_forms_of_two_sources_are_not_of_one_effect():
     further = screen.by_effect([Member('air', 0, 10.0)])
     assert further['fringes'].log_bayes > 20.0
     assert 'air' not in further or further['air'].log_bayes < 1.0
+
+
+def test_a_family_of_its_own_is_not_thinned_by_others():
+    """What it weighs is that of a name, however many shapeless families stand beside it."""
+    rng = np.random.default_rng(5)
+    cause = form('cause', rng.normal(size=(1, N)), np.ones(1))
+    data = cause.columns[0, :, 0] + rng.normal(size=N)
+    others = [Candidate('?', f'shapeless {k}', form(f'{k}', rng.normal(size=(3, N)), np.ones(3)), 8.0)
+              for k in range(12)]
+
+    def evidence(own: bool) -> float:
+        lean = [Candidate('?', 'lean', cause, 1.0, own=own), Candidate('name', '', cause)]
+        found = Screen(space(data), [*lean, *others], 1e9).by_effect()
+        return found['?'].log_bayes - found['name'].log_bayes
+
+    assert evidence(own=True) == pytest.approx(0.0, abs=1e-6)
+    assert evidence(own=False) == pytest.approx(-np.log(13.0), abs=1e-6)
