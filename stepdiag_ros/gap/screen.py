@@ -221,13 +221,14 @@ class Screen:
         for effect, families in groups.items():
             doubts = {family: self._doubt(numbers, judged) for family, numbers in families.items()}
             shared = sum(not self.candidates[numbers[0]].own for numbers in families.values())
-            logs = [log_mean([judged[i].log_bayes for i in numbers]) - doubts[family]
+            logs = {family: log_mean([judged[i].log_bayes for i in numbers]) - doubts[family]
                     - (0.0 if self.candidates[numbers[0]].own else float(np.log(shared)))
-                    for family, numbers in families.items()]
-            family, best = max(((family, i) for family, numbers in families.items() for i in numbers),
-                               key=lambda at: judged[at[1]].log_bayes - doubts[at[0]])
+                    for family, numbers in families.items()}
+            # The doubt is that against the family which carries the sum: another's would be paid back unpaid.
+            family = max(logs, key=logs.__getitem__)
+            best = max(families[family], key=lambda i: judged[i].log_bayes)
             size = judged[best].size if self.candidates[best].form.process else float(SIZES[-1])
-            result[effect] = Member(effect, best, log_sum(logs) + doubts[family], size, doubts[family])
+            result[effect] = Member(effect, best, log_sum(list(logs.values())) + doubts[family], size, doubts[family])
         return result
 
     def _doubt(self, numbers: Sequence[int], judged: Mapping[int, Judged]) -> float:
