@@ -8,6 +8,7 @@ cannot be read costs one line and status 2, the others are still done.
   stepdiag gap logs/* --out diagnoses --jobs 2
   stepdiag gap bags/demo --cell cells/demo.yaml --adopt cells/demo_with_backlash.yaml
   stepdiag gap bags/demo --effect my_effect.py --json
+  stepdiag gap bags/demo --further bags/demo_once_more
 """
 
 import argparse
@@ -15,6 +16,7 @@ import json
 import sys
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
+from functools import reduce
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -34,6 +36,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help='folder for the answers and pages (default: ./gap)')
     parser.add_argument('--effect', metavar='FILE.py', action='append', default=[],
                         help='file with an effect of your own; may be given several times')
+    parser.add_argument('--further', metavar='BAG', action='append', default=[],
+                        help='what was measured on the same machine afterwards, as the page recommends: '
+                             'diagnosed as one log (one bag only; may be given several times)')
     parser.add_argument('--json', action='store_true',
                         help='print gap.json (of several bags: an object by name)')
     parser.add_argument('--adopt', metavar='NEW_CELL.yaml', type=Path,
@@ -53,6 +58,7 @@ class Job:
     effects: tuple[str, ...]
     adopt: Path | None
     namespace: str | None
+    further: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -72,11 +78,14 @@ def run(args: argparse.Namespace) -> int:
         raise StepdiagError(f'--jobs is {args.jobs}; give 1 or more')
     if args.adopt is not None and len(args.bags) > 1:
         raise StepdiagError('--adopt writes the cell of one log; give one bag')
+    if args.further and len(args.bags) > 1:
+        raise StepdiagError('--further belongs to one log; give one bag')
     all_effects(args.effect)    # a file that cannot be used is told before the work begins
     if args.cell is not None:
         from stepdiag_ros.virtual.cell import load_cell
         load_cell(args.cell)
-    jobs = [Job(bag, name, args.out / name, args.cell, tuple(args.effect), args.adopt, args.namespace)
+    jobs = [Job(bag, name, args.out / name, args.cell, tuple(args.effect), args.adopt, args.namespace,
+                tuple(args.further))
             for bag, name in zip(args.bags, _names(args.bags), strict=True)]
     bar = Bar('gap', quiet=not sys.stderr.isatty())
     outcomes: dict[str, Outcome] = {}
@@ -138,14 +147,18 @@ def _diagnose_bag(job: Job) -> Outcome:
     from stepdiag_ros.bag.reader import read_log
     from stepdiag_ros.effects import all_effects
     from stepdiag_ros.gap.diagnose import diagnose
+    from stepdiag_ros.model.joined import joined
     from stepdiag_ros.report.gap_page import gap_page
     from stepdiag_ros.report.gap_words import summary
 
-    log = read_log(job.bag, job.namespace)
-    known: tuple[str, ...] = ()
-    if job.cell is not None:
-        from stepdiag_ros.cli.against import without_known
-        log, known = without_known(log, job.cell)
+    logs, known = [], ()
+    for bag in (job.bag, *job.further):
+        log = read_log(bag, job.namespace)
+        if job.cell is not None:
+            from stepdiag_ros.cli.against import without_known
+            log, known = without_known(log, job.cell)
+        logs.append(log)
+    log = reduce(joined, logs)
     diagnosis = diagnose(log, [kind() for kind in all_effects(job.effects).values()])
     notes: tuple[str, ...] = known
     if job.adopt is not None:

@@ -20,7 +20,7 @@ SPOT_COLUMNS = 2
 class StopTable:
     """One row a visited stop, in order of time; ``n`` rows.
 
-    ``run`` (n,) index into ``run_ids``; ``setup`` (n,) index into ``setup_names``;
+    ``run`` (n,) index into ``run_ids``; ``setup`` (n,) index into ``setup_names``, those that were measured;
     ``repeat``, ``direction``, ``index``, ``axis`` (n,) as in the contract's Step;
     ``commanded`` (n, 3) [m]; ``move_ns``, ``dwell_ns``, ``done_ns`` (n,) int64 (−1: no move seen).
     ``displacement`` (n, beams), ``spot`` (n, 2) [m]: means over the dwell, NaN where there is none;
@@ -94,8 +94,9 @@ def reduce_log(log: CalibrationLog) -> StopTable:
         if empty and len(samples):
             warnings.append(f'{log.source}: {topic}: {empty} of {len(visits)} dwells hold no usable '
                             'sample; those stops are left out of this channel')
+    measured, setup = np.unique(events.setup[first], return_inverse=True)
     table = StopTable(
-        events.run_ids, names, events.run[first], events.setup[first], events.repeat[first],
+        events.run_ids, tuple(names[k] for k in measured), events.run[first], setup, events.repeat[first],
         events.direction[first], events.index[first], events.axis[first], events.commanded[first],
         move_ns, dwell_ns, done_ns,
         lengths.mean, lengths.scatter, lengths.count, lengths.rows,

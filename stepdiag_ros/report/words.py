@@ -4,6 +4,8 @@ import re
 
 import numpy as np
 
+from stepdiag_ros.model.description import LINEAR, path_of
+
 NAMES = {
     'air_refraction_drift': 'Air along the laser beam changes',
     'cyclic_nonlinearity': 'Laser reading swings with the fringe',
@@ -132,11 +134,11 @@ def parameter_name(name: str) -> str:
 
 def setup_words(name: str) -> str:
     """Where a setup runs, for someone who does not know the signs."""
-    if name.startswith('lin_'):
-        return f'line along {name[-1].upper()}'
-    ends = {'p': 'to +', 'n': 'to −'}
-    return 'diagonal ' + ' '.join(f'{ends[sign]}{axis}' for sign, axis in zip(name, 'XYZ', strict=True)
-                                  if sign in ends)
+    path, ends = path_of(name), {'p': 'to +', 'n': 'to −'}
+    again = '' if path == name else ', mounted once more'
+    if path in LINEAR:
+        return f'line along {path[-1].upper()}{again}'
+    return 'diagonal ' + ' '.join(f'{ends[sign]}{axis}' for sign, axis in zip(path, 'XYZ', strict=True)) + again
 
 
 def leftover_words(label: str) -> str:

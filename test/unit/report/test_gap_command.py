@@ -13,7 +13,7 @@ from stepdiag_ros.cli.main import main
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate.reduce import reduce_log
 from stepdiag_ros.virtual.cell import load_cell
-from stepdiag_ros.virtual.offline import simulate_log
+from stepdiag_ros.virtual.offline import START_NS, simulate_log
 
 from .conftest import DEMO, small_cell
 
@@ -80,6 +80,33 @@ def test_known_effects_are_taken_off(folder):
     assert 'backlash' in notes[1]
 
 
+@pytest.fixture(scope='module')
+def once_more(folder):
+    """Two hours later one of the diagonals again, in a bag of its own."""
+    write_log(simulate_log(small_cell(BACKLASH), START_NS + 7_200_000_000_000, ('ppp',)), folder / 'once_more')
+
+
+@pytest.mark.usefixtures('once_more')
+def test_a_log_of_one_setup_out_of_seven_has_a_page(folder, capsys):
+    assert main(['gap', str(folder / 'once_more'), '--out', str(folder / 'part')]) == 0
+    assert 'setup npp is described but has no run' in capsys.readouterr().out
+    assert 'diagonal to +X to +Y to +Z' in (folder / 'part/once_more/index.html').read_text(encoding='utf-8')
+
+
+@pytest.mark.usefixtures('once_more')
+def test_a_further_run_joins_its_log(folder, capsys):
+    out = folder / 'further'
+    assert main(['gap', str(folder / 'played'), '--further', str(folder / 'once_more'), '--out', str(out),
+                 '--cell', str(folder / 'nominal.yaml')]) == 0
+    document = json.loads((out / 'played/gap.json').read_text(encoding='utf-8'))
+    assert document['effects'][0]['name'] == 'backlash'
+    assert 'ppp.2' in {share.get('setup') for share in document['where']}
+    capsys.readouterr()
+    assert main(['gap', str(folder / 'once_more'), '--further', str(folder / 'played'), '--out', str(out)]) == 2
+    err = capsys.readouterr().err
+    assert 'earlier log first' in err and len(err.strip().splitlines()) == 1
+
+
 def test_another_machines_cell_is_refused(folder):
     with pytest.raises(StepdiagError, match='lin_x|volume'):
         without_known(read_log(folder / 'played'), folder / 'other.yaml')
@@ -87,6 +114,7 @@ def test_another_machines_cell_is_refused(folder):
 
 @pytest.mark.parametrize(('extra', 'said'), [
     (['--jobs', '0'], '--jobs'), (['--adopt', 'x.yaml', '--', 'again'], '--adopt'),
+    (['--further', 'x', '--', 'again'], '--further'),
     (['--effect', 'nowhere.py'], 'nowhere.py'), (['--cell', 'nowhere.yaml'], 'nowhere.yaml')])
 def test_bad_arguments_are_told_in_a_line(folder, capsys, extra, said):
     bags = [str(folder / 'played'), *extra[3:]]

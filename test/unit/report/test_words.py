@@ -51,3 +51,5 @@ def test_leftovers_are_described(label, said):
 def test_setups_are_described():
     assert words.setup_words('npp') == 'diagonal to −X to +Y to +Z'
     assert words.setup_words('lin_y') == 'line along Y'
+    assert words.setup_words('npp.2') == 'diagonal to −X to +Y to +Z, mounted once more'
+    assert words.setup_words('lin_y.2') == 'line along Y, mounted once more'
