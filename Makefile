@@ -32,7 +32,7 @@ SEED ?= 20261121
 blind: setup
 	$(BIN)/stepdiag blind seal --seed $(SEED) --null 300 --single 285 --pair 60 --outside 77 --out build/blind-$(SEED)
 	$(BIN)/stepdiag blind answer build/blind-$(SEED)
-	$(BIN)/stepdiag blind open --apart build/blind-$(SEED)
+	$(BIN)/stepdiag blind open --floor --apart --settle build/blind-$(SEED)
 
 # The optional parts.  What they need besides: sudo apt-get install linuxcnc-uspace / chromium
 linuxcnc-test: setup-tests

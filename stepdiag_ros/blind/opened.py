@@ -3,21 +3,14 @@
 import datetime
 import hashlib
 import json
-import multiprocessing
-import os
-import sys
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 from typing import Any
 
 from stepdiag_ros.blind.answer import ANSWER_HASHES, ANSWERS, answer_hashes, log_names
-from stepdiag_ros.blind.apart import apart
-from stepdiag_ros.blind.floor import floor
-from stepdiag_ros.blind.score import COUNTS_FROM, Case, proportion, score
-from stepdiag_ros.blind.seal import MANIFEST, SEALED, kind_order, write_json
-from stepdiag_ros.blind.world import CATEGORIES, make
+from stepdiag_ros.blind.score import Case, proportion, score
+from stepdiag_ros.blind.seal import MANIFEST, SEALED, write_json
+from stepdiag_ros.blind.world import CATEGORIES
 from stepdiag_ros.errors import StepdiagError
-from stepdiag_ros.gap.observe import observe
 
 WORLDS, SETTLED = 'worlds.json', 'settled.json'
 MARK = '<!-- results -->'
@@ -105,40 +98,6 @@ def load(folder: Path) -> tuple[list[Case], dict[str, Any]]:
                           json.loads((place / 'extra.json').read_text())))
     return cases, {'seed': truth['seed'], 'purpose': truth['purpose'], 'logs': len(names),
                    'truth_sha256': published, 'answers_sha256': locked['answers_sha256']}
-
-
-def judge_worlds(folder: Path, processes: int = 2, progress: bool = True) -> None:
-    """Find for every log with effects that count what noise alone leaves of it and, where there is one effect, how
-    far the nearest rival stays off; kept in ``worlds.json``."""
-    truth = json.loads((folder / SEALED).read_text())
-    done = json.loads((folder / WORLDS).read_text()) if (folder / WORLDS).exists() else {}
-    missing = [name for name, entry in truth['logs'].items() if name not in done
-               and entry['category'] in ('single', 'pair')
-               and all(e['visibility']['total'] >= COUNTS_FROM for e in entry['effects'])]
-    os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
-    context = multiprocessing.get_context('forkserver')
-    with ProcessPoolExecutor(processes, mp_context=context) as pool:
-        running = {pool.submit(_judged, truth['purpose'], truth['seed'], truth['logs'][name]): name
-                   for name in missing}
-        for count, future in enumerate(as_completed(running), 1):
-            done[running[future]] = future.result()
-            if progress:
-                print(f'\rjudged {count} of {len(missing)}', end='', file=sys.stderr, flush=True)
-            if count % 20 == 0:
-                write_json(folder / WORLDS, done)
-    write_json(folder / WORLDS, done)
-
-
-def _judged(purpose: str, seed: int, entry: dict[str, Any]) -> dict[str, Any]:
-    made = make(kind_order(purpose, seed, entry))
-    bare = observe(made.yardstick.log)
-    result: dict[str, Any] = {'noise_chi2': floor(bare)}
-    if len(made.effects) > 1:
-        return result
-    left = apart(made, bare)
-    own = made.effects[0].name
-    rival = min((n for n in left if n != own), key=left.__getitem__)
-    return {**result, 'least_apart': left[rival], 'rival': rival, 'own_left': left[own]}
 
 
 def shown(figure: dict[str, Any], proportion: bool) -> str:

@@ -7,7 +7,10 @@ the group has at least 95 % and acts in truth, and all others have less than hal
 """
 
 import copy
+import multiprocessing
+import os
 from collections.abc import Callable, Iterable, Mapping
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,6 +22,7 @@ from stepdiag_ros.blind.forms_detector import AmbientLight
 from stepdiag_ros.blind.hidden import Hidden
 from stepdiag_ros.blind.logs import measure
 from stepdiag_ros.blind.opened import SETTLED, load
+from stepdiag_ros.blind.score import Case
 from stepdiag_ros.blind.seal import kind_order, write_json
 from stepdiag_ros.blind.world import SealedWorld, make
 from stepdiag_ros.effects import all_effects
@@ -99,25 +103,32 @@ def is_settled(ranking: Mapping[str, float], between: Iterable[str], true: Itera
     return len(likely) == 1 and likely <= set(true) and ranking[likely.pop()] >= SURE
 
 
-def settle(folder: Path, progress: Callable[[dict[str, Any]], None] | None = None) -> list[dict[str, Any]]:
+def settle(folder: Path, progress: Callable[[dict[str, Any]], None] | None = None,
+           processes: int = 2) -> list[dict[str, Any]]:
     """Do the recommended runs of an answered set, its hashes checked; writes and returns what became of each."""
     cases, head = load(folder)
-    effects, rows = [kind() for kind in all_effects().values()], []
-    for case in cases:
-        groups = case.gap['indistinguishable']
-        if case.category not in ('single', 'pair') or not groups:
-            continue
-        run = case.gap.get('next_run')
-        row = {'log': case.name, 'true': case.true_names, 'run': run, 'settled': False,
-               'between': run['between'] if run else groups[0]}
-        if run:
-            made = make(kind_order(head['purpose'], head['seed'], case.truth))
-            after = diagnose(longer_log(made, run), effects)
-            row |= {'settled': is_settled(after.ranking, run['between'], case.true_names),
-                    'after': {name: after.ranking.get(name, 0.0) for name in run['between']},
-                    'effects': [[found.name, found.probability] for found in after.effects]}
-        rows.append(row)
-        if progress:
-            progress(row)
+    open_ones = [case for case in cases if case.category in ('single', 'pair') and case.gap['indistinguishable']]
+    os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
+    rows = []
+    with ProcessPoolExecutor(processes, mp_context=multiprocessing.get_context('forkserver')) as pool:
+        for future in as_completed([pool.submit(_settled, case, head['purpose'], head['seed']) for case in open_ones]):
+            rows.append(future.result())
+            if progress:
+                progress(rows[-1])
+    rows.sort(key=lambda row: row['log'])
     write_json(folder / SETTLED, {'logs': rows})
     return rows
+
+
+def _settled(case: Case, purpose: str, seed: int) -> dict[str, Any]:
+    """What became of one answer."""
+    run = case.gap.get('next_run')
+    row = {'log': case.name, 'true': case.true_names, 'run': run, 'settled': False,
+           'between': run['between'] if run else case.gap['indistinguishable'][0]}
+    if not run:
+        return row
+    made = make(kind_order(purpose, seed, case.truth))
+    after = diagnose(longer_log(made, run), [kind() for kind in all_effects().values()])
+    return row | {'settled': is_settled(after.ranking, run['between'], case.true_names),
+                  'after': {name: after.ranking.get(name, 0.0) for name in run['between']},
+                  'effects': [[found.name, found.probability] for found in after.effects]}

@@ -32,9 +32,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     answer.add_argument('folder', type=Path, help='folder of the set')
     opened = steps.add_parser('open', help='check the hashes and score')
     opened.add_argument('folder', type=Path, help='folder of the set')
+    opened.add_argument('--floor', action='store_true',
+                        help='measure first in the sealed worlds what noise alone leaves of each log (seconds a log)')
     opened.add_argument('--apart', action='store_true',
-                        help='judge first in the sealed worlds which effects another could stand for, and what '
-                             'noise alone leaves of each log (some ten seconds a log)')
+                        help='judge first which effects another could stand for (some seconds a log)')
     opened.add_argument('--settle', action='store_true',
                         help='first do the further run that an undecided answer recommends, in the sealed world')
     opened.add_argument('--json', action='store_true', help='print the score as JSON')
@@ -65,12 +66,16 @@ def _answer(args: argparse.Namespace) -> int:
 
 
 def _open(args: argparse.Namespace) -> int:
-    from stepdiag_ros.blind.opened import into_page, judge_worlds, open_set, table
-    if args.apart:
-        judge_worlds(args.folder, args.processes, not args.quiet)
+    from stepdiag_ros.blind.opened import into_page, open_set, table
+    if args.floor or args.apart:
+        from stepdiag_ros.blind.judge import judge_apart, judge_floors
+        if args.floor:
+            judge_floors(args.folder, args.processes, not args.quiet)
+        if args.apart:
+            judge_apart(args.folder, args.processes, not args.quiet)
     if args.settle:
         from stepdiag_ros.blind.settle import settle
-        settle(args.folder, None if args.quiet else _tell)
+        settle(args.folder, None if args.quiet else _tell, args.processes)
     result = open_set(args.folder)
     if args.page is not None:
         into_page(result, args.folder, args.page)

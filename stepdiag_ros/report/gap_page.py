@@ -144,7 +144,8 @@ def _apart(diagnosis: Diagnosis) -> str:
                  f'{escape(" / ".join(title(n) for n in group))}. Any of them would leave the same '
                  'traces in these runs.</div>')
     if diagnosis.next_measurement:
-        text += f'<div class="todo"><b>Measure next.</b> {escape(diagnosis.next_measurement)}</div>'
+        join = f' {gap_words.JOIN}' if diagnosis.next_run else ''
+        text += f'<div class="todo"><b>Measure next.</b> {escape(diagnosis.next_measurement + join)}</div>'
     return text
 
 

@@ -33,6 +33,8 @@ HARDLY = 1.15
 """Reduced χ² of the held-out part up to which a gap does not stand out of the noise there."""
 NOISE_LIKE = 1.3
 """Reduced χ² of the held-out part up to which what is left counts as noise."""
+JOIN = 'Record it in a bag of its own; “stepdiag gap BAG --further NEW_BAG” then diagnoses both as one log.'
+"""How a further run comes to bear."""
 
 
 def sizes(found: Found) -> list[tuple[str, str]]:
@@ -245,6 +247,7 @@ def summary(diagnosis: Diagnosis, name: str, adoption: tuple[str, ...] = ()) -> 
         lines += ['', '  Cannot be told apart in this log: ' + ' / '.join(title(n) for n in group)]
     if diagnosis.next_measurement:
         lines += [f'  Measure next: {diagnosis.next_measurement}']
+        lines += [f'    {JOIN}'] if diagnosis.next_run else []
     lines += [f'  note: {text}' for text in (*diagnosis.warnings, *adoption)]
     return '\n'.join(lines)
 

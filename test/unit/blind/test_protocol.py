@@ -9,6 +9,7 @@ import pytest
 
 from stepdiag_ros.bag.reader import read_log
 from stepdiag_ros.blind.answer import answer
+from stepdiag_ros.blind.judge import judge_floors
 from stepdiag_ros.blind.opened import into_page, load, open_set
 from stepdiag_ros.blind.seal import LOGS, MANIFEST, SEALED, orders, seal
 from stepdiag_ros.blind.vocabulary import NAMES
@@ -129,3 +130,20 @@ def test_purposes_never_share_a_log() -> None:
     assert {o.kinds[0] for o in develop} == set(NAMES)
     with pytest.raises(StepdiagError, match='--purpose'):
         orders('both', 1, COUNTS)
+
+
+def test_open_asks_the_sealed_worlds(copy: Path, monkeypatch: pytest.MonkeyPatch,
+                                     capsys: pytest.CaptureFixture[str]) -> None:
+    """What noise alone leaves and how far rivals are, of each log with effects of the vocabulary."""
+    monkeypatch.setattr('stepdiag_ros.blind.judge.COUNTS_FROM', 0.0)
+    assert main(['blind', 'open', str(copy), '--floor', '--apart', '--settle', '--processes', '1', '--quiet']) == 0
+    assert 'gap closed on held-out data' in capsys.readouterr().out
+    logs = json.loads((copy / SEALED).read_text())['logs']
+    judged = json.loads((copy / 'worlds.json').read_text())
+    assert set(judged) == {name for name, entry in logs.items() if entry['category'] == 'single'}
+    assert all(entry['noise_chi2'] > 0.0 and entry['least_apart'] >= 0.0 for entry in judged.values())
+    assert (copy / 'settled.json').exists()
+    # What is judged already is kept.
+    (copy / 'worlds.json').write_text(json.dumps({name: {'noise_chi2': 7.0} for name in judged}))
+    judge_floors(copy, processes=1, progress=False)
+    assert all(entry == {'noise_chi2': 7.0} for entry in json.loads((copy / 'worlds.json').read_text()).values())

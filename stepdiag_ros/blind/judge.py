@@ -1,0 +1,66 @@
+"""What the sealed worlds themselves say of their logs, for the score: what noise alone leaves, which rivals there are.
+
+Both are kept in ``worlds.json`` beside the answers; a cut run is resumed.
+"""
+
+import json
+import multiprocessing
+import os
+import sys
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from pathlib import Path
+from typing import Any
+
+from stepdiag_ros.blind.apart import apart
+from stepdiag_ros.blind.floor import floor
+from stepdiag_ros.blind.opened import WORLDS
+from stepdiag_ros.blind.score import COUNTS_FROM
+from stepdiag_ros.blind.seal import SEALED, kind_order, write_json
+from stepdiag_ros.blind.world import make
+from stepdiag_ros.gap.observe import observe
+
+Entry = dict[str, Any]
+
+
+def judge_floors(folder: Path, processes: int = 2, progress: bool = True) -> None:
+    """Find for every log with effects that count what noise alone leaves of it."""
+    _judge(folder, ('single', 'pair'), 'noise_chi2', _floor, processes, progress)
+
+
+def judge_apart(folder: Path, processes: int = 2, progress: bool = True) -> None:
+    """Find for every log with one effect that counts how far the nearest rival stays off."""
+    _judge(folder, ('single',), 'least_apart', _apart, processes, progress)
+
+
+def _floor(purpose: str, seed: int, entry: Entry) -> Entry:
+    return {'noise_chi2': floor(observe(make(kind_order(purpose, seed, entry)).yardstick.log))}
+
+
+def _apart(purpose: str, seed: int, entry: Entry) -> Entry:
+    made = make(kind_order(purpose, seed, entry))
+    left = apart(made, observe(made.yardstick.log))
+    own = made.effects[0].name
+    rival = min((n for n in left if n != own), key=left.__getitem__)
+    return {'least_apart': left[rival], 'rival': rival, 'own_left': left[own]}
+
+
+def _judge(folder: Path, categories: tuple[str, ...], key: str, judged: Callable[[str, int, Entry], Entry],
+           processes: int, progress: bool) -> None:
+    truth = json.loads((folder / SEALED).read_text())
+    done = json.loads((folder / WORLDS).read_text()) if (folder / WORLDS).exists() else {}
+    missing = [name for name, entry in truth['logs'].items()
+               if key not in done.get(name, {}) and entry['category'] in categories
+               and all(e['visibility']['total'] >= COUNTS_FROM for e in entry['effects'])]
+    os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
+    with ProcessPoolExecutor(processes, mp_context=multiprocessing.get_context('forkserver')) as pool:
+        running = {pool.submit(judged, truth['purpose'], truth['seed'], truth['logs'][name]): name
+                   for name in missing}
+        for count, future in enumerate(as_completed(running), 1):
+            name = running[future]
+            done[name] = {**done.get(name, {}), **future.result()}
+            if progress:
+                print(f'\rjudged {count} of {len(missing)}', end='', file=sys.stderr, flush=True)
+            if count % 20 == 0:
+                write_json(folder / WORLDS, done)
+    write_json(folder / WORLDS, done)
