@@ -40,7 +40,6 @@ def _rest(target: np.ndarray, columns: np.ndarray) -> float:
     """Norm of what the columns leave of the target."""
     norms = np.linalg.norm(columns, axis=0)
     columns = columns[:, norms > 1e-9 * max(norms.max(initial=0.0), 1e-300)]
-    if not columns.shape[1]:
-        return float(np.linalg.norm(target))
-    solution, *_ = np.linalg.lstsq(columns / np.linalg.norm(columns, axis=0), target, rcond=1e-9)
-    return float(np.linalg.norm(target - columns / np.linalg.norm(columns, axis=0) @ solution))
+    stacked = np.column_stack([columns / np.linalg.norm(columns, axis=0), target])
+    # The last of the triangle's diagonal is what the columns before leave of the last one.
+    return float(abs(np.linalg.qr(stacked, mode='r')[-1, -1]))
