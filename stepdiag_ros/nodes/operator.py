@@ -227,14 +227,15 @@ class Operator:
         goal = RunStepDiagonal.Goal(setups=list(setups), repeats=repeats, dwell=float(dwell_s),
                                     steps=steps)
         heard = None if feedback is None else lambda message: feedback(message.feedback)
-        self._handle = self.wait(self._action.send_goal_async(goal, feedback_callback=heard), 30.0,
-                                 'the sequencer does not answer the goal')
+        self._handle = self.wait(
+            self._asked(lambda: self._action.send_goal_async(goal, feedback_callback=heard)), 30.0,
+            'the sequencer does not answer the goal')
         if not self._handle.accepted:
             self._handle = None
             raise StepdiagError(f'{self.namespace}/step_sequencer rejects the goal: it is busy with '
                                 'another or not active')
         began = self._goal_seen = time.monotonic()
-        result = self._handle.get_result_async()
+        result = self._asked(self._handle.get_result_async)
 
         def look() -> None:
             meanwhile()
@@ -264,8 +265,9 @@ class Operator:
 
     def cancel(self) -> None:
         """Ask the goal under way to end; :meth:`calibrate` then returns."""
-        if self._handle is not None:
-            self._handle.cancel_goal_async()
+        handle = self._handle
+        if handle is not None:
+            self._asked(handle.cancel_goal_async)
 
     def mounted(self) -> None:
         """Tell the sequencer that the setup it waits for is mounted."""
@@ -291,6 +293,16 @@ class Operator:
                                 '(stepdiag up CELL.yaml)')
         return self.wait(client.call_async(request), timeout_s,
                          f'{self.namespace}/{name} does not answer')
+
+    def _asked(self, request: Callable[[], Future]) -> Future:
+        """The future of an action's request, sent from the thread that hears the answers.
+
+        rclpy's action client notes a request only after it has been sent, without a lock (its
+        service client has one): an answer heard in between by another thread would be dropped.
+        """
+        if threading.current_thread() is self._thread:
+            return request()
+        return self.wait(self._executor.create_task(request), 10.0, 'the thread that hears stands still')
 
     def wait(self, future: Future, timeout_s: float | None, complaint: str,
              meanwhile: Callable[[], object] = lambda: None) -> Any:

@@ -2,6 +2,7 @@
 
 import json
 import threading
+import time
 
 import numpy as np
 import pytest
@@ -163,6 +164,31 @@ def test_a_second_goal_at_the_same_time_is_rejected(cell, live):
     outcome = operator.calibrate(dwell_s=1.0, setups=['ppp'], feedback=knock)
     assert outcome.succeeded
     assert isinstance(refused[0], StepdiagError) and 'rejects the goal' in str(refused[0])
+
+
+class Halting:
+    """An action client's handle whose thread loses the processor after each request."""
+
+    def __init__(self, handle):
+        self._handle = handle
+
+    def __getattr__(self, name):
+        inner = getattr(self._handle, name)
+        if name not in ('send_goal_request', 'send_result_request'):
+            return inner
+
+        def halted(*arguments):
+            sequence_number = inner(*arguments)
+            time.sleep(0.5)
+            return sequence_number
+        return halted
+
+
+def test_no_answer_of_the_sequencer_is_lost(cell, live, monkeypatch):
+    operator = cell.operator
+    operator.new_log(str(cell.runtime.parent / 'halting'))
+    monkeypatch.setattr(operator._action, '_client_handle', Halting(operator._action._client_handle))
+    assert operator.calibrate(setups=['lin_x']).succeeded
 
 
 def test_the_gap_monitor_publishes_its_report_when_all_is_measured(cell, live, eventually):
