@@ -31,6 +31,10 @@ WINSOR_MEAN = 0.9205369
 """Mean of min(z², 4) of a standard normal z: 1 − P − 4 φ(2) + 4 P with P = P(|z| > 2).
 Up to a fifth of the contrasts may be outliers before the estimate follows them."""
 MAX_SWEEPS = 12
+FASTEST = 3.0
+"""Times over a dwell's length up to which frequencies count: a mean over the dwell leaves nothing of faster ones."""
+WAVES = 120
+"""Frequencies for which those of noise as 1/f stand."""
 LEAST_SHARE = 0.02
 """Share of the variance below which a source's size is only felt for with short steps."""
 
@@ -72,7 +76,7 @@ def sensor_noise(table: StopTable, belief: Noise) -> np.ndarray:
     """Standard deviation of a dwell's mean by sensor noise (n, beams + 2) [m].
 
     The scatter is pooled by channel and setup (median of the variances): one dwell's own is too
-    uncertain to weigh with.
+    uncertain to weigh with.  What disturbs the means besides is added stop by stop.
     """
     beams = table.displacement.shape[1]
     result = np.empty((len(table), beams + 2))
@@ -89,6 +93,8 @@ def sensor_noise(table: StopTable, belief: Noise) -> np.ndarray:
                 if len(own) > 2:
                     pooled[rows, k] = np.median(own)
         result[:, columns] = pooled / np.sqrt(np.maximum(count, 1))[:, None]
+    if table.disturbed is not None:
+        result = np.sqrt(result**2 + table.disturbed)
     return np.maximum(result, FLOOR_M)
 
 
@@ -106,6 +112,35 @@ def arrivals(table: StopTable) -> np.ndarray:
         fresh[0] = True
         numbers[rows] = np.cumsum(fresh, axis=0) + 4 * len(table) * (run + 1)
     return numbers
+
+
+def wandering(table: StopTable, rows: np.ndarray) -> np.ndarray | float:
+    """Covariance (k, k) [m²] of the lengths at the stops ``rows`` by what wanders as 1/f, alike in all beams.
+
+    √(wᵢwⱼ) ∫ sinc²(fT) cos(2πfτ) df/f, from once a log on, of means over dwells of T at times τ apart; 0 where
+    nothing wanders.
+    """
+    if table.wander is None:
+        return 0.0
+    length = float(np.median(table.done_ns - table.dwell_ns)) * 1e-9
+    time = table.time_s
+    edges = np.geomspace(1.0 / max(float(np.ptp(time)), 2.0 * length), FASTEST / length, WAVES + 1)
+    frequency = np.sqrt(edges[1:] * edges[:-1])
+    size = np.sqrt(np.log(edges[1] / edges[0])) * np.sinc(frequency * length) * np.sqrt(table.wander[rows])[:, None]
+    turn = 2.0 * np.pi * frequency * time[rows][:, None]
+    waves = np.concatenate([size * np.cos(turn), size * np.sin(turn)], axis=1)
+    return waves @ waves.T
+
+
+def as_noise(table: StopTable) -> np.ndarray | None:
+    """Variance (n, c) [m²] that disturbances add to the readings' means; None without any."""
+    if table.disturbed is None and table.wander is None:
+        return None
+    beams = table.displacement.shape[1]
+    result = np.zeros((len(table), beams + 2)) if table.disturbed is None else table.disturbed.copy()
+    if table.wander is not None:
+        result[:, :beams] += np.diag(wandering(table, np.arange(len(table))))[:, None]
+    return result
 
 
 def run_covariance(rows: np.ndarray, position: float, angle: float, sensor: np.ndarray,
@@ -141,9 +176,17 @@ def whiteners(table: StopTable, noise: NoiseModel, arrival: np.ndarray,
         if not keep.any():
             continue
         covariance = run_covariance(rows, noise.position, noise.angle, noise.sensor, arrival, numbers)
+        _add_to_lengths(covariance, wandering(table, rows), channels)
         flat = (rows[:, None] * channels + np.arange(channels)).ravel()[keep]
         result.append(Whitener(flat, linalg.cholesky(covariance[np.ix_(keep, keep)], lower=True)))
     return result
+
+
+def _add_to_lengths(covariance: np.ndarray, more: np.ndarray | float, channels: int) -> None:
+    """Add ``more`` (k, k) to every pair of lengths in ``covariance`` (k·c, k·c)."""
+    if np.ndim(more):
+        k, beams = len(more), channels - 2
+        covariance.reshape(k, channels, k, channels)[:, :beams, :, :beams] += more[:, None, :, None]
 
 
 def estimate_noise(table: StopTable, belief: Noise, arrival: np.ndarray) -> NoiseModel:
@@ -166,7 +209,10 @@ def estimate_noise(table: StopTable, belief: Noise, arrival: np.ndarray) -> Nois
                 good = np.isfinite(values[:, column])
                 if good.sum() > 6:
                     own, of_one = rows[good], arrival[:, :, [column]]
-                    parts.append((run_covariance(own, *rest, sensor[:, [column]], of_one, numbers),
+                    fixed = run_covariance(own, *rest, sensor[:, [column]], of_one, numbers)
+                    if column < beams:
+                        fixed = fixed + wandering(table, own)
+                    parts.append((fixed,
                                   run_covariance(own, *unit, np.zeros_like(sensor[:, [column]]), of_one, numbers),
                                   values[good, column], time[good]))
         dof[what] = sum(len(value) - 3 for *_, value, _ in parts)

@@ -28,6 +28,8 @@ class StopTable:
     ``displacement_count``, ``spot_count`` (n,): samples used.
     ``displacement_rows``, ``spot_rows`` (n, 2): the dwell's samples are ``[first, last)`` of the log.
     ``intensity`` (n,) [V] and ``refractive_index`` (n,): means over the dwell.
+    ``disturbed`` (n, beams + 2) [m²]: variance of the means by what is known to disturb them besides; None: nothing is.
+    ``wander`` (n,) [m²]: power per e-fold of frequency of noise as 1/f on the lengths; None: there is none.
     """
 
     run_ids: tuple[str, ...]
@@ -53,6 +55,8 @@ class StopTable:
     intensity: np.ndarray
     refractive_index: np.ndarray
     warnings: tuple[str, ...] = ()
+    disturbed: np.ndarray | None = None
+    wander: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.run)

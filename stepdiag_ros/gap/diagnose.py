@@ -15,7 +15,7 @@ import numpy as np
 
 from stepdiag_ros.effects.base import Effect, Form
 from stepdiag_ros.effects.tuning import tune
-from stepdiag_ros.estimate.noise import estimate_noise
+from stepdiag_ros.estimate.noise import as_noise, estimate_noise
 from stepdiag_ros.estimate.reduce import StopTable
 from stepdiag_ros.estimate.solution import Solution
 from stepdiag_ros.gap.averaged import averaged_solution
@@ -25,7 +25,7 @@ from stepdiag_ros.gap.closing import Closing, closing, excess_forecast
 from stepdiag_ros.gap.evidence import width_of
 from stepdiag_ros.gap.gross import GROSS, misfit, place_to_begin
 from stepdiag_ros.gap.hops import Hops, hops
-from stepdiag_ros.gap.inside import Timing, apart, steps, timing
+from stepdiag_ros.gap.inside import Timing, apart, step_noise, steps, timing
 from stepdiag_ros.gap.joint import Joint, fit_jointly, unexplained
 from stepdiag_ros.gap.lines import Unrest, Vibration, unrest
 from stepdiag_ros.gap.next_measurement import advise
@@ -53,11 +53,6 @@ from stepdiag_ros.gap.where import Share, shares
 from stepdiag_ros.model.log import CalibrationLog
 
 ROUNDS = 4
-AIR_IN_MEANS = 16.0
-"""Variance of a dwell's mean by moving air over that inside the dwell.  Of noise as 1/f all octaves are alike,
-and between the length of a dwell and that of a run lie four times as many as a dwell resolves.  It does not come anew
-at each stop: at K cycles a log its power is N/11K times that of white noise as large, for N stops, some four
-times for what changes ten times in a log."""
 BEYOND_PATTERNS = 0.95
 """Probability that something else acts where scatter, hops or coarse readings say so, each far beyond its alarm."""
 OTHER_WAYS = 2
@@ -90,8 +85,8 @@ class Diagnosis:
 
     ``verdict`` as in the contract; ``effects`` what the diagnosis would add to the simulator;
     ``ranking`` probabilities of all effects, ``unknown`` and ``nothing``; ``sets`` the sets thought of with
-    their probabilities.  ``as_noise`` (n, beams) [m²]: what a disturbance without a pattern adds to the variance of
-    the lengths.
+    their probabilities.  ``as_noise`` (n, c) [m²]: what a disturbance without a pattern adds to the variance of
+    the readings.
     """
 
     log: CalibrationLog
@@ -151,7 +146,11 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
     log, observation, clocks, late = _set_clocks(log, observation)
     distance = observation.view.distance.mean(axis=1)
     samples = unrest(log, observation.table, distance)
-    bare, observation = observation.table, _with_unrest(observation, samples)
+    coarse = np.concatenate([steps(log.displacement, observation.table, observation.table.displacement_rows),
+                             steps(log.spot, observation.table, observation.table.spot_rows)])
+    if coarse.any():
+        observation = _with_steps(observation, coarse)
+    observation = _with_unrest(observation, samples)
     hopping = hops(log.displacement, observation.table, distance)
     if hopping:
         observation = _with_hops(observation, hopping)
@@ -169,7 +168,7 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
     found = sorted([*found, *beside], key=lambda f: -f.probability)
     # Of several patterns the first explains the most.
     leftover = next((screen.candidates[m.candidate].form.label for m in best.members if m.effect == UNKNOWN), '')
-    leftover = (hopping.words if hopping else '') or leftover or _coarse(joint) or _restless(samples, names)
+    leftover = (hopping.words if hopping else '') or _coarse(joint, coarse) or leftover or _restless(samples, names)
     if not leftover and not samples.shakes:
         evidence, words = excess_scatter(joint)
         allowed = SCATTER_ALARM + min(MISFIT * best.log_bayes, MISFIT_MOST)
@@ -187,7 +186,7 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
     rivals = [_ways(screen, effects, found, groups) for found in (best, *_stand_ins(sets, best))
               if UNKNOWN not in found.key]
     words, run = advise(joint, rivals, groups, bool(leftover))
-    disturbed = _as_noise(bare, observation.table) if hopping or samples.boils else None
+    disturbed = as_noise(observation.table)
     return Diagnosis(log, verdict, how_far, shares(joint, found, bool(leftover), disturbed), tuple(found),
                      {**names, **outside, 'nothing': nothing * float(np.prod([1.0 - p for p in outside.values()]))},
                      tuple((tuple(sorted((*s.names, *outside))), w) for s, w in zip(sets, weights, strict=True))[:20],
@@ -201,21 +200,32 @@ def _noise(observation: Observation):
                           observation.fit.arrival)
 
 
-def _as_noise(bare: StopTable, table: StopTable) -> np.ndarray:
-    """What was added to the variance of the lengths' means (n, beams) [m²]."""
-    added = table.displacement_scatter**2 - bare.displacement_scatter**2
-    return np.nan_to_num(added / np.maximum(bare.displacement_count, 1)[:, None])
+def _disturbed(table: StopTable, channels: slice, variance: np.ndarray | float) -> StopTable:
+    """The stops with further ``variance`` [m²], of shape (n, 1) or the channels', of their readings."""
+    whole = np.zeros((len(table), table.displacement.shape[1] + 2))
+    if table.disturbed is not None:
+        whole += table.disturbed
+    whole[:, channels] += variance
+    return replace(table, disturbed=whole)
+
+
+def _with_steps(observation: Observation, width: np.ndarray) -> Observation:
+    """The observation with what readings that move in steps of ``width`` (c,) [m] round off as noise."""
+    log, table, beams = observation.log, observation.table, observation.fit.model.beams
+    variance = np.concatenate([step_noise(log.displacement, table.displacement_rows, width[:beams]),
+                               step_noise(log.spot, table.spot_rows, width[beams:])])
+    return replace(observation, bin_sigma=np.sqrt(observation.bin_sigma**2 + variance),
+                   table=_disturbed(table, slice(None), variance))
 
 
 def _with_unrest(observation: Observation, samples: Unrest) -> Observation:
     """The observation with what shakes or boils as noise of the displacement: else effects would be fitted
-    to it.  Shaking hardly moves a dwell's mean; moving air does."""
+    to it.  Shaking hardly moves a dwell's mean; moving air does, and wanders from stop to stop."""
     table, beams = observation.table, observation.fit.model.beams
-    scatter = table.displacement_scatter
     if samples.boils:
-        more = samples.variance[:, None]
-        scatter = np.sqrt(scatter**2
-                          + AIR_IN_MEANS * more * np.maximum(table.displacement_count, 1)[:, None])
+        table = replace(table, wander=samples.power)
+        # A part of a dwell has that of the e-folds between its length and the dwell's besides.
+        more = samples.power[:, None] * np.log(observation.bins.shape[1])
     elif samples.shakes:
         length = float(np.median(table.done_ns - table.dwell_ns)) * 1e-9
         bins = observation.bins.shape[1]
@@ -225,7 +235,7 @@ def _with_unrest(observation: Observation, samples: Unrest) -> Observation:
         return observation
     sigma = observation.bin_sigma.copy()
     sigma[:, :beams] = np.sqrt(sigma[:, :beams] ** 2 + more)
-    return replace(observation, bin_sigma=sigma, table=replace(table, displacement_scatter=scatter))
+    return replace(observation, bin_sigma=sigma, table=table)
 
 
 def _with_hops(observation: Observation, seen: Hops) -> Observation:
@@ -235,9 +245,8 @@ def _with_hops(observation: Observation, seen: Hops) -> Observation:
     bins, sigma = observation.bins.copy(), observation.bin_sigma.copy()
     bins[seen.rows, :, :beams] = np.nan
     sigma[:, :beams] = np.sqrt(sigma[:, :beams] ** 2 + seen.inside[:, None])
-    more = (seen.variance * np.maximum(table.displacement_count, 1))[:, None]
     return replace(observation, bins=bins, bin_sigma=sigma,
-                   table=replace(table, displacement_scatter=np.sqrt(table.displacement_scatter**2 + more)))
+                   table=_disturbed(table, slice(0, beams), seen.variance[:, None]))
 
 
 def _settle(observation: Observation,
@@ -363,16 +372,15 @@ def _set_clocks(log: CalibrationLog, observation: Observation):
     return log, observe(log), clocks, [found]
 
 
-def _coarse(joint: Joint) -> str:
+def _coarse(joint: Joint, widths: np.ndarray) -> str:
     """Readings that move in steps so large that they matter against the noise of a stop; in words."""
-    log, table, space = joint.observation.log, joint.observation.table, joint.parity
-    beams = joint.fit.model.beams
-    widths = np.concatenate([steps(log.displacement, table, table.displacement_rows),
-                             steps(log.spot, table, table.spot_rows)])
+    table, space, beams = joint.observation.table, joint.parity, joint.fit.model.beams
     variance = np.full(joint.fit.residual.size, np.nan)
     for white in space._white:
         variance[white.rows] = np.sum(white.factor**2, axis=1)
     variance = variance.reshape(joint.fit.residual.shape)
+    if table.disturbed is not None:
+        variance = variance - table.disturbed  # what they add is no noise to measure them by
     for k, width in enumerate(widths):
         own = variance[np.isfinite(variance[:, k]), k]
         share = width**2 / 12.0 / np.median(own) if width and len(own) else 0.0

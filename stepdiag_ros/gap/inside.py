@@ -253,6 +253,23 @@ def steps(samples: Samples, table: StopTable, rows: np.ndarray) -> np.ndarray:
     return result
 
 
+def step_noise(samples: Samples, rows: np.ndarray, width: np.ndarray) -> np.ndarray:
+    """Variance (k,) [m²] of a dwell's mean by readings that move in steps of ``width`` (k,) [m].
+
+    What a converter rounds off is a sawtooth of the level; noise σ of the samples smooths its k-th harmonic,
+    of variance w²/2π²k², by exp(−4π²k²σ²/w²) (Widrow & Kollár, Quantization Noise, 2008).  Over all levels neighbours
+    differ by the mean as much as they would unrounded, by 2σ/√π.
+    """
+    harmonic = np.arange(1, 50)
+    result = np.zeros(len(width))
+    for k in np.flatnonzero(width):
+        differences = np.concatenate([np.abs(np.diff(samples.values[lo:hi, k])) for lo, hi in rows if hi - lo > 1])
+        sigma = np.sqrt(np.pi) / 2.0 * float(np.nanmean(differences))
+        power = np.exp(-4.0 * (np.pi * harmonic * sigma / width[k]) ** 2) / harmonic**2
+        result[k] = width[k] ** 2 / (2.0 * np.pi**2) * float(power.sum())
+    return result
+
+
 def _rest(samples: Samples, table: StopTable, coarse: np.ndarray, i: int, k: int) -> tuple[float, float] | None:
     """Level and noise of one column in the middle half of a dwell: neither end may still move.
 

@@ -80,7 +80,7 @@ class Unrest:
     ``displacement`` and ``spot``: lines of each, None where dwells are too short to tell; ``slow``: log
     evidence for a smooth background in the displacement, ``slow_spot`` in the spot; ``growth``: exponent
     with which the displacement's unrest grows with the path, and ``growth_sigma`` (infinite: not seen);
-    ``variance`` (n,) [m²]: that unrest in one sample at each stop.
+    ``power`` (n,) [m²]: of that unrest at each stop, per e-fold of frequency.
     """
 
     displacement: Vibration | None
@@ -89,7 +89,7 @@ class Unrest:
     slow_spot: float
     growth: float
     growth_sigma: float
-    variance: np.ndarray
+    power: np.ndarray
 
     @property
     def shakes(self) -> bool:
@@ -134,7 +134,7 @@ def unrest(log: CalibrationLog, table: StopTable, distance: np.ndarray) -> Unres
     beams = dwells_of(log.displacement.values.mean(axis=1), log.displacement.time_ns,
                       table.displacement_rows, kind, table.dwell_ns)
     lines, slow = find_lines(beams) if beams else (None, 0.0)
-    growth, sigma, variance = growth_with(beams, distance) if beams else \
+    growth, sigma, power = growth_with(beams, distance) if beams else \
         (0.0, np.inf, np.zeros(len(table)))
     spots = [(None, 0.0)]
     for column in log.spot.values.T:
@@ -142,7 +142,7 @@ def unrest(log: CalibrationLog, table: StopTable, distance: np.ndarray) -> Unres
         if dwells is not None:
             spots.append(find_lines(dwells))
     spot, slow_spot = max(spots, key=lambda s: s[0].log_bayes - MISFIT * s[1] if s[0] else -np.inf)
-    return Unrest(lines, spot, slow, slow_spot, growth, sigma, variance)
+    return Unrest(lines, spot, slow, slow_spot, growth, sigma, power)
 
 
 def dwells_of(values: np.ndarray, time_ns: np.ndarray, rows: np.ndarray,
@@ -319,13 +319,14 @@ def _next_line(base: np.ndarray, moment: np.ndarray, waves: np.ndarray,
 
 def growth_with(dwells: Dwells, distance: np.ndarray) -> tuple[float, float, np.ndarray]:
     """Exponent with which the dwells' unrest grows with ``distance`` (stops,), its σ, and the unrest's
-    variance (stops,) in one sample by that law.
+    power (stops,) per e-fold of frequency by that law.
 
-    The power of the slow half of the spectrum, above that of the fast half, is fitted as c dᵖ.
+    The power of the slow half of the spectrum, above that of the fast half, is fitted as c dᵖ.  Of noise as 1/f the
+    k-th half wave has 1/k of what an e-fold has.
     """
     size = len(dwells.basis)
-    slow = np.linalg.qr(dwells.basis.T @ np.cos(
-        np.pi * np.outer(np.arange(size) + 0.5, np.arange(2, max(size // 4, 4))) / size))[0]
+    waves = np.arange(2, max(size // 4, 4))
+    slow = np.linalg.qr(dwells.basis.T @ np.cos(np.pi * np.outer(np.arange(size) + 0.5, waves) / size))[0]
     power = np.sum((dwells.values @ slow) ** 2, axis=1)
     rest = np.sum(dwells.values**2, axis=1) - power
     white = np.median(rest) / max(dwells.basis.shape[1] - slow.shape[1], 1) * slow.shape[1]
@@ -351,4 +352,4 @@ def growth_with(dwells: Dwells, distance: np.ndarray) -> tuple[float, float, np.
     spread = max(float(np.sum(weight * misfit**2)) / (len(x) - 2), 1.0)
     near = np.log(np.where(np.isfinite(distance) & (distance > 0.0), distance, np.exp(middle))) - middle
     return slope, float(np.sqrt(spread / np.sum(weight * x * x))), \
-        np.exp(level + slope * near) / size
+        np.exp(level + slope * near) / size / float(np.sum(1.0 / waves))

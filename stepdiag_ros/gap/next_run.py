@@ -393,7 +393,9 @@ def _with_run(table: StopTable, rows: np.ndarray, run: Run) -> StopTable:
     for visit, shift in enumerate(shifts):
         kept = {name: getattr(table, name)[rows] for name in (
             'direction', 'index', 'axis', 'commanded', 'displacement', 'displacement_scatter', 'displacement_count',
-            'displacement_rows', 'spot', 'spot_scatter', 'spot_count', 'spot_rows', 'refractive_index')}
+            'displacement_rows', 'spot', 'spot_scatter', 'spot_count', 'spot_rows', 'refractive_index', 'disturbed',
+            'wander')
+            if getattr(table, name) is not None}
         times = {name: getattr(table, name)[rows] + shift for name in ('move_ns', 'dwell_ns', 'done_ns')}
         parts.append(kept | times | {
             'run': number + len(table.run_ids) + len(ids), 'setup': np.full(len(rows), len(table.setup_names)),

@@ -41,8 +41,8 @@ def shares(joint: Joint, found: Sequence, leftover: bool,
            as_noise: np.ndarray | None = None) -> tuple[Share, ...]:
     """Cells that hold more than noise and at least a few percent of the excess, largest first.
 
-    ``found``: the effects named, ``leftover``: whether something without a name is left; ``as_noise`` (n, beams)
-    [m²]: what that adds to the variance of the lengths where it was taken for noise.
+    ``found``: the effects named, ``leftover``: whether something without a name is left; ``as_noise`` (n, c)
+    [m²]: what that adds to the variance of the readings where it was taken for noise.
     """
     if not found and not leftover and not joint.active:
         return ()
@@ -66,10 +66,10 @@ def excess_of(joint: Joint, leftover: bool = False, as_noise: np.ndarray | None 
     """Excess variance of each reading (n, c), in units of its own noise; 0 in cells that hold only noise."""
     excess = _of_effects(joint) if joint.active else np.zeros(joint.fit.residual.shape)
     if as_noise is not None:
-        beams = as_noise.shape[1]
-        whole = np.nan_to_num(_sigma(joint)[:, :beams] ** 2)
-        # Of a variance that holds it, no less than a hundredth is the sensors' and the arrivals'.
-        excess[:, :beams] += as_noise / np.maximum(whole - as_noise, 0.01 * np.maximum(whole, 1e-30))
+        whole, held = np.nan_to_num(_sigma(joint) ** 2), joint.observation.table.disturbed
+        # Of a variance that holds a disturbance, no less than a hundredth is the sensors' and the arrivals'.
+        own = whole if held is None else np.maximum(whole - held, 0.01 * whole)
+        excess = excess + as_noise / np.maximum(own, 1e-32)
     elif leftover or not joint.active:
         excess = excess + _of_residuals(joint)
     return excess if excess.any() else _inside(joint)

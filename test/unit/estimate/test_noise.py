@@ -13,6 +13,7 @@ from stepdiag_ros.estimate.noise import (
     estimate_noise,
     run_covariance,
     sensor_noise,
+    wandering,
     whiteners,
 )
 from stepdiag_ros.estimate.parameters import parameters_of
@@ -132,3 +133,41 @@ def test_whitened_noise_is_white(case):
     white = np.concatenate([w(rest.ravel()) for w in whiteners(table, model, arrival, np.isfinite(clean))])
     assert white.std() == pytest.approx(1.0, abs=0.05)
     assert abs(np.mean(white[1:] * white[:-1])) < 0.06
+
+
+def test_what_wanders_as_1_f_by_drawing(case):
+    """Means over dwells of 2000 drawn series of noise as 1/f, waves of equal power in each e-fold."""
+    _, table, _, _ = case
+    rng, draws, waves = np.random.default_rng(6), 2000, 200
+    power = np.linspace(1e-16, 4e-16, len(table))
+    rows = np.flatnonzero(table.run == 1)[:8]
+    begin, length = (table.dwell_ns - table.dwell_ns[0])[rows] * 1e-9, (table.done_ns - table.dwell_ns)[rows] * 1e-9
+    slowest, fastest = 1.0 / np.ptp(table.time_s), 50.0 / length[0]
+    frequency = slowest * (fastest / slowest) ** rng.random((draws, waves))
+    phase = 2.0 * np.pi * rng.random((draws, waves))
+    amplitude = np.sqrt(2.0 * np.log(fastest / slowest) / waves)
+    values = np.zeros((draws, len(rows)))
+    for k in range(len(rows)):
+        middle = begin[k] + 0.5 * length[k]
+        values[:, k] = amplitude * np.sqrt(power[rows[k]]) * np.sum(
+            np.sinc(frequency * length[k]) * np.sin(2.0 * np.pi * frequency * middle + phase), axis=1)
+    found = wandering(replace(table, wander=power), rows)
+    sigma = np.sqrt(np.diag(found))
+    assert np.abs((values.T @ values / draws - found) / sigma[:, None] / sigma).max() < 0.15
+    assert found[0, 1] > 0.3 * found[0, 0]
+
+
+def test_what_wanders_is_not_counted_as_arrivals(case):
+    description, table, clean, arrival = case
+    rng = np.random.default_rng(7)
+    table = noisy(table, clean, arrival, rng, 1e-7)
+    wander = np.full(len(table), 1e-15)
+    values = table.displacement.copy()
+    for run in np.unique(table.run):
+        rows = np.flatnonzero(table.run == run)
+        drawn = rng.multivariate_normal(np.zeros(len(rows)), wandering(replace(table, wander=wander), rows))
+        values[rows] += drawn[:, None]
+    table = replace(table, displacement=values)
+    assert estimate_noise(table, description.noise, arrival).position > 1.4e-7
+    known = estimate_noise(replace(table, wander=wander), description.noise, arrival).position
+    assert known == pytest.approx(1e-7, rel=0.3)

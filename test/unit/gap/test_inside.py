@@ -7,7 +7,8 @@ import pytest
 
 from stepdiag_ros.estimate.reduce import reduce_log
 from stepdiag_ros.gap.clocks import late_clocks
-from stepdiag_ros.gap.inside import _rest, apart, steps, timing
+from stepdiag_ros.gap.inside import _rest, apart, step_noise, steps, timing
+from stepdiag_ros.model.log import Samples
 
 
 def _seen(log):
@@ -100,3 +101,20 @@ def test_a_reading_in_coarse_steps_is_known_no_better_than_the_step(case):
     assert found == pytest.approx(width, rel=1e-6)
     _, noise = _rest(coarse, table, found, 5, 0)
     assert noise > width / 4.0
+
+
+@pytest.mark.parametrize('sigma', [0.0, 0.1, 0.25])
+def test_what_is_rounded_off_by_drawing(sigma):
+    """Means of 400 samples at 4000 levels, rounded to steps of 2 µm, with noise of so many steps."""
+    rng, width = np.random.default_rng(3), 2e-6
+    level = 1e-4 * rng.random(4000)
+    samples = level[:, None] + sigma * width * rng.standard_normal((4000, 400))
+    rounded = width * np.rint(samples / width)
+    off = rounded.mean(axis=1) - samples.mean(axis=1)
+    white = np.mean(rounded.var(axis=1) + samples.var(axis=1)) / 400  # what averages out is counted elsewhere
+    rows = 400 * np.arange(4000)[:, None] + [0, 400]
+    flat, ones = rounded.reshape(-1, 1), np.ones(rounded.size)
+    log = Samples(np.arange(rounded.size), flat, ones, ones, ('ppp',), np.zeros(rounded.size, int), ones)
+    found = step_noise(log, rows, np.array([width]))[0]
+    assert found == pytest.approx(float(np.mean(off**2)), rel=0.1, abs=1.2 * white)
+    assert sigma or found == pytest.approx(width**2 / 12.0, rel=0.05)
