@@ -114,32 +114,38 @@ def arrivals(table: StopTable) -> np.ndarray:
     return numbers
 
 
-def wandering(table: StopTable, rows: np.ndarray) -> np.ndarray | float:
-    """Covariance (k, k) [m²] of the lengths at the stops ``rows`` by what wanders as 1/f, alike in all beams.
+def lasting(table: StopTable, rows: np.ndarray, as_steps: bool = False) -> np.ndarray:
+    """Covariance (k, k) [m²] of the lengths at the stops ``rows``, alike in all beams, by what lasts from stop to stop.
 
-    √(wᵢwⱼ) ∫ sinc²(fT) cos(2πfτ) df/f, from once a log on, of means over dwells of T at times τ apart; 0 where
-    nothing wanders.
+    Of means over dwells of T at times τ apart: √(wᵢwⱼ) ∫ sinc²(fT) cos(2πfτ) df/f, from once a log on, for what
+    wanders as 1/f; ¼ hᵢhⱼ e^(−2λτ) for what hops between two states λ times a second (Rice, random telegraph).
+    ``as_steps``: so much larger that a normal distribution grants each hop what its rarity grants it: a step of h
+    between two stops costs some four units of log likelihood, not 1/8λτ times as many.
     """
+    time, total = table.time_s, np.zeros((len(rows), len(rows)))
+    if table.hop is not None:
+        apart = np.abs(np.subtract.outer(time[rows], time[rows]))
+        between = table.hops_per_s * float(np.median(np.diff(time)))
+        more = max(1.0, 0.125 / between) if as_steps else 1.0
+        total += 0.25 * more * np.outer(table.hop[rows], table.hop[rows]) * np.exp(-2.0 * table.hops_per_s * apart)
     if table.wander is None:
-        return 0.0
+        return total
     length = float(np.median(table.done_ns - table.dwell_ns)) * 1e-9
-    time = table.time_s
     edges = np.geomspace(1.0 / max(float(np.ptp(time)), 2.0 * length), FASTEST / length, WAVES + 1)
     frequency = np.sqrt(edges[1:] * edges[:-1])
     size = np.sqrt(np.log(edges[1] / edges[0])) * np.sinc(frequency * length) * np.sqrt(table.wander[rows])[:, None]
     turn = 2.0 * np.pi * frequency * time[rows][:, None]
     waves = np.concatenate([size * np.cos(turn), size * np.sin(turn)], axis=1)
-    return waves @ waves.T
+    return total + waves @ waves.T
 
 
 def as_noise(table: StopTable) -> np.ndarray | None:
     """Variance (n, c) [m²] that disturbances add to the readings' means; None without any."""
-    if table.disturbed is None and table.wander is None:
+    if table.disturbed is None and table.wander is None and table.hop is None:
         return None
     beams = table.displacement.shape[1]
     result = np.zeros((len(table), beams + 2)) if table.disturbed is None else table.disturbed.copy()
-    if table.wander is not None:
-        result[:, :beams] += np.diag(wandering(table, np.arange(len(table))))[:, None]
+    result[:, :beams] += np.diag(lasting(table, np.arange(len(table))))[:, None]
     return result
 
 
@@ -176,17 +182,16 @@ def whiteners(table: StopTable, noise: NoiseModel, arrival: np.ndarray,
         if not keep.any():
             continue
         covariance = run_covariance(rows, noise.position, noise.angle, noise.sensor, arrival, numbers)
-        _add_to_lengths(covariance, wandering(table, rows), channels)
+        _add_to_lengths(covariance, lasting(table, rows, as_steps=True), channels)
         flat = (rows[:, None] * channels + np.arange(channels)).ravel()[keep]
         result.append(Whitener(flat, linalg.cholesky(covariance[np.ix_(keep, keep)], lower=True)))
     return result
 
 
-def _add_to_lengths(covariance: np.ndarray, more: np.ndarray | float, channels: int) -> None:
+def _add_to_lengths(covariance: np.ndarray, more: np.ndarray, channels: int) -> None:
     """Add ``more`` (k, k) to every pair of lengths in ``covariance`` (k·c, k·c)."""
-    if np.ndim(more):
-        k, beams = len(more), channels - 2
-        covariance.reshape(k, channels, k, channels)[:, :beams, :, :beams] += more[:, None, :, None]
+    k, beams = len(more), channels - 2
+    covariance.reshape(k, channels, k, channels)[:, :beams, :, :beams] += more[:, None, :, None]
 
 
 def estimate_noise(table: StopTable, belief: Noise, arrival: np.ndarray) -> NoiseModel:
@@ -211,7 +216,7 @@ def estimate_noise(table: StopTable, belief: Noise, arrival: np.ndarray) -> Nois
                     own, of_one = rows[good], arrival[:, :, [column]]
                     fixed = run_covariance(own, *rest, sensor[:, [column]], of_one, numbers)
                     if column < beams:
-                        fixed = fixed + wandering(table, own)
+                        fixed = fixed + lasting(table, own)
                     parts.append((fixed,
                                   run_covariance(own, *unit, np.zeros_like(sensor[:, [column]]), of_one, numbers),
                                   values[good, column], time[good]))

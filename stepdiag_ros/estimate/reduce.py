@@ -30,6 +30,7 @@ class StopTable:
     ``intensity`` (n,) [V] and ``refractive_index`` (n,): means over the dwell.
     ``disturbed`` (n, beams + 2) [m²]: variance of the means by what is known to disturb them besides; None: nothing is.
     ``wander`` (n,) [m²]: power per e-fold of frequency of noise as 1/f on the lengths; None: there is none.
+    ``hop`` (n,) [m]: by what the lengths hop between two states, ``hops_per_s`` times a second; None: they do not.
     """
 
     run_ids: tuple[str, ...]
@@ -57,6 +58,8 @@ class StopTable:
     warnings: tuple[str, ...] = ()
     disturbed: np.ndarray | None = None
     wander: np.ndarray | None = None
+    hop: np.ndarray | None = None
+    hops_per_s: float = 0.0
 
     def __len__(self) -> int:
         return len(self.run)

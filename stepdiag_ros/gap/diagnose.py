@@ -16,7 +16,6 @@ import numpy as np
 from stepdiag_ros.effects.base import Effect, Form
 from stepdiag_ros.effects.tuning import tune
 from stepdiag_ros.estimate.noise import as_noise, estimate_noise
-from stepdiag_ros.estimate.reduce import StopTable
 from stepdiag_ros.estimate.solution import Solution
 from stepdiag_ros.gap.averaged import averaged_solution
 from stepdiag_ros.gap.beyond import beyond_families
@@ -60,6 +59,8 @@ LEAST_WAY = 0.05
 """Most further forms of an effect in which a set of effects is foretold, and the least share of one."""
 BEYOND_LOG = 0.3
 """Power of a form's odds beyond the log: the form that suits best there need not be that in which things go on."""
+WORSE = 4.0
+"""Mean square of a channel's residuals at the stops by which clocks put right may leave more than they found."""
 TUNED = 4
 """Leading effects whose shape parameters are tuned before sets are formed."""
 
@@ -200,22 +201,17 @@ def _noise(observation: Observation):
                           observation.fit.arrival)
 
 
-def _disturbed(table: StopTable, channels: slice, variance: np.ndarray | float) -> StopTable:
-    """The stops with further ``variance`` [m²], of shape (n, 1) or the channels', of their readings."""
-    whole = np.zeros((len(table), table.displacement.shape[1] + 2))
-    if table.disturbed is not None:
-        whole += table.disturbed
-    whole[:, channels] += variance
-    return replace(table, disturbed=whole)
-
-
 def _with_steps(observation: Observation, width: np.ndarray) -> Observation:
-    """The observation with what readings that move in steps of ``width`` (c,) [m] round off as noise."""
+    """The observation with what readings that move in steps of ``width`` (c,) [m] round off as noise.
+
+    Neighbours in time are mostly equal and tell nothing of the bins' noise: their whole scatter is taken for it.
+    """
     log, table, beams = observation.log, observation.table, observation.fit.model.beams
     variance = np.concatenate([step_noise(log.displacement, table.displacement_rows, width[:beams]),
                                step_noise(log.spot, table.spot_rows, width[beams:])])
-    return replace(observation, bin_sigma=np.sqrt(observation.bin_sigma**2 + variance),
-                   table=_disturbed(table, slice(None), variance))
+    scatter = np.sqrt(np.nanmean(observation.bins**2, axis=(0, 1)))
+    return replace(observation, table=replace(table, disturbed=np.tile(variance, (len(table), 1))),
+                   bin_sigma=np.where(width > 0.0, np.maximum(observation.bin_sigma, scatter), observation.bin_sigma))
 
 
 def _with_unrest(observation: Observation, samples: Unrest) -> Observation:
@@ -246,7 +242,7 @@ def _with_hops(observation: Observation, seen: Hops) -> Observation:
     bins[seen.rows, :, :beams] = np.nan
     sigma[:, :beams] = np.sqrt(sigma[:, :beams] ** 2 + seen.inside[:, None])
     return replace(observation, bins=bins, bin_sigma=sigma,
-                   table=_disturbed(table, slice(0, beams), seen.variance[:, None]))
+                   table=replace(table, hop=seen.step, hops_per_s=seen.per_s))
 
 
 def _settle(observation: Observation,
@@ -359,17 +355,22 @@ def _set_clocks(log: CalibrationLog, observation: Observation):
         return log, observation, clocks, []
     parameters: dict[str, float] = {}
     sigma: dict[str, float] = {}
+    stamped = log
     for sensor, late in skew.items():
         channel = 'spot' if sensor == 'psd' else 'displacement'
-        log = replace(log, **{channel: put_right(getattr(log, channel), late, table.dwell_ns)})
+        stamped = replace(stamped, **{channel: put_right(getattr(stamped, channel), late, table.dwell_ns)})
         parameters[f'{sensor}_s'], sigma[f'{sensor}_s'] = late.offset, late.sigma
         if late.drift:
             parameters[f'{sensor}_drift_s'] = late.drift
+    again = observe(stamped)
+    before, after = (np.nanmean(o.fit.residual**2, axis=0) for o in (observation, again))
+    if np.any(after > WORSE * before):
+        return log, observation, clocks, []  # motion has come into the dwells: no clock was off by this
     found = Found('clock_skew', "A sensor's time stamps do not agree with the sequencer's.",
                   max(late.probability for late in skew.values()), parameters, sigma, 's',
                   'offset and drift' if any(late.drift for late in skew.values()) else 'constant offset',
                   1.0, 'Let all computers take their time from one source (PTP or NTP).')
-    return log, observe(log), clocks, [found]
+    return stamped, again, clocks, [found]
 
 
 def _coarse(joint: Joint, widths: np.ndarray) -> str:

@@ -34,14 +34,14 @@ DOUBT = 3.0
 class Hops:
     """``unit``: share by which lengths hop; ``rows`` (k,): stops in whose dwells a step was seen.
 
-    As noise: ``variance`` (n,) [m²] of a reading that may have been taken in either unit, times the stops for
-    which a unit lasts, for so much does it count in all that lasts longer; ``inside`` (n,) [m²]: of a sample
-    about the dwell's mean, by steps that were not seen.
+    As noise: lengths are in one of two states ``step`` (n,) [m] apart, which change ``per_s`` times a second;
+    ``inside`` (n,) [m²]: variance of a sample about the dwell's mean, by steps that were not seen.
     """
 
     unit: float
     rows: np.ndarray
-    variance: np.ndarray
+    step: np.ndarray
+    per_s: float
     inside: np.ndarray
 
     @property
@@ -64,14 +64,10 @@ def hops(samples: Samples, table: StopTable, distance: np.ndarray) -> Hops | Non
     # One amount for all is what a counter loses; shares that agree by chance alone are not enough.
     if 0.5 * (constant - misfit) < DOUBT or misfit > len(rows) + DOUBT * np.sqrt(2.0 * len(rows)):
         return None
-    step = np.where(np.isfinite(distance), (unit * distance) ** 2, 0.0)
-    dwells = table.done_ns - table.dwell_ns
-    often = len(rows) / float(dwells.sum())  # hops per nanosecond, as seen while the machine stood
-    apart = float(np.median(np.diff(table.dwell_ns)))
-    # The state of a random telegraph is ± ½; white noise with its spectrum's floor has its variance times
-    # the stops between two hops.
-    return Hops(unit, rows, 0.25 * step * (1.0 + 1.0 / (often * apart)),
-                step / 6.0 * np.minimum(often * dwells, 1.0))
+    step = np.where(np.isfinite(distance), unit * distance, 0.0)
+    dwells = (table.done_ns - table.dwell_ns) * 1e-9
+    often = len(rows) / float(dwells.sum())  # as seen while the machine stood
+    return Hops(unit, rows, step, often, step**2 / 6.0 * np.minimum(often * dwells, 1.0))
 
 
 def _common(values: np.ndarray, sigma: np.ndarray) -> tuple[float, float]:

@@ -394,7 +394,7 @@ def _with_run(table: StopTable, rows: np.ndarray, run: Run) -> StopTable:
         kept = {name: getattr(table, name)[rows] for name in (
             'direction', 'index', 'axis', 'commanded', 'displacement', 'displacement_scatter', 'displacement_count',
             'displacement_rows', 'spot', 'spot_scatter', 'spot_count', 'spot_rows', 'refractive_index', 'disturbed',
-            'wander')
+            'wander', 'hop')
             if getattr(table, name) is not None}
         times = {name: getattr(table, name)[rows] + shift for name in ('move_ns', 'dwell_ns', 'done_ns')}
         parts.append(kept | times | {

@@ -11,9 +11,9 @@ from stepdiag_ros.estimate.noise import (
     NoiseModel,
     arrivals,
     estimate_noise,
+    lasting,
     run_covariance,
     sensor_noise,
-    wandering,
     whiteners,
 )
 from stepdiag_ros.estimate.parameters import parameters_of
@@ -151,7 +151,7 @@ def test_what_wanders_as_1_f_by_drawing(case):
         middle = begin[k] + 0.5 * length[k]
         values[:, k] = amplitude * np.sqrt(power[rows[k]]) * np.sum(
             np.sinc(frequency * length[k]) * np.sin(2.0 * np.pi * frequency * middle + phase), axis=1)
-    found = wandering(replace(table, wander=power), rows)
+    found = lasting(replace(table, wander=power), rows)
     sigma = np.sqrt(np.diag(found))
     assert np.abs((values.T @ values / draws - found) / sigma[:, None] / sigma).max() < 0.15
     assert found[0, 1] > 0.3 * found[0, 0]
@@ -165,7 +165,7 @@ def test_what_wanders_is_not_counted_as_arrivals(case):
     values = table.displacement.copy()
     for run in np.unique(table.run):
         rows = np.flatnonzero(table.run == run)
-        drawn = rng.multivariate_normal(np.zeros(len(rows)), wandering(replace(table, wander=wander), rows))
+        drawn = rng.multivariate_normal(np.zeros(len(rows)), lasting(replace(table, wander=wander), rows))
         values[rows] += drawn[:, None]
     table = replace(table, displacement=values)
     assert estimate_noise(table, description.noise, arrival).position > 1.4e-7

@@ -35,7 +35,7 @@ def test_steps_of_one_share_of_the_length_are_hops():
     seen = _seen(_steps({row: (-1) ** row * 1e-7 * DISTANCE[row] for row in rows}))
     assert tuple(seen.rows) == rows
     assert seen.unit == pytest.approx(1e-7, rel=0.05)
-    assert np.all(np.diff(seen.variance) > 0.0)
+    assert np.all(np.diff(seen.step) > 0.0)
 
 
 @pytest.mark.parametrize('sizes', [{}, {20: 4e-8, 70: -4e-8, 190: 4e-8}, {20: 5e-8, 190: 3e-8}, {70: 1e-7}],
