@@ -11,9 +11,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from stepdiag_ros.effects.base import Form, StopView
+from stepdiag_ros.effects.base import Effect, Form, StopView
 from stepdiag_ros.effects.timeforms import courses, drift_form
-from stepdiag_ros.gap.unknown import pattern_form
+from stepdiag_ros.gap.unknown import NAME, pattern_form
 from stepdiag_ros.model.machine import AXES, CURVES
 
 KNEES = (0.2, 0.35, 0.5, 0.65, 0.8)
@@ -22,6 +22,16 @@ SPOTS_M = (2.5e-4, 4e-4, 6.3e-4, 1e-3)
 """Spots from which a leak saturates [m], so close that between two of them little is lost."""
 BEARINGS = 8
 """Directions in the detector's plane, evenly over half a turn."""
+
+
+class Beyond(Effect):
+    """All of these as one effect without a name, for those who ask what it would do in a further run."""
+
+    name = NAME
+    title = 'Something that no effect known here does.'
+
+    def appearance(self, view: StopView) -> list[Form]:
+        return [form for forms in beyond_families(view).values() for form in forms]
 
 
 def beyond_families(view: StopView) -> dict[str, list[Form]]:

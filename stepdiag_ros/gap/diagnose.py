@@ -18,7 +18,7 @@ from stepdiag_ros.effects.tuning import tune
 from stepdiag_ros.estimate.noise import as_noise, estimate_noise
 from stepdiag_ros.estimate.solution import Solution
 from stepdiag_ros.gap.averaged import averaged_solution
-from stepdiag_ros.gap.beyond import beyond_families
+from stepdiag_ros.gap.beyond import Beyond, beyond_families
 from stepdiag_ros.gap.clocks import late_clocks, put_right
 from stepdiag_ros.gap.closing import Closing, closing, excess_forecast
 from stepdiag_ros.gap.evidence import width_of
@@ -184,8 +184,8 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
                     f'({np.sqrt(how_far.after):.2g} times the noise is left)')
     verdict = _verdict(found, leftover)
     groups = _confused(sets, best)
-    rivals = [_ways(screen, effects, found, groups) for found in (best, *_stand_ins(sets, best))
-              if UNKNOWN not in found.key]
+    rivals = [_ways(screen, {**effects, UNKNOWN: Beyond()}, found, groups)
+              for found in (best, *_stand_ins(sets, best)) if _foretells(screen, found)]
     words, run = advise(joint, rivals, groups, bool(leftover))
     disturbed = as_noise(observation.table)
     return Diagnosis(log, verdict, how_far, shares(joint, found, bool(leftover), disturbed), tuple(found),
@@ -454,6 +454,11 @@ def _stand_ins(sets: list[EffectSet], best: EffectSet) -> list[EffectSet]:
     return [other for other in sets
             if len(other.key) == len(best.key) and len(best.key - other.key) == 1
             and UNKNOWN not in other.key and best.log_bayes - other.log_bayes < CONFUSED]
+
+
+def _foretells(screen: Screen, found: EffectSet) -> bool:
+    """Whether it is known what a set would do in a further run: a shapeless pattern's is not."""
+    return all(m.effect != UNKNOWN or screen.candidates[m.candidate].own for m in found.members)
 
 
 def _ways(screen: Screen, effects: Mapping[str, Effect], found: EffectSet,

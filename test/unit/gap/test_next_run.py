@@ -7,6 +7,7 @@ import pytest
 
 from stepdiag_ros.effects import effect_class
 from stepdiag_ros.estimate.noise import estimate_noise
+from stepdiag_ros.gap.beyond import Beyond
 from stepdiag_ros.gap.joint import fit_jointly
 from stepdiag_ros.gap.next_run import (
     GREY,
@@ -47,6 +48,14 @@ def test_a_run_is_recommended_that_tells_two_effects_apart(small_offset):
     assert run.setup.name.endswith('.2') and run.evidence > 0.5
     said = run.to_json_dict()
     assert said['setup'] == run.setup.name and 'psd_gain and psd_zero_offset' in said['text']
+
+
+def test_a_run_is_recommended_against_a_cause_without_a_name(small_offset):
+    joint, first = small_offset
+    bent = Beyond(), Beyond().appearance(joint.observation.view)[0]
+    run = recommend(joint, [_only(first['psd_zero_offset']), _only(bent)])
+    assert run.between == ('psd_zero_offset', 'unknown')
+    assert run.error < 0.45
 
 
 def test_no_run_tells_an_effect_from_itself(small_offset):
