@@ -142,7 +142,8 @@ def _held_to_names(screen: Screen, sets: list[EffectSet]) -> list[EffectSet]:
 
     No form is quite right; where an effect is gross, what its form leaves is far above the noise and
     nameless patterns, which can take any shape, explain that too.  A name holds as long as it explains all
-    but ``FORM_ERROR`` of what they do.  Lean patterns from physics may err as little as a name.
+    but ``FORM_ERROR`` of what they do.  Lean patterns from physics may err as little as a name, and nameless ones
+    with fewer columns than the name's forms explain no more by taking any shape: a jump is no drift.
     """
     named = max((s for s in sets if s.members and UNKNOWN not in s.key), key=lambda s: s.log_bayes,
                 default=None)
@@ -151,8 +152,13 @@ def _held_to_names(screen: Screen, sets: list[EffectSet]) -> list[EffectSet]:
     most = _reach(screen, named) / (1.0 - FORM_ERROR)
     return [replace(s, log_bayes=named.log_bayes)
             if any(m.effect == UNKNOWN and m.doubt > BEYOND_DOUBT for m in s.members)
-            and s.log_bayes > named.log_bayes and _reach(screen, s) < most else s
+            and s.log_bayes > named.log_bayes and _reach(screen, s) < most
+            and not (s.key == {UNKNOWN} and _columns(screen, s) < _columns(screen, named)) else s
             for s in sets]
+
+
+def _columns(screen: Screen, found: EffectSet) -> int:
+    return sum(len(screen.candidates[m.candidate].form.columns) for m in found.members)
 
 
 def _reach(screen: Screen, found: EffectSet) -> float:

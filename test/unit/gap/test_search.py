@@ -11,6 +11,7 @@ from stepdiag_ros.gap.joint import solve, tuned
 from stepdiag_ros.gap.parity import Parity
 from stepdiag_ros.gap.screen import Candidate, Member, Screen
 from stepdiag_ros.gap.search import search
+from stepdiag_ros.gap.unknown import NAME as UNKNOWN
 
 N = 400
 
@@ -158,3 +159,17 @@ def test_a_family_of_its_own_is_not_thinned_by_others():
 
     assert evidence(own=True) == pytest.approx(0.0, abs=1e-6)
     assert evidence(own=False) == pytest.approx(-np.log(13.0), abs=1e-6)
+
+
+@pytest.mark.parametrize('count, named', [(1, False), (40, True)])
+def test_a_name_yields_to_a_leaner_pattern_and_holds_against_a_shapeless_one(wide, count, named):
+    """A course leaves a twentieth of a gross disturbance, which one column or forty without a name explain wholly."""
+    rng = np.random.default_rng(6)
+    extra = np.linalg.qr(np.concatenate([wide.columns[:, :, 0], rng.normal(size=(count, N))]).T)[0].T[40:]
+    course = np.tensordot(wide.columns[:, :, 0].T, wide.scale * rng.normal(size=40), axes=1)
+    course *= np.sqrt(0.95) * 100.0 / np.linalg.norm(course)
+    gross = course + np.sqrt(0.05) * 100.0 * extra[0]
+    nameless = np.concatenate([gross[None] / 100.0, extra[1:]])
+    pattern = Candidate(UNKNOWN, 'nameless', form('nameless', nameless, np.ones(count)), 8.0)
+    screen = Screen(space(gross + rng.normal(size=N)), [Candidate('course', '', wide), pattern], 1e9)
+    assert (search(screen)[0].key == {'course'}) == named
