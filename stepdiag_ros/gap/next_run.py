@@ -36,6 +36,7 @@ from stepdiag_ros.gap.closing import RESET_WIDTH_M
 from stepdiag_ros.gap.evidence import SIZES
 from stepdiag_ros.gap.joint import Joint
 from stepdiag_ros.gap.observe import view_of
+from stepdiag_ros.gap.unknown import NAME as UNKNOWN
 from stepdiag_ros.model.description import Setup, path_of
 
 WALK_M = 2e-3
@@ -166,7 +167,8 @@ def _best(joint: Joint, rivals: Sequence[Ways], runs: Sequence[Run], best: Best,
 
 def _hope(error: float, between: Sequence[str]) -> str:
     """What is expected of a run, in words."""
-    names = f'{", ".join(between[:-1])} and {between[-1]}'
+    said = ['something else' if name == UNKNOWN else name for name in between]
+    names = f'{", ".join(said[:-1])} and {said[-1]}'
     odds = 'more than 10000' if error < 1e-4 else f'{1.0 / error:.0f}'
     return f' It is to decide between {names}' + (
         f', with odds of {odds} to one that it does.' if error < 0.25 else

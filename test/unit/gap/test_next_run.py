@@ -55,7 +55,7 @@ def test_a_run_is_recommended_against_a_cause_without_a_name(small_offset):
     bent = Beyond(), Beyond().appearance(joint.observation.view)[0]
     run = recommend(joint, [_only(first['psd_zero_offset']), _only(bent)])
     assert run.between == ('psd_zero_offset', 'unknown')
-    assert run.error < 0.45
+    assert run.error < 0.45 and 'psd_zero_offset and something else' in run.text
 
 
 def test_no_run_tells_an_effect_from_itself(small_offset):
