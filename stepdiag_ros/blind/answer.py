@@ -7,15 +7,13 @@ the scoring needs (probabilities of everything, the errors before and after, the
 
 import hashlib
 import json
-import multiprocessing
 import os
-import sys
 import time
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 from typing import Any
 
 from stepdiag_ros.bag.reader import read_log
+from stepdiag_ros.blind.pool import side_by_side
 from stepdiag_ros.blind.seal import LOGS, MANIFEST, SCHEMA, write_json
 from stepdiag_ros.effects import all_effects
 from stepdiag_ros.errors import StepdiagError
@@ -56,16 +54,9 @@ def answer(folder: Path, processes: int = 2, progress: bool = True) -> str:
     # One thread a log: the time that is reported is that of one core.
     for variable in ('OPENBLAS_NUM_THREADS', 'OMP_NUM_THREADS'):
         os.environ[variable] = '1'
-    context = multiprocessing.get_context('forkserver')
-    context.set_forkserver_preload(['stepdiag_ros.blind.answer'])
-    with ProcessPoolExecutor(processes, mp_context=context) as pool:
-        running = [pool.submit(_one, str(folder), name) for name in missing]
-        for done, future in enumerate(as_completed(running), 1):
-            future.result()
-            if progress:
-                print(f'\ranswered {done} of {len(missing)}', end='', file=sys.stderr, flush=True)
-    if progress:
-        print(file=sys.stderr)
+    for _ in side_by_side(_one, {name: (str(folder), name) for name in missing}, processes,
+                          'answered' if progress else ''):
+        pass
     return lock(folder, names)
 
 

@@ -4,17 +4,15 @@ Both are kept in ``worlds.json`` beside the answers; a cut run is resumed.
 """
 
 import json
-import multiprocessing
 import os
-import sys
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 from typing import Any
 
 from stepdiag_ros.blind.apart import apart
 from stepdiag_ros.blind.floor import floor
 from stepdiag_ros.blind.opened import WORLDS
+from stepdiag_ros.blind.pool import side_by_side
 from stepdiag_ros.blind.score import COUNTS_FROM
 from stepdiag_ros.blind.seal import SEALED, kind_order, write_json
 from stepdiag_ros.blind.world import make
@@ -53,14 +51,10 @@ def _judge(folder: Path, categories: tuple[str, ...], key: str, judged: Callable
                if key not in done.get(name, {}) and entry['category'] in categories
                and all(e['visibility']['total'] >= COUNTS_FROM for e in entry['effects'])]
     os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
-    with ProcessPoolExecutor(processes, mp_context=multiprocessing.get_context('forkserver')) as pool:
-        running = {pool.submit(judged, truth['purpose'], truth['seed'], truth['logs'][name]): name
-                   for name in missing}
-        for count, future in enumerate(as_completed(running), 1):
-            name = running[future]
-            done[name] = {**done.get(name, {}), **future.result()}
-            if progress:
-                print(f'\rjudged {count} of {len(missing)}', end='', file=sys.stderr, flush=True)
-            if count % 20 == 0:
-                write_json(folder / WORLDS, done)
+    jobs = {name: (truth['purpose'], truth['seed'], truth['logs'][name]) for name in missing}
+    said = side_by_side(judged, jobs, processes, 'judged' if progress else '')
+    for count, (name, result) in enumerate(said, 1):
+        done[name] = {**done.get(name, {}), **result}
+        if count % 20 == 0:
+            write_json(folder / WORLDS, done)
     write_json(folder / WORLDS, done)

@@ -6,11 +6,8 @@ of ``DIR/sealed/truth.json``, which nothing but :mod:`stepdiag_ros.blind.opened`
 
 import hashlib
 import json
-import multiprocessing
 import os
-import sys
 from collections.abc import Iterable
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +16,7 @@ import numpy as np
 from stepdiag_ros.bag.export import write_log
 from stepdiag_ros.blind.cells import KINDS
 from stepdiag_ros.blind.outside import OUTSIDE
+from stepdiag_ros.blind.pool import side_by_side
 from stepdiag_ros.blind.vocabulary import NAMES
 from stepdiag_ros.blind.world import PURPOSES, Order, make
 from stepdiag_ros.errors import StepdiagError
@@ -79,17 +77,9 @@ def seal(out: Path, todo: list[Order], processes: int = 2, progress: bool = True
     missing = [name for name in names if not (parts / f'{name}.json').exists()]
     # A fresh process for every world: nothing of one log can be left over in the next.
     os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
-    context = multiprocessing.get_context('forkserver')
-    context.set_forkserver_preload(['stepdiag_ros.blind.seal'])
-    with ProcessPoolExecutor(processes, mp_context=context, max_tasks_per_child=1) as pool:
-        running = {pool.submit(_one, names[name], str(out / LOGS / name), str(parts / f'{name}.json')):
-                   name for name in missing}
-        for done, future in enumerate(as_completed(running), 1):
-            future.result()
-            if progress:
-                print(f'\rsealed {done} of {len(missing)}', end='', file=sys.stderr, flush=True)
-    if progress:
-        print(file=sys.stderr)
+    jobs = {name: (names[name], str(out / LOGS / name), str(parts / f'{name}.json')) for name in missing}
+    for _ in side_by_side(_one, jobs, processes, 'sealed' if progress else '', fresh=True):
+        pass
     truth = {'schema': SCHEMA, 'purpose': todo[0].purpose, 'seed': todo[0].seed,
              'logs': {name: json.loads((parts / f'{name}.json').read_text()) for name in names}}
     text = json.dumps(truth, indent=1, sort_keys=True)

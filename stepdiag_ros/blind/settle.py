@@ -7,10 +7,8 @@ the group has at least 95 % and acts in truth, and all others have less than hal
 """
 
 import copy
-import multiprocessing
 import os
 from collections.abc import Callable, Iterable, Mapping
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,6 +20,7 @@ from stepdiag_ros.blind.forms_detector import AmbientLight
 from stepdiag_ros.blind.hidden import Hidden
 from stepdiag_ros.blind.logs import measure
 from stepdiag_ros.blind.opened import SETTLED, load
+from stepdiag_ros.blind.pool import side_by_side
 from stepdiag_ros.blind.score import Case
 from stepdiag_ros.blind.seal import kind_order, write_json
 from stepdiag_ros.blind.world import SealedWorld, make
@@ -110,11 +109,11 @@ def settle(folder: Path, progress: Callable[[dict[str, Any]], None] | None = Non
     open_ones = [case for case in cases if case.category in ('single', 'pair') and case.gap['indistinguishable']]
     os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
     rows = []
-    with ProcessPoolExecutor(processes, mp_context=multiprocessing.get_context('forkserver')) as pool:
-        for future in as_completed([pool.submit(_settled, case, head['purpose'], head['seed']) for case in open_ones]):
-            rows.append(future.result())
-            if progress:
-                progress(rows[-1])
+    jobs = {case.name: (case, head['purpose'], head['seed']) for case in open_ones}
+    for _, row in side_by_side(_settled, jobs, processes):
+        rows.append(row)
+        if progress:
+            progress(row)
     rows.sort(key=lambda row: row['log'])
     write_json(folder / SETTLED, {'logs': rows})
     return rows
