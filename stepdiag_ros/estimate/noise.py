@@ -122,7 +122,10 @@ def lasting(table: StopTable, rows: np.ndarray, as_steps: bool = False) -> np.nd
     ``as_steps``: so much larger that a normal distribution grants each hop what its rarity grants it: a step of h
     between two stops costs some four units of log likelihood, not 1/8λτ times as many.
     """
-    time, total = table.time_s, np.zeros((len(rows), len(rows)))
+    total = np.zeros((len(rows), len(rows)))
+    if table.hop is None and table.wander is None:
+        return total
+    time = table.time_s
     if table.hop is not None:
         apart = np.abs(np.subtract.outer(time[rows], time[rows]))
         between = table.hops_per_s * float(np.median(np.diff(time)))

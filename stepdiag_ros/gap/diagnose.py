@@ -15,7 +15,7 @@ import numpy as np
 
 from stepdiag_ros.effects.base import Effect, Form
 from stepdiag_ros.effects.tuning import tune
-from stepdiag_ros.estimate.noise import as_noise, estimate_noise
+from stepdiag_ros.estimate.noise import estimate_noise
 from stepdiag_ros.estimate.solution import Solution
 from stepdiag_ros.gap.averaged import averaged_solution
 from stepdiag_ros.gap.beyond import Beyond, beyond_families
@@ -86,8 +86,7 @@ class Diagnosis:
 
     ``verdict`` as in the contract; ``effects`` what the diagnosis would add to the simulator;
     ``ranking`` probabilities of all effects, ``unknown`` and ``nothing``; ``sets`` the sets thought of with
-    their probabilities.  ``as_noise`` (n, c) [m²]: what a disturbance without a pattern adds to the variance of
-    the readings.
+    their probabilities.
     """
 
     log: CalibrationLog
@@ -108,7 +107,6 @@ class Diagnosis:
     screen: Screen
     next_measurement: str | None = None
     next_run: NextRun | None = None
-    as_noise: np.ndarray | None = None
 
     def to_json_dict(self) -> dict:
         """``gap.json`` of the contract, and more beside it."""
@@ -184,16 +182,16 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
                     f'({np.sqrt(how_far.after):.2g} times the noise is left)')
     verdict = _verdict(found, leftover)
     groups = _confused(sets, best)
-    rivals = [_ways(screen, {**effects, UNKNOWN: Beyond()}, found, groups)
+    known = {**effects, UNKNOWN: Beyond()}
+    rivals = [_ways(screen, known, found, groups)
               for found in (best, *_stand_ins(sets, best)) if _foretells(screen, found)]
     words, run = advise(joint, rivals, groups, bool(leftover))
-    disturbed = as_noise(observation.table)
-    return Diagnosis(log, verdict, how_far, shares(joint, found, bool(leftover), disturbed), tuple(found),
+    return Diagnosis(log, verdict, how_far, shares(joint, found, bool(leftover)), tuple(found),
                      {**names, **outside, 'nothing': nothing * float(np.prod([1.0 - p for p in outside.values()]))},
                      tuple((tuple(sorted((*s.names, *outside))), w) for s, w in zip(sets, weights, strict=True))[:20],
                      groups, observation, joint, clocks, samples.displacement, leftover,
                      log.warnings + observation.table.warnings, sets, screen,
-                     words, run, disturbed)
+                     words, run)
 
 
 def _noise(observation: Observation):

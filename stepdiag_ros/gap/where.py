@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from stepdiag_ros.estimate.noise import as_noise
 from stepdiag_ros.gap.joint import Joint, inverse_root, unexplained, widths
 from stepdiag_ros.gap.thresholds import CELL_SIGMAS, LEAST_SHARE, NAMED_CELL_SIGMAS
 
@@ -37,18 +38,16 @@ class Share:
         return {key: value for key, value in full.items() if value is not None}
 
 
-def shares(joint: Joint, found: Sequence, leftover: bool,
-           as_noise: np.ndarray | None = None) -> tuple[Share, ...]:
+def shares(joint: Joint, found: Sequence, leftover: bool) -> tuple[Share, ...]:
     """Cells that hold more than noise and at least a few percent of the excess, largest first.
 
-    ``found``: the effects named, ``leftover``: whether something without a name is left; ``as_noise`` (n, c)
-    [m²]: what that adds to the variance of the readings where it was taken for noise.
+    ``found``: the effects named, ``leftover``: whether something without a name is left.
     """
     if not found and not leftover and not joint.active:
         return ()
     table, beams = joint.observation.table, joint.fit.model.beams
     axis = np.array([{0: 'X', 1: 'Y', 2: 'Z'}.get(int(a)) for a in table.axis], dtype=object)
-    excess = excess_of(joint, leftover, as_noise)
+    excess = excess_of(joint, leftover)
     total = float(excess.sum())
     result = []
     for channel, columns in zip(CHANNELS, (slice(0, beams), slice(beams, beams + 1),
@@ -62,14 +61,19 @@ def shares(joint: Joint, found: Sequence, leftover: bool,
     return tuple(sorted(result, key=lambda r: -r.share))
 
 
-def excess_of(joint: Joint, leftover: bool = False, as_noise: np.ndarray | None = None) -> np.ndarray:
-    """Excess variance of each reading (n, c), in units of its own noise; 0 in cells that hold only noise."""
+def excess_of(joint: Joint, leftover: bool = False) -> np.ndarray:
+    """Excess variance of each reading (n, c), in units of its own noise; 0 in cells that hold only noise.
+
+    What disturbs without a pattern lies where it adds to the readings' variance.
+    """
     excess = _of_effects(joint) if joint.active else np.zeros(joint.fit.residual.shape)
-    if as_noise is not None:
-        whole, held = np.nan_to_num(_sigma(joint) ** 2), joint.observation.table.disturbed
+    table = joint.observation.table
+    added = as_noise(table)
+    if added is not None:
+        whole, held = np.nan_to_num(_sigma(joint) ** 2), table.disturbed
         # Of a variance that holds a disturbance, no less than a hundredth is the sensors' and the arrivals'.
         own = whole if held is None else np.maximum(whole - held, 0.01 * whole)
-        excess = excess + as_noise / np.maximum(own, 1e-32)
+        excess = excess + added / np.maximum(own, 1e-32)
     elif leftover or not joint.active:
         excess = excess + _of_residuals(joint)
     return excess if excess.any() else _inside(joint)

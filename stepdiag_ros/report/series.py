@@ -116,7 +116,7 @@ def share_map(diagnosis: Diagnosis) -> Shares | None:
     space = joint.parity
     if diagnosis.verdict == 'no_gap':
         return None
-    excess = excess_of(joint, bool(diagnosis.leftover), diagnosis.as_noise)
+    excess = excess_of(joint, bool(diagnosis.leftover))
     total = float(excess.sum())
     if total <= 0.0:
         return None

@@ -30,8 +30,6 @@ def test_every_command_explains_itself(command):
 
 @pytest.mark.parametrize('command', ['evaluate', 'replay', 'info'])
 def test_bad_input_is_one_line_and_status_2(command):
-    if command not in [entry[0] for entry in cli._available()]:
-        pytest.skip(f'stepdiag {command} is not installed')
     done = stepdiag(command, '/nowhere/bag')
     assert done.returncode == 2 and not done.stdout
     assert done.stderr.startswith('stepdiag: /nowhere/bag: does not exist')

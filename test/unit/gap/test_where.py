@@ -1,5 +1,7 @@
 """Where the gap lies: against what the virtual cell says without noise."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -37,7 +39,6 @@ def test_nothing_is_said_where_nothing_was_found(case):
 
 
 def test_residuals_say_where_something_without_a_name_lies(case):
-    from dataclasses import replace
     joint = case.diagnose().joint
     table = joint.observation.table
     residual = joint.fit.residual.copy()
@@ -54,6 +55,7 @@ def test_what_was_taken_for_noise_lies_where_it_was_added(case):
     table = joint.observation.table
     added = np.zeros(joint.fit.residual.shape)
     added[table.setup == 2, :-2] = 1e-15
-    found = shares(joint, (), True, added)
+    disturbed = replace(joint.observation, table=replace(table, disturbed=added))
+    found = shares(replace(joint, observation=disturbed), (), True)
     assert [(s.channel, s.setup) for s in found] == [('displacement', table.setup_names[2])]
     assert found[0].share == pytest.approx(1.0)
