@@ -18,10 +18,11 @@ AIR_TOPICS = ('air_temperature', 'air_pressure', 'humidity')
 
 def measure(cell: Cell, conditions: Conditions, effects: Sequence[Hidden] = (),
             pauses: Mapping[str, float] | None = None,
-            again: Mapping[str, float] | None = None) -> CalibrationLog:
-    """The log of the cell with the effects acting, as its maker would have recorded it; ``pauses`` and
-    ``again`` [s] as in :func:`~stepdiag_ros.virtual.offline.simulate_log`."""
-    log = simulate_log(cell, start_ns=conditions.start_ns, effects=list(effects), pauses=pauses, again=again)
+            again: Mapping[str, float] | None = None, watches: Mapping[str, float] | None = None) -> CalibrationLog:
+    """The log of the cell with the effects acting, as its maker would have recorded it; ``pauses``, ``again`` and
+    ``watches`` [s] as in :func:`~stepdiag_ros.virtual.offline.simulate_log`."""
+    log = simulate_log(cell, start_ns=conditions.start_ns, effects=list(effects), pauses=pauses, again=again,
+                       watches=watches)
     for effect in effects:
         log = effect.spoil(log)
     health = log.displacement.health / 96.0 * conditions.quality \

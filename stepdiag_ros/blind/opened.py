@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from stepdiag_ros.blind.answer import ANSWER_HASHES, ANSWERS, answer_hashes, log_names
-from stepdiag_ros.blind.score import Case, proportion, score
+from stepdiag_ros.blind.score import COUNTS_FROM, Case, proportion, score
 from stepdiag_ros.blind.seal import MANIFEST, SEALED, write_json
 from stepdiag_ros.blind.world import CATEGORIES
 from stepdiag_ros.errors import StepdiagError
@@ -33,6 +33,7 @@ ROWS = (
     ('bias_removed_median', 'the same, median of the logs', '–', False),
     ('en_at_most_1', 'En ≤ 1', '≥ 95 %', True),
     ('settled', 'one recommended extra run settles a set', '≥ 90 %', True),
+    ('settled_all', 'the same, effects below 8 σ too', '–', True),
     ('calibration_error', 'calibration error of the probabilities', '≤ 0.05', False),
     ('seconds', 'time for one log, median [s]', '≤ 10', False))
 """Figure, its name, its target, whether it is a proportion."""
@@ -46,7 +47,10 @@ def open_set(folder: Path) -> dict[str, Any]:
               **score(cases)}
     if (folder / SETTLED).exists():
         rows = json.loads((folder / SETTLED).read_text())['logs']
-        result['figures']['settled'] = proportion(sum(row['settled'] for row in rows), len(rows))
+        weakest = {case.name: case.weakest for case in cases}
+        for figure, least in (('settled', COUNTS_FROM), ('settled_all', 0.0)):
+            counted = [row['settled'] for row in rows if weakest[row['log']] >= least]
+            result['figures'][figure] = proportion(sum(counted), len(counted))
     write_json(folder / 'score.json', result)
     (folder / 'score.md').write_text(table(result) + '\n')
     draw(result, folder / 'score.png')

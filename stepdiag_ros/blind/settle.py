@@ -27,7 +27,7 @@ from stepdiag_ros.blind.world import SealedWorld, make
 from stepdiag_ros.effects import all_effects
 from stepdiag_ros.effects.base import Moment
 from stepdiag_ros.gap.diagnose import diagnose
-from stepdiag_ros.model.description import Setup, path_of
+from stepdiag_ros.model.description import Setup
 from stepdiag_ros.model.log import CalibrationLog
 from stepdiag_ros.model.sensor import Misalignment
 
@@ -38,8 +38,9 @@ AT_ONCE_S = 10.0
 
 def longer_log(made: SealedWorld, run: Mapping[str, Any]) -> CalibrationLog:
     """The log of a sealed world with the run ``next_run`` of an answer at its end."""
-    old = made.cell.description.setups[path_of(run['setup'])]
-    setup = Setup(run['setup'], run['standoff_m'], tuple(run['psd_offset_m']), old.beams, old.length, old.stops)
+    beams = next(iter(made.cell.description.setups.values())).beams
+    setup = Setup(run['setup'], run['standoff_m'], tuple(run['psd_offset_m']), beams,
+                  **{key: run[key] for key in ('length', 'stops') if key in run})
     rng = np.random.default_rng(np.random.SeedSequence([made.cell.seed, 0xADD]))
     laser, mirror = np.clip(rng.normal(0.0, _aligned(made), (2, 2)), -_most(made), _most(made))
     mirror = mirror + np.array(run['mirror_turn_rad'])
@@ -57,7 +58,7 @@ def longer_log(made: SealedWorld, run: Mapping[str, Any]) -> CalibrationLog:
                 effect.beam = {setup.name: run['light']}
     pauses = {setup.name: AT_ONCE_S} if run['at_once'] else None
     again = {setup.name: run['again_after_s']} if run.get('again_after_s') is not None else None
-    log = measure(cell, made.conditions, effects, pauses, again)
+    log = measure(cell, made.conditions, effects, pauses, again, {setup.name: run.get('watch_s', 0.0)})
     # What was measured before stays as it was; only the description's new setup comes beside it.
     return replace(log, description=replace(made.log.description, setups=description.setups))
 

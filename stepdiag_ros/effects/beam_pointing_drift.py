@@ -8,7 +8,7 @@ a mirror's turn but by what the geometry leaves of a beam's turn: derivatives of
 import numpy as np
 
 from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
-from stepdiag_ros.effects.patterns import Drawn, by_setup, drawn_size, follow, relaxations, saturating
+from stepdiag_ros.effects.patterns import Drawn, drawn_size, follow, saturating
 from stepdiag_ros.effects.timeforms import courses
 
 
@@ -32,10 +32,4 @@ class BeamPointingDrift(Effect):
         moment.laser = moment.laser + saturating(moment.seconds, self.tau)[:, None] * self.amp
 
     def appearance(self, view: StopView) -> list[Form]:
-        forms = [follow(view, course, view.by_laser, ('u', 'v'), 1e-5, 'rad')
-                 for course in courses(view.elapsed)]
-        if len(np.unique(view.setup)) > 1:
-            own, names = by_setup(view, view.by_laser, ('u', 'v'))
-            forms += [follow(view, course, own, names, 1e-5, 'rad', 'each setup on its own')
-                      for course in relaxations(view.mount_time)[:4]]
-        return forms
+        return [follow(view, course, view.by_laser, ('u', 'v'), 1e-5, 'rad') for course in courses(view.elapsed)]

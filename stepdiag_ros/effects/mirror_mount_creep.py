@@ -8,18 +8,21 @@ whenever the mirror is mounted for a setup, by another amount.  A turn ``α u + 
 import numpy as np
 
 from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
-from stepdiag_ros.effects.patterns import Drawn, by_setup, drawn_size, follow, relaxations, saturating
+from stepdiag_ros.effects.patterns import Drawn, by_setup, drawn_size, follow, relaxations, relaxing, saturating
 from stepdiag_ros.effects.timeforms import drift_form
+from stepdiag_ros.model.description import path_of
 
 BETWEEN_MOUNTINGS = 0.4
 """Typical difference of the amount from mounting to mounting, as a share of it."""
+FASTEST_S = 20.0
+"""Least time constant of a mount: what is over sooner is a mirror that jumped."""
 
 
 class MirrorMountCreep(Effect):
     name = 'mirror_mount_creep'
     title = "The mirror's mount gives way slowly after mounting."
     parameters = (Parameter('amp', 'rad', -1e-4, 1e-4, 2, 'turn about u, v reached in the end'),
-                  Parameter('tau', 's', 20.0, 2000.0, meaning='time constant'),
+                  Parameter('tau', 's', FASTEST_S, 2000.0, meaning='time constant'),
                   Parameter('spread', '1', 0.0, 1.0,
                             meaning='standard deviation of the amount from mounting to mounting'))
     sources = ('Yoder, Mounting Optics in Optical Instruments, 2nd ed., ch. on adhesives',)
@@ -40,7 +43,7 @@ class MirrorMountCreep(Effect):
                                          * self.amp * amount)
 
     def appearance(self, view: StopView) -> list[Form]:
-        courses = relaxations(view.mount_time)
+        courses = relaxations(view.mount_time, FASTEST_S)
         forms = [follow(view, course, view.by_mirror, ('u', 'v'), 1e-5, 'rad') for course in courses]
         if len(np.unique(view.setup)) > 1:
             own, names = by_setup(view, view.by_mirror, ('u', 'v'))
@@ -50,8 +53,15 @@ class MirrorMountCreep(Effect):
             both, size = np.concatenate([view.by_mirror, own]), np.full(2 + len(names), 1e-5 * BETWEEN_MOUNTINGS)
             size[:2] = 1e-5
             forms += [drift_form(view, course, both, ('u', 'v', *names), size,
-                                 'each mounting nearly the same amount', 'rad') for course in courses]
-            # A mount that stays on the tool while base unit and mirror's face are turned.
+                                 'each mounting nearly the same amount', 'rad')
+                      for course in (*courses, relaxing(view.mount_time, FASTEST_S))]
+            # A mount that stays on the tool while base unit and mirror's face are turned, but for a further run.
+            since = np.where(_further(view), view.mount_time, view.elapsed)
             forms += [follow(view, course, view.by_mirror, ('u', 'v'), 1e-5, 'rad', 'mounted once')
-                      for course in relaxations(view.elapsed) if len(course.values) == 1]
+                      for course in relaxations(since, FASTEST_S) if len(course.values) == 1]
         return forms
+
+
+def _further(view: StopView) -> np.ndarray:
+    """Which stops (n,) are of a setup that came back: for that the mirror was mounted anew."""
+    return np.array([path_of(name) != name for name in view.setup_names])[view.setup]

@@ -1,6 +1,7 @@
 """Columns that several effects share: a signature that follows a course in time, one for each setup."""
 
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -82,15 +83,40 @@ def recorded(view: StopView, values: np.ndarray, label: str) -> Course:
     return Course(label, values, rates, {})
 
 
-def relaxations(time: np.ndarray) -> list[Course]:
-    """What relaxes after a beginning at time 0: linear, exponential, logarithmic, as a power, two
-    exponentials; ``time`` (n,) [s]."""
+RELAXING_FRACTIONS = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)
+"""Time constants of what relaxes, as shares of the longest time."""
+
+
+def relaxations(time: np.ndarray, fastest: float = 0.0) -> list[Course]:
+    """What relaxes after a beginning at time 0: linear, exponential with a time constant not below ``fastest`` [s],
+    logarithmic, as a power, two exponentials; ``time`` (n,) [s]."""
     span = max(float(time.max()), 1e-9)
     result = [Course('linear', (time / span)[None], np.full((1, len(time)), 1.0 / span), {})]
-    result += [exponential(time, fraction * span) for fraction in (0.03, 0.1, 0.3, 1.0)]
+    result += [_not_below(fastest, time, tau) for tau in _time_constants(span, fastest)]
     result += [_logarithm(time, fraction * span, span) for fraction in (0.01, 0.1)]
     result += [_power(time, 0.5, span), _two(time, 0.1 * span, span)]
     return result
+
+
+def relaxing(time: np.ndarray, fastest: float) -> Course:
+    """What relaxes after a beginning at time 0 in no known way, ``time`` (n,) [s]: on many time constants at once, none
+    below ``fastest`` [s], each by an amount of its own.
+
+    Glue and clamped metal relax on a whole spectrum of time constants; logarithm and power law are two of those.
+    """
+    each = [exponential(time, tau) for tau in _time_constants(max(float(time.max()), 1e-9), fastest)]
+    return Course('many time constants', np.concatenate([c.values for c in each]),
+                  np.concatenate([c.rates for c in each]), {}, sizes=np.ones(len(each)))
+
+
+def _time_constants(span: float, fastest: float) -> list[float]:
+    return list(dict.fromkeys(max(fraction * span, fastest) for fraction in RELAXING_FRACTIONS))
+
+
+def _not_below(fastest: float, time: np.ndarray, tau: float) -> Course:
+    """An exponential whose time constant never gets below ``fastest`` [s]."""
+    return replace(exponential(time, max(tau, fastest)),
+                   retune=lambda shape: _not_below(fastest, time, shape['tau_s']))
 
 
 def _logarithm(time: np.ndarray, start: float, span: float) -> Course:

@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import linalg
 
-from stepdiag_ros.estimate.reduce import StopTable
+from stepdiag_ros.estimate.reduce import STOOD, StopTable
 from stepdiag_ros.model.description import Noise
 from stepdiag_ros.model.log import NONE
 
@@ -108,7 +108,7 @@ def arrivals(table: StopTable) -> np.ndarray:
         for axis in range(3):
             fresh[:, axis] = (table.axis[rows] == axis) | (table.axis[rows] == NONE)
         # A stop left out hides which axes moved meanwhile.
-        fresh[1:][np.abs(np.diff(index)) != 1] = True
+        fresh[1:][(np.abs(np.diff(index)) != 1) & (table.axis[rows[1:]] != STOOD)] = True
         fresh[0] = True
         numbers[rows] = np.cumsum(fresh, axis=0) + 4 * len(table) * (run + 1)
     return numbers
@@ -164,10 +164,11 @@ def run_covariance(rows: np.ndarray, position: float, angle: float, sensor: np.n
         same = numbers[rows, axis][:, None] == numbers[rows, axis]
         effect = position * arrival[2 + axis][rows]
         total += (effect[:, :, None, None] * effect) * same[:, None, :, None]
-    stop = np.arange(k)
+    # Anew at each stop, but alike as long as nothing moves.
+    one, other = np.nonzero((numbers[rows][:, None] == numbers[rows]).all(axis=2))
     for turn in range(2):
         effect = arrival[turn][rows]
-        total[stop, :, stop] += angle**2 * effect[:, :, None] * effect[:, None, :]
+        total[one, :, other] += angle**2 * effect[one][:, :, None] * effect[other][:, None, :]
     total = total.reshape(k * channels, k * channels)
     total[np.diag_indices(k * channels)] += sensor[rows].ravel()**2
     return total
@@ -257,7 +258,7 @@ def _contrasts(table: StopTable, readings: np.ndarray):
             for repeat in np.unique(table.repeat[(table.run == run)
                                                  & (table.direction == direction)]):
                 rows = np.flatnonzero((table.run == run) & (table.direction == direction)
-                                      & (table.repeat == repeat))
+                                      & (table.repeat == repeat) & (table.axis != STOOD))
                 groups.setdefault((int(table.setup[rows[0]]), int(direction)), []).append(rows)
     for runs in groups.values():
         common = set.intersection(*(set(table.index[rows].tolist()) for rows in runs))

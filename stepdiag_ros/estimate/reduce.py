@@ -14,6 +14,11 @@ from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.model.log import DONE, DWELL, MOVE, CalibrationLog, Samples
 
 SPOT_COLUMNS = 2
+STOOD = 254
+"""``axis`` of a stop that only goes on standing where the one before it stood: nothing moved."""
+LONG = 8.0
+PIECES = 40
+"""A dwell of more than so many usual ones is cut, where that is asked for, into at most so many stops."""
 
 
 @dataclass(frozen=True)
@@ -21,7 +26,7 @@ class StopTable:
     """One row a visited stop, in order of time; ``n`` rows.
 
     ``run`` (n,) index into ``run_ids``; ``setup`` (n,) index into ``setup_names``, those that were measured;
-    ``repeat``, ``direction``, ``index``, ``axis`` (n,) as in the contract's Step;
+    ``repeat``, ``direction``, ``index``, ``axis`` (n,) as in the contract's Step, or ``STOOD``;
     ``commanded`` (n, 3) [m]; ``move_ns``, ``dwell_ns``, ``done_ns`` (n,) int64 (−1: no move seen).
     ``displacement`` (n, beams), ``spot`` (n, 2) [m]: means over the dwell, NaN where there is none;
     ``displacement_scatter``, ``spot_scatter`` [m]: standard deviation of one sample against its neighbours;
@@ -77,16 +82,22 @@ class StopTable:
         return StopTable(**kept)
 
 
-def reduce_log(log: CalibrationLog) -> StopTable:
-    """Average every dwell of ``log``; raises :class:`StepdiagError` where nothing is left."""
+def reduce_log(log: CalibrationLog, cut: bool = False) -> StopTable:
+    """Average every dwell of ``log``, a long one in pieces where it is to be ``cut``; raises
+    :class:`StepdiagError` where nothing is left."""
     events = log.steps
     visits, warnings = _visits(log)
     if not len(visits):
         raise StepdiagError(f'{log.source}: sequencer/step holds no dwell; '
                             'nothing to evaluate, record a whole run')
-    first = visits[:, 1]
-    move_ns = np.where(visits[:, 0] >= 0, events.time_ns[visits[:, 0]], -1)
-    dwell_ns, done_ns = events.time_ns[first], events.time_ns[visits[:, 2]]
+    dwell_ns, done_ns = events.time_ns[visits[:, 1]], events.time_ns[visits[:, 2]]
+    pieces = _pieces(done_ns - dwell_ns) if cut else np.ones(len(visits), np.intp)
+    number = np.concatenate([np.arange(count) for count in pieces])
+    visits, begin, length, pieces = (np.repeat(part, pieces, axis=0) for part in (
+        visits, dwell_ns, done_ns - dwell_ns, pieces))
+    dwell_ns, done_ns = begin + length * number // pieces, begin + length * (number + 1) // pieces
+    first, stood = visits[:, 1], number > 0
+    move_ns = np.where((visits[:, 0] >= 0) & ~stood, events.time_ns[visits[:, 0]], -1)
     names = tuple(events.setup_names)
     lengths = _average(log.displacement, dwell_ns, done_ns, events.setup[first], names,
                        log.displacement.health > 0)
@@ -104,7 +115,8 @@ def reduce_log(log: CalibrationLog) -> StopTable:
     measured, setup = np.unique(events.setup[first], return_inverse=True)
     table = StopTable(
         events.run_ids, tuple(names[k] for k in measured), events.run[first], setup, events.repeat[first],
-        events.direction[first], events.index[first], events.axis[first], events.commanded[first],
+        events.direction[first], events.index[first], np.where(stood, STOOD, events.axis[first]),
+        events.commanded[first],
         move_ns, dwell_ns, done_ns,
         lengths.mean, lengths.scatter, lengths.count, lengths.rows,
         spots.mean, spots.scatter, spots.count, spots.rows,
@@ -113,6 +125,12 @@ def reduce_log(log: CalibrationLog) -> StopTable:
         raise StepdiagError(f'{log.source}: no dwell of sequencer/step holds a sample of '
                             'interferometer/displacement or psd/spot; check the stamps of both')
     return table
+
+
+def _pieces(length_ns: np.ndarray) -> np.ndarray:
+    """Into how many stops each dwell of some length (k,) [ns] is cut: a usual one is not."""
+    usual = np.maximum(np.median(length_ns), 1.0)
+    return np.where(length_ns > LONG * usual, np.minimum(length_ns // usual, PIECES), 1).astype(np.intp)
 
 
 def _visits(log: CalibrationLog) -> tuple[np.ndarray, list[str]]:

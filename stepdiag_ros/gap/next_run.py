@@ -2,7 +2,8 @@
 
 A run is one more setup at the end of the log: a diagonal or line that the plan holds already, mounted and
 aligned anew, perhaps from another distance, with the detector's beam elsewhere, the mirror turned or less
-light; perhaps left standing and measured again, so that what goes on while nothing is touched shows.  Given
+light; perhaps watched at its first stop for a while, where no arrival errs and what drifts shows at the sensors' own
+noise; perhaps left standing and measured again, so that what goes on while nothing is touched shows.  Given
 the log, each set of effects foretells the new readings as a normal distribution N(m, V): from its own
 sizes, the machine, all misalignments and resets, none of them better known than the log tells, and the noise.
 The probability that the run speaks for the wrong one of two sets is at most ½ρ, with
@@ -31,13 +32,14 @@ from stepdiag_ros.estimate.enhanced import prior_precision
 from stepdiag_ros.estimate.forward import ForwardModel
 from stepdiag_ros.estimate.noise import whiteners
 from stepdiag_ros.estimate.parameters import parameters_of
-from stepdiag_ros.estimate.reduce import StopTable
+from stepdiag_ros.estimate.reduce import PIECES, STOOD, StopTable
 from stepdiag_ros.gap.closing import RESET_WIDTH_M
 from stepdiag_ros.gap.evidence import SIZES
 from stepdiag_ros.gap.joint import Joint
 from stepdiag_ros.gap.observe import view_of
 from stepdiag_ros.gap.unknown import NAME as UNKNOWN
-from stepdiag_ros.model.description import Setup, path_of
+from stepdiag_ros.model.description import LINEAR, Description, Setup, path_of
+from stepdiag_ros.model.path import stops
 
 WALK_M = 2e-3
 """Spot at the far end when the mirror is turned on purpose: well on any detector."""
@@ -50,6 +52,8 @@ RESTS = (0.0, 0.3, 1.0)
 """How long a run is left standing before it is measured again: shares of the log's length, the first that is …"""
 ENOUGH = 5.0
 """… told apart by this −ln ρ is taken: at most one run in 300 then misleads, were the forms right."""
+WATCHED = (60.0, 1200.0)
+"""A run is watched for as long as a setup usually takes, within these limits [s]."""
 GREY = 0.5
 """Light that is left in the beam where background is to be told from it."""
 BACKGROUND = 'ambient_light'
@@ -64,17 +68,38 @@ Ways = Sequence[tuple[float, Sequence[Member]]]
 
 @dataclass(frozen=True)
 class Run:
-    """A further run: a setup, how its mirror is turned, what is to be done in words.
+    """A further run: a setup, ``how`` it differs from that of the log, in words; ``known``: whether the log holds it.
 
-    ``light`` in the beam against that of the log; ``again_after`` [s]: left standing so long and measured as
-    often again, None: not.
+    ``mirror_turn_rad``: how its mirror is turned; ``light`` in the beam against that of the log; ``watch`` [s]: length
+    of the first stop's dwell, 0: as usual; ``again_after`` [s]: left standing so long and measured as often again,
+    None: not.
     """
 
     setup: Setup
-    text: str
+    how: str = ''
+    known: bool = True
     mirror_turn_rad: tuple[float, float] = (0.0, 0.0)
     light: float = 1.0
+    watch: float = 0.0
     again_after: float | None = None
+
+    @property
+    def text(self) -> str:
+        """What is to be done."""
+        label = f'{"line" if self.setup.is_linear else "diagonal"} {path_of(self.setup.name)}'
+        said = '' if self.light == 1.0 else \
+            f'Put a grey filter that leaves {self.light:.0%} of the light into the beam. '
+        said += f'Mount and align the {label}'
+        said += ' once more and measure it again' if self.known else \
+            f', which this log does not hold, and measure it at {self.setup.stops} stops'
+        said += f', {self.how}.' if self.how else '.'
+        if self.watch:
+            said += f' Before it moves, let it stand at its first stop for {self.watch / 60.0:.0f} min while both ' \
+                    'sensors record.'
+        if self.again_after is not None:
+            later = f'after {self.again_after / 60.0:.0f} min' if self.again_after else 'at once'
+            said += f' Then leave mirror and base unit as they are and measure it as often again {later}.'
+        return said
 
 
 @dataclass(frozen=True)
@@ -102,7 +127,7 @@ class NextRun:
         length = {'length': s.length, 'stops': s.stops} if s.is_linear else {}
         return {'setup': s.name, 'standoff_m': s.standoff, 'psd_offset_m': list(s.psd_offset), **length,
                 'mirror_turn_rad': list(self.run.mirror_turn_rad), 'light': self.run.light,
-                'again_after_s': self.run.again_after, 'at_once': self.at_once,
+                'watch_s': self.run.watch, 'again_after_s': self.run.again_after, 'at_once': self.at_once,
                 'expected_log_evidence': self.evidence, 'error_probability': self.error,
                 'between': list(self.between), 'text': self.text}
 
@@ -133,15 +158,16 @@ def recommend(joint: Joint, rivals: Sequence[Ways]) -> NextRun | None:
     between = tuple(sorted(set.union(*names) - set.intersection(*names)))
     if not between:
         return None
-    # Which diagonal or line matters most by its place in time; how it is set up is tried on the best, and
-    # at last how long it is to stand.
-    log = _Log(joint)
-    best = _best(joint, rivals, _once_more(joint), None, log)
+    # Which diagonal or line, whether it is watched or left standing, matters most; how it is set up is tried on the
+    # best.
+    log, best, plain = _Log(joint), None, _once_more(joint)
+    for runs in (plain, [_watched(joint, run) for run in plain], [_standing(joint, run)[-1] for run in plain]):
+        if best is None or best[1] < ENOUGH:
+            best = _best(joint, rivals, runs, best, log)
     if best and best[1] < ENOUGH:
         best = _best(joint, rivals, _set_up(joint, best[0], between), best, log)
-    for run in _standing(joint, best[0]) if best else ():
-        if best[1] < ENOUGH:
-            best = _best(joint, rivals, [run], best, log)
+    if best and best[1] < ENOUGH:
+        best = _best(joint, rivals, [_watched(joint, best[0]), *_standing(joint, best[0])], best, log)
     if best is None:
         return None
     run, apart, first, others = best
@@ -175,52 +201,54 @@ def _hope(error: float, between: Sequence[str]) -> str:
         '; no run that was thought of promises to.')
 
 
-def _label(setup: Setup) -> str:
-    return f'{"line" if setup.is_linear else "diagonal"} {path_of(setup.name)}'
-
-
 def _once_more(joint: Joint) -> list[Run]:
-    """Every diagonal and line once more as it was."""
+    """Every diagonal and line once more as it was, and the lines that the log does not hold."""
     description, names = joint.observation.log.description, joint.observation.table.setup_names
     runs = []
     for base in dict.fromkeys(path_of(name) for name in names):
         old = description.setups[base if base in names else
                                  next(name for name in names if path_of(name) == base)]
-        again = replace(old, name=f'{base}.{1 + sum(path_of(name) == base for name in names)}')
-        runs.append(Run(again, f'Mount and align the {_label(again)} once more and measure it again.'))
+        runs.append(Run(replace(old, name=f'{base}.{1 + sum(path_of(name) == base for name in names)}')))
+    diagonals = [name for name in names if path_of(name) not in LINEAR]
+    for axis, base in enumerate(LINEAR) if diagonals else ():
+        if not any(path_of(name) == base for name in names):
+            line = replace(description.setups[diagonals[-1]], name=f'{base}.1',
+                           length=description.machine.volume[axis], stops=description.plan.steps + 1)
+            runs.append(Run(line, known=False))
     return runs
 
 
 def _set_up(joint: Joint, run: Run, between: Sequence[str]) -> list[Run]:
     """Other ways to set up a run: the mirror turned, farther away, the detector's beam aside, less light."""
-    setup, label = run.setup, _label(run.setup)
+    setup = run.setup
     turn = WALK_M / (2.0 * (float(np.linalg.norm(joint.observation.log.description.machine.volume)) + FARTHER_M))
-    turned = f'with the mirror turned by {turn * 1e3:.1f} mrad about both of its axes'
+    turned = replace(run, mirror_turn_rad=(turn, -turn),
+                     how=f'with the mirror turned by {turn * 1e3:.1f} mrad about both of its axes')
     runs = []
     if not setup.is_linear:
         aside = (setup.psd_offset[0], setup.psd_offset[1] + ASIDE_M)
-        runs = [replace(run, mirror_turn_rad=(turn, -turn), text=f'Measure the {label} once more {turned}.'),
+        runs = [turned,
                 replace(run, setup=replace(setup, standoff=round(setup.standoff + FARTHER_M, 4)),
-                        text=f'Measure the {label} once more with the base unit {FARTHER_M:g} m farther away.'),
+                        how=f'with the base unit {FARTHER_M:g} m farther away'),
                 replace(run, setup=replace(setup, psd_offset=aside),
-                        text=f"Measure the {label} once more with the position sensor's beam "
-                             f'{ASIDE_M * 1e3:.0f} mm aside.')]
+                        how=f"with the position sensor's beam {ASIDE_M * 1e3:.0f} mm aside")]
     light = joint.observation.table.intensity
     if BACKGROUND in between and np.isfinite(light).all() and light.min() > 0.0:
-        grey = f'Put a grey filter that leaves {GREY:.0%} of the light into the beam'
-        runs += [replace(run, light=GREY, text=f'{grey} and measure the {label} once more.'),
-                 replace(run, light=GREY, mirror_turn_rad=(turn, -turn),
-                         text=f'{grey} and measure the {label} once more {turned}.')]
+        runs += [replace(run, light=GREY), replace(turned, light=GREY)]
     return runs
+
+
+def _watched(joint: Joint, run: Run) -> Run:
+    """The run with a long look at its first stop, before anything moves."""
+    table = joint.observation.table
+    taken = np.median([np.ptp(table.time_s[table.setup == s]) for s in np.unique(table.setup)])
+    return replace(run, watch=60.0 * float(np.ceil(np.clip(taken, *WATCHED) / 60.0)))
 
 
 def _standing(joint: Joint, run: Run) -> list[Run]:
     """The run left standing, mirror and base unit untouched, and measured again."""
     span = float(np.ptp(joint.observation.table.time_s))
-    minutes = [round(share * span / 60.0) for share in RESTS]
-    return [replace(run, again_after=60.0 * m, text=(
-        f'{run.text} Then leave mirror and base unit as they are and measure it as often again '
-        f'{f"after {m} min" if m else "at once"}.')) for m in minutes]
+    return [replace(run, again_after=60.0 * round(share * span / 60.0)) for share in RESTS]
 
 
 def _foretold(mean: np.ndarray, spread: np.ndarray) -> _Forecast:
@@ -296,15 +324,14 @@ class _Longer:
 
     def __init__(self, joint: Joint, run: Run, known: _Log):
         observation, old, setup = joint.observation, joint.fit, run.setup
-        like = next(i for i, name in enumerate(observation.table.setup_names)
-                    if path_of(name) == path_of(setup.name))
-        rows = np.flatnonzero(observation.table.setup == like)
-        table = _with_run(observation.table, rows, run)
-        rows = np.tile(rows, (len(table) - len(observation.table)) // len(rows))
         log = replace(observation.log, description=replace(
             observation.log.description, setups={**observation.log.description.setups, setup.name: setup}))
-        new_noise = joint.noise.sensor[rows].copy()
-        new_noise[:, -2:] /= run.light  # the detector's own noise is larger against less light
+        whole = int(np.argmax(old.present.all(axis=1)))
+        table, rows = _with_run(observation.table, run, log.description, whole)
+        # A longer look has more samples, against less light the detector's own noise is larger.
+        longer = np.sqrt(_length_ns(table)[len(observation.table):] / _length_ns(observation.table)[rows])
+        new_noise = joint.noise.sensor[rows] / longer[:, None]
+        new_noise[:, -2:] /= run.light
         noise = replace(joint.noise, sensor=np.concatenate([joint.noise.sensor, new_noise]))
         parameters = parameters_of(log.description, table)
         first, new = old.parameters.offset_first, len(table.run_ids) - old.parameters.runs
@@ -381,28 +408,68 @@ class _Longer:
         return np.concatenate([w(values) for w in self._white])
 
 
-def _with_run(table: StopTable, rows: np.ndarray, run: Run) -> StopTable:
-    """The table with the stops ``rows`` of an old setup visited once more at its end, or twice."""
-    runs, number = np.unique(table.run[rows], return_inverse=True)
+def _length_ns(table: StopTable) -> np.ndarray:
+    return np.maximum(table.done_ns - table.dwell_ns, 1)
+
+
+def _with_run(table: StopTable, run: Run, description: Description, usual: int) -> tuple[StopTable, np.ndarray]:
+    """The table with the setup of ``run`` measured at its end, once or twice; and for each of the new stops the old
+    one that it is like: that of the same diagonal or line or, where there was none, ``usual``."""
+    part, like, passes = _as_planned(table, run.setup, description, usual)
     starts = [table.dwell_ns[table.setup == s].min() for s in np.unique(table.setup)]
     ends = [table.done_ns[table.setup == s].max() for s in np.unique(table.setup)]
     pause = int(np.median(np.array(starts)[1:] - np.array(ends)[:-1])) if len(starts) > 1 else 0
-    first = int(table.dwell_ns[rows].min())
+    first, longer, watched = int(part['dwell_ns'].min()), int(run.watch * 1e9), PIECES if run.watch else 0
     shifts = [int(table.done_ns.max()) + max(pause, 0) - first]
     if run.again_after is not None:
-        shifts.append(shifts[0] + int(table.done_ns[rows].max()) - first + int(run.again_after * 1e9))
-    repeats, parts, ids = int(table.repeat[rows].max()) + 1, [], []
+        shifts.append(shifts[0] + longer + int(part['done_ns'].max()) - first + int(run.again_after * 1e9))
+    parts, ids, rows = [], [], []
     for visit, shift in enumerate(shifts):
-        kept = {name: getattr(table, name)[rows] for name in (
-            'direction', 'index', 'axis', 'commanded', 'displacement', 'displacement_scatter', 'displacement_count',
-            'displacement_rows', 'spot', 'spot_scatter', 'spot_count', 'spot_rows', 'refractive_index', 'disturbed',
-            'wander', 'hop')
-            if getattr(table, name) is not None}
-        times = {name: getattr(table, name)[rows] + shift for name in ('move_ns', 'dwell_ns', 'done_ns')}
-        parts.append(kept | times | {
-            'run': number + len(table.run_ids) + len(ids), 'setup': np.full(len(rows), len(table.setup_names)),
-            'repeat': table.repeat[rows] + visit * repeats, 'intensity': table.intensity[rows] * run.light})
-        ids += [f'{run.setup.name}/{visit}/{table.run_ids[old].partition("/")[2]}' for old in runs]
+        # What is watched comes before the first stop as it usually is, cut as in a log.
+        before = 0 if visit else watched
+        own = np.concatenate([np.zeros(before, int), np.arange(len(like))])
+        new = {name: values[own] for name, values in part.items()}
+        for name in ('move_ns', 'dwell_ns', 'done_ns'):
+            new[name] += shift + (longer if before else 0)
+        if before:
+            new['axis'][1:before + 1] = STOOD
+            for name, end in (('dwell_ns', 0), ('done_ns', 1)):
+                new[name][:before] = first + shift + longer * (np.arange(before) + end) // before
+        parts.append(new | {
+            'run': new['run'] + len(table.run_ids) + len(ids), 'setup': np.full(len(own), len(table.setup_names)),
+            'repeat': new['repeat'] + visit * (int(part['repeat'].max()) + 1),
+            'intensity': new['intensity'] * run.light})
+        ids += [f'{run.setup.name}/{visit}/{one}' for one in passes]
+        rows.append(like[own])
     return replace(table, run_ids=(*table.run_ids, *ids), setup_names=(*table.setup_names, run.setup.name),
                    **{name: np.concatenate([getattr(table, name), *(part[name] for part in parts)])
-                      for name in parts[0]})
+                      for name in parts[0]}), np.concatenate(rows)
+
+
+def _as_planned(table: StopTable, setup: Setup, description: Description,
+                usual: int) -> tuple[dict[str, np.ndarray], np.ndarray, list[str]]:
+    """Columns of the stops that a setup will have, at the times of the one that they are like; these; ids of the
+    passes that 'run' numbers."""
+    columns = [name for name, values in vars(table).items()
+               if isinstance(values, np.ndarray) and len(values) == len(table) and name != 'setup']
+    same = [i for i, name in enumerate(table.setup_names) if path_of(name) == path_of(setup.name)]
+    if same:
+        like = np.flatnonzero((table.setup == same[0]) & (table.axis != STOOD))
+        part = {name: getattr(table, name)[like] for name in columns}
+        runs, part['run'] = np.unique(part['run'], return_inverse=True)
+        return part, like, [table.run_ids[run].partition('/')[2] for run in runs]
+    path, repeats = stops(description, setup.name), description.plan.repeats
+    n = len(path)
+    back = np.concatenate([path.axis[:1], path.axis[:0:-1]])
+    like = np.full(2 * repeats * n, usual)
+    part = {name: getattr(table, name)[like] for name in columns}
+    pace = int(np.median(np.diff(table.dwell_ns)))
+    for name in ('move_ns', 'dwell_ns', 'done_ns'):
+        part[name] += pace * np.arange(len(like))
+    number = np.arange(2 * repeats)
+    part |= {'commanded': np.tile(np.concatenate([path.positions, path.positions[::-1]]), (repeats, 1)),
+             'index': np.tile(np.concatenate([np.arange(n), np.arange(n)[::-1]]), repeats),
+             'axis': np.tile(np.concatenate([path.axis, back]), repeats).astype(table.axis.dtype),
+             'run': np.repeat(number, n), 'repeat': np.repeat(number // 2, n),
+             'direction': np.repeat(1 - 2 * (number % 2), n).astype(table.direction.dtype)}
+    return part, like, [f'{i // 2}/{"+-"[i % 2]}' for i in number]

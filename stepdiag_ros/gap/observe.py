@@ -42,7 +42,7 @@ class Observation:
 
 def observe(log: CalibrationLog) -> Observation:
     """Reduce, fit and lay out; raises :class:`~stepdiag_ros.errors.StepdiagError` as the reduction does."""
-    table = reduce_log(log)
+    table = reduce_log(log, cut=True)
     nominal = sane_fit(log, table)
     bins, sigma, time = _bins(log, table)
     return Observation(log, table, nominal, view_of(log, table, nominal, time), bins, sigma)

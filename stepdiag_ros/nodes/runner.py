@@ -47,6 +47,7 @@ class Runner:
     ``caught_up(setup, time_ns)`` waits until all have delivered up to then, or raises so;
     ``report(progress)``; ``cancelled()``.  For ``guard_s`` after a dwell nothing moves: a
     sample that was polled a little later than its stamp says must not see the next move.
+    The first dwell after a mounting lasts ``stand_s`` longer: it shows what goes on while nothing moves.
     However :meth:`execute` ends, the machine stands still.
     """
 
@@ -61,6 +62,7 @@ class Runner:
     feed_m_s: float
     dwell_s: float
     guard_s: float = 0.025
+    stand_s: float = 0.0
     move_timeout_s: float = 120.0
 
     def execute(self, runs: Sequence[Run]) -> Outcome:
@@ -72,13 +74,15 @@ class Runner:
         self._done, self._completed = 0, []
         self._spent_s = 0.0
         mounted = None
+        longer = 0.0
         try:
             for run in runs:
                 if run.setup != mounted:
                     self._tell(run, NONE, f'mounting setup {run.setup}')
                     self.mount(run.setup)
-                    mounted = run.setup
-                self._traverse(run)
+                    mounted, longer = run.setup, self.stand_s
+                self._traverse(run, longer)
+                longer = 0.0
                 self._completed.append(run.run_id)
         except (Cancelled, StepdiagError) as error:
             error.outcome = self._outcome()
@@ -97,7 +101,8 @@ class Runner:
             raise StepdiagError(f'{error or "cancelled"}; and the machine could not be stopped: '
                                 f'{worse}') from None
 
-    def _traverse(self, run: Run) -> None:
+    def _traverse(self, run: Run, longer: float) -> None:
+        """One run, its first dwell ``longer`` [s] than usual."""
         first = run.stops[0]
         self._tell(run, NONE, f'to the first stop of {run.run_id}')
         self._go(first)
@@ -113,11 +118,11 @@ class Runner:
                 self.announce(run, stop, MOVE, time.time_ns())
                 self._go(stop)
             self.announce(run, stop, DWELL, time.time_ns())
-            self._dwell()
+            self._dwell(self.dwell_s + (longer if stop is first else 0.0))
             done_ns = time.time_ns()
             self.announce(run, stop, DONE, done_ns)
             self._done += 1
-            self._spent_s += time.monotonic() - began
+            self._spent_s += time.monotonic() - began - (longer if stop is first else 0.0)
             self.check(run.setup)
             time.sleep(self.guard_s)
         # The next zero or setup forgives what was lost before it.
@@ -136,8 +141,8 @@ class Runner:
                                     f'after {self.move_timeout_s:g} s; see its screen')
             time.sleep(POLL_S)
 
-    def _dwell(self) -> None:
-        end = time.monotonic() + self.dwell_s
+    def _dwell(self, seconds: float) -> None:
+        end = time.monotonic() + seconds
         while (left := end - time.monotonic()) > 0.0:
             self._breathe()
             time.sleep(min(left, 0.05))

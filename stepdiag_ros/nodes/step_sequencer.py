@@ -54,6 +54,7 @@ class StepSequencer(StepdiagNode):
         self.number('feed', 0.02, 'feed of every move', 1.0e-6, 5.0, 'm/s')
         self.number('dwell', 0.5, 'measuring time at a stop, where the goal gives none',
                     0.001, 600.0, 's')
+        self.number('stand', 0.0, 'so much longer is the first dwell after a mounting', 0.0, 3600.0, 's')
         self.number('guard', 0.025, 'rest after a dwell before the next move: as late as a sample may '
                     'be taken after its stamp', 0.0, 10.0, 's')
         self.text('origin', [0.0, 0.0, 0.0], "machine coordinates of the volume's lower corner [m]")
@@ -250,7 +251,7 @@ class StepSequencer(StepdiagNode):
         runner = Runner(self.controller, self._announce, mount, self._zero,
                         lambda setup: self._watch.check(bag, setup),
                         lambda setup, time_ns: self._caught_up(bag, setup, time_ns, cancelled),
-                        report, cancelled, self.value('feed'), dwell, self.value('guard'))
+                        report, cancelled, self.value('feed'), dwell, self.value('guard'), self.value('stand'))
         try:
             return runner.execute(runs)
         finally:

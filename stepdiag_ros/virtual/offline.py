@@ -59,16 +59,18 @@ def simulate_log(cell: Cell, start_ns: int = START_NS, setups: tuple[str, ...] |
                  rate: float | None = None, in_motion: bool | None = None,
                  effects: Sequence[Effect] | None = None,
                  pauses: Mapping[str, float] | None = None,
-                 again: Mapping[str, float] | None = None) -> CalibrationLog:
+                 again: Mapping[str, float] | None = None,
+                 watches: Mapping[str, float] | None = None) -> CalibrationLog:
     """The log of a calibration of ``cell``.
 
     ``setups``: which, in which order (all); ``rate`` [Hz] of both sensors and ``in_motion``
     override the cell's sampling; ``effects`` act instead of those that the cell names; ``pauses`` [s]:
     setups that are measured sooner or later after mounting than the cell says; ``again`` [s]: setups that
-    are left standing so long and measured as often again.  The same cell gives the same log, bit by bit.
+    are left standing so long and measured as often again; ``watches`` [s]: setups whose first dwell is so much
+    longer.  The same cell gives the same log, bit by bit.
     """
     history = History()
-    runs = execute(cell, history, start_ns, setups or cell.setup_names, pauses, again)
+    runs = execute(cell, history, start_ns, setups or cell.setup_names, pauses, again, watches)
     world = World(cell, history, start_ns, effects)
     moving = cell.sampling.in_motion if in_motion is None else in_motion
     spans = [(run, *span) for run in runs for span in _spans(run, moving)]
@@ -83,7 +85,7 @@ def simulate_log(cell: Cell, start_ns: int = START_NS, setups: tuple[str, ...] |
 
 def execute(cell: Cell, history: History, start_ns: int, setups: tuple[str, ...],
             pauses: Mapping[str, float] | None = None,
-            again: Mapping[str, float] | None = None) -> list[Run]:
+            again: Mapping[str, float] | None = None, watches: Mapping[str, float] | None = None) -> list[Run]:
     """Move through the plan, filling ``history``; returns the runs."""
     now, place, runs = start_ns, np.zeros(3), []
     rest = point_to_point(0.0, 1.0, 1.0, 1.0)
@@ -100,8 +102,8 @@ def execute(cell: Cell, history: History, start_ns: int, setups: tuple[str, ...]
             if repeat == repeats:
                 now += int(again[setup] * 1e9)
             for direction in (1, -1):
-                run = _run(cell.motion, history, now, place, path, number,
-                           setup, repeat, direction)
+                watch = (watches or {}).get(setup, 0.0) if (repeat, direction) == (0, 1) else 0.0
+                run = _run(cell.motion, history, now, place, path, number, setup, repeat, direction, watch)
                 runs.append(run)
                 now, place = int(run.done_ns[-1]) + COMMAND_DELAY_NS, path.positions[
                     -1 if direction > 0 else 0]
@@ -109,13 +111,13 @@ def execute(cell: Cell, history: History, start_ns: int, setups: tuple[str, ...]
 
 
 def _run(motion: Motion, history: History, now: int, place: np.ndarray, path: SetupPath,
-         number: int, setup: str, repeat: int, direction: int) -> Run:
+         number: int, setup: str, repeat: int, direction: int, watch: float) -> Run:
     times = np.zeros((3, len(path)), np.int64)
     for i, target in enumerate(path.positions[::direction]):
         profile, settled = _move(motion, float(np.linalg.norm(target - place)))
         history.append(now, place, target, profile, number)
         dwell = now + round(settled * 1e9) + (RESET_NS if i == 0 else 0)
-        times[:, i] = now, dwell, dwell + round(motion.dwell * 1e9)
+        times[:, i] = now, dwell, dwell + round((motion.dwell + (0.0 if i else watch)) * 1e9)
         now, place = int(times[2, i]) + COMMAND_DELAY_NS, target
     return Run(setup, repeat, direction, *times)
 

@@ -12,7 +12,7 @@ from stepdiag_ros.estimate.reduce import reduce_log
 def test_the_run_comes_at_the_end_and_nothing_before_it_changes(kind):
     made = make(Order('develop', 5, 1, 'single', (kind,), 'field', small=True))
     run = {'setup': 'ppp.2', 'standoff_m': 0.9, 'psd_offset_m': [0.02, 0.0], 'mirror_turn_rad': [1e-4, -1e-4],
-           'at_once': True, 'light': 0.5, 'again_after_s': 300.0}
+           'at_once': True, 'light': 0.5, 'again_after_s': 300.0, 'watch_s': 60.0}
     longer = longer_log(made, run)
     for now, before in ((longer.displacement, made.log.displacement), (longer.spot, made.log.spot)):
         np.testing.assert_array_equal(now.values[:len(before)], before.values)
@@ -22,9 +22,21 @@ def test_the_run_comes_at_the_end_and_nothing_before_it_changes(kind):
     assert set(table.repeat[new]) == set(range(2 * made.cell.description.plan.repeats))
     first, second = (table.repeat[new] < made.cell.description.plan.repeats), table.repeat[new] >= 2
     assert 300.0 < (table.dwell_ns[new][second].min() - table.done_ns[new][first].max()) * 1e-9 < 310.0
+    taken = (table.done_ns - table.dwell_ns)[new] * 1e-9
+    assert taken[0] == pytest.approx(60.0 + taken[1]) and taken[1:].max() < 2.0
     assert np.median(table.intensity[new]) == pytest.approx(0.5 * np.median(table.intensity[~new]), rel=1e-2)
     assert longer.description.setups['ppp.2'].standoff == 0.9
     assert longer.description.noise == made.log.description.noise
+
+
+def test_a_further_line_has_stops_of_its_own():
+    made = make(Order('develop', 5, 1, 'single', ('psd_rotation',), 'field', small=True))
+    length = made.cell.description.machine.volume[1]
+    table = reduce_log(longer_log(made, {
+        'setup': 'lin_y.9', 'standoff_m': 0.4, 'psd_offset_m': [0.02, 0.0], 'mirror_turn_rad': [0.0, 0.0],
+        'at_once': False, 'length': length, 'stops': 4}))
+    new = table.setup == len(table.setup_names) - 1
+    assert sorted(set(table.index[new])) == [0, 1, 2, 3] and table.commanded[new].max() == pytest.approx(length)
 
 
 def test_settled_is_one_sure_and_true_effect():

@@ -18,6 +18,7 @@ from stepdiag_ros.estimate.noise import (
 )
 from stepdiag_ros.estimate.parameters import parameters_of
 from stepdiag_ros.estimate.planned import filled, observe, planned_table
+from stepdiag_ros.estimate.reduce import STOOD
 from stepdiag_ros.model.log import NONE
 from stepdiag_ros.model.machine import GeometricErrors
 
@@ -105,12 +106,15 @@ def test_an_axis_rests_on_one_arrival_until_it_moves(case):
     assert np.all(gap != 0)
 
 
-def test_run_covariance_by_drawing(case):
-    """The covariance against 20 000 drawn arrivals."""
+@pytest.mark.parametrize('stood', [(), (2, 3)])
+def test_run_covariance_by_drawing(case, stood):
+    """The covariance against 20 000 drawn arrivals; ``stood``: stops at which nothing had moved."""
     _, table, _, arrival = case
     rows = np.flatnonzero(table.run == 0)[:6]
     sensor = np.full((len(table), 3), 1e-9)
-    numbers = arrivals(table)
+    axis = table.axis.copy()
+    axis[rows[list(stood)]] = STOOD
+    numbers = arrivals(replace(table, axis=axis))
     covariance = run_covariance(rows, 3e-7, 2e-7, sensor, arrival, numbers)
     rng, draws = np.random.default_rng(5), 20_000
     values = 1e-9 * rng.standard_normal((draws, 6, 3))
@@ -118,8 +122,9 @@ def test_run_covariance_by_drawing(case):
         _, own = np.unique(numbers[rows, axis], return_inverse=True)
         shift = 3e-7 * rng.standard_normal((draws, own.max() + 1))[:, own]
         values += shift[..., None] * arrival[2 + axis][rows]
+    fresh = np.cumsum([stop not in stood for stop in range(6)]) - 1
     for k in range(2):
-        values += 2e-7 * rng.standard_normal((draws, 6, 1)) * arrival[k][rows]
+        values += 2e-7 * rng.standard_normal((draws, 6, 1))[:, fresh] * arrival[k][rows]
     drawn = np.cov(values.reshape(draws, -1), rowvar=False)
     sigma = np.sqrt(np.diag(covariance))
     assert np.abs((drawn - covariance) / sigma[:, None] / sigma).max() < 0.04

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from stepdiag_ros.errors import StepdiagError
-from stepdiag_ros.estimate.reduce import reduce_log
+from stepdiag_ros.estimate.reduce import STOOD, reduce_log
 from stepdiag_ros.model.log import DONE, DWELL, MOVE, NONE, CalibrationLog, Samples, StepEvents
 
 SECOND = 1_000_000_000
@@ -54,6 +54,25 @@ def test_the_end_of_a_dwell_is_left_out(log):
     time[2] = 9 * SECOND // 10
     table = reduce_log(replace(log, steps=replace(steps, time_ns=time)))
     assert table.displacement_count[0] == 4
+
+
+def test_a_long_dwell_is_cut_where_that_is_asked_for(log):
+    """The last of three dwells lasts twenty usual ones."""
+    steps, long = log.steps, 10 * SECOND
+    time = steps.time_ns.copy()
+    time[-1] = time[-2] + long
+    samples = [replace(part, time_ns=np.concatenate([part.time_ns[:25], np.linspace(
+        2.5 * SECOND, 12.4 * SECOND, 5).astype(np.int64)])) for part in (log.displacement, log.spot)]
+    longer = replace(log, steps=replace(steps, time_ns=time), displacement=samples[0], spot=samples[1])
+    whole, cut = reduce_log(longer), reduce_log(longer, cut=True)
+    pieces = long * 2 // SECOND
+    assert len(whole) == 3 and len(cut) == 2 + pieces
+    assert cut.axis.tolist() == [*whole.axis, *[STOOD] * (pieces - 1)] and (cut.index[2:] == 2).all()
+    assert cut.dwell_ns[2] == whole.dwell_ns[2] and cut.done_ns[-1] == whole.done_ns[2]
+    assert np.array_equal(cut.dwell_ns[3:], cut.done_ns[2:-1]) and (cut.move_ns[3:] == -1).all()
+    assert cut.displacement_count[2:].sum() == whole.displacement_count[2] == 5
+    # Usual dwells are left as they are.
+    assert np.array_equal(reduce_log(log, cut=True).displacement, reduce_log(log).displacement)
 
 
 def test_no_signal_and_no_number_are_left_out_and_told(log):

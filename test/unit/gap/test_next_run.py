@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from stepdiag_ros.effects import effect_class
-from stepdiag_ros.estimate.noise import estimate_noise
+from stepdiag_ros.estimate.noise import arrivals, estimate_noise
+from stepdiag_ros.estimate.reduce import PIECES, STOOD
 from stepdiag_ros.gap.beyond import Beyond
 from stepdiag_ros.gap.joint import fit_jointly
 from stepdiag_ros.gap.next_run import (
@@ -23,6 +24,8 @@ from stepdiag_ros.gap.next_run import (
     recommend,
 )
 from stepdiag_ros.gap.observe import observe
+from stepdiag_ros.model.log import NONE
+from stepdiag_ros.model.path import stops
 
 
 @pytest.fixture(scope='module')
@@ -93,16 +96,16 @@ def _explained_by(case, effect, rivals):
 def test_waiting_tells_creep_from_a_turning_beam(case):
     """What is foretold of a mount that stands is how little it still moves; the beam goes on."""
     joint, sets = _explained_by(case, effect_class('mirror_mount_creep')(amp=[2e-5, -1e-5], tau=40.0), [
-        ('mirror_mount_creep', 'each mounting nearly the same amount, linear'),
+        ('mirror_mount_creep', 'each mounting nearly the same amount, many time constants'),
         ('beam_pointing_drift', 'smooth')])
-    run = Run(replace(joint.observation.log.description.setups['ppp'], name='ppp.2'), '')
+    run = Run(replace(joint.observation.log.description.setups['ppp'], name='ppp.2'))
     assert _worth(joint, sets, replace(run, again_after=600.0)) > _worth(joint, sets, run) + 1.0
 
 
 def test_less_light_tells_background_from_a_gain(case):
     joint, sets = _explained_by(case, effect_class('psd_gain')(x=-0.2, y=-0.2), [
         ('psd_gain', 'alike in x and y'), ('ambient_light', 'linear')])
-    run = Run(replace(joint.observation.log.description.setups['ppp'], name='ppp.2'), '', (4e-4, -4e-4))
+    run = Run(replace(joint.observation.log.description.setups['ppp'], name='ppp.2'), mirror_turn_rad=(4e-4, -4e-4))
     assert _worth(joint, sets, replace(run, light=GREY)) > 10.0 * _worth(joint, sets, run) > 0.0
 
 
@@ -111,7 +114,7 @@ def test_a_run_left_standing_is_measured_twice(small_offset):
     table = joint.observation.table
     rows = np.flatnonzero(table.setup == 0)
     setup = replace(joint.observation.log.description.setups['ppp'], name='ppp.2')
-    longer = _with_run(table, rows, Run(setup, '', light=GREY, again_after=600.0))
+    longer, _ = _with_run(table, Run(setup, light=GREY, again_after=600.0), joint.observation.log.description, 0)
     new = longer.setup == len(table.setup_names)
     assert longer.setup_names[-1] == 'ppp.2' and new.sum() == 2 * len(rows)
     assert sorted(set(longer.repeat[new])) == [0, 1, 2, 3] and len(set(longer.run_ids)) == len(longer.run_ids)
@@ -145,7 +148,49 @@ def test_forms_that_come_with_less_light_do_not_shift_the_others(case):
         ('psd_gain', 'alike in x and y'), ('ambient_light', 'linear')])
     view, effect = joint.observation.view, sets[1][0][0]
     cycle = next(form for form in effect.appearance(view) if 'period_s' in form.shape)
-    run = Run(replace(joint.observation.log.description.setups['ppp'], name='ppp.2'), '', light=GREY)
+    run = Run(replace(joint.observation.log.description.setups['ppp'], name='ppp.2'), light=GREY)
     longer = _Longer(joint, run, _Log(joint))
     assert len(effect.appearance(longer.view)) > len(effect.appearance(view))
     assert longer._laid(effect, cycle).shape == cycle.shape
+
+
+def test_a_run_is_watched_as_a_log_would_show_it(small_offset):
+    """The stops foretold of a long first dwell are those that such a log is cut into."""
+    joint, _ = small_offset
+    log = joint.observation.log
+    setup = replace(log.description.setups['ppp'], name='ppp.2')
+    table, like = _with_run(joint.observation.table, Run(setup, watch=60.0), log.description, 0)
+    new = np.flatnonzero(table.setup == len(joint.observation.table.setup_names))
+    stood = table.axis[new] == STOOD
+    assert stood.sum() == PIECES and not stood[0] and stood[1:PIECES + 1].all() and len(like) == len(new)
+    assert np.array_equal(table.dwell_ns[new[1:PIECES]], table.done_ns[new[:PIECES - 1]])
+    assert table.done_ns[new[PIECES - 1]] - table.dwell_ns[new[0]] == 60_000_000_000
+    assert len({tuple(number) for number in arrivals(table)[new[:PIECES + 1]]}) == 1
+    first, further = np.unique(table.run[new])[:2]
+    assert table.dwell_ns[table.run == further].min() > table.done_ns[table.run == first].max()
+
+
+def test_a_line_that_the_log_does_not_hold_is_a_run_like_others(small_offset):
+    joint, _ = small_offset
+    log = joint.observation.log
+    setup = replace(log.description.setups['ppp'], name='lin_y.1', length=0.2, stops=5)
+    description = replace(log.description, setups={**log.description.setups, 'lin_y.1': setup})
+    old = joint.observation.table
+    without = replace(old, setup_names=tuple('lin_x.2' if name == 'lin_y' else name for name in old.setup_names))
+    table, like = _with_run(without, Run(setup, known=False), description, 3)
+    new = np.flatnonzero(table.setup == len(old.setup_names))
+    path = stops(description, 'lin_y.1')
+    passes = 2 * description.plan.repeats
+    assert len(new) == passes * 5 and (like == 3).all() and len(set(table.run_ids)) == len(table.run_ids)
+    np.testing.assert_allclose(table.commanded[new[:10]], np.concatenate([path.positions, path.positions[::-1]]))
+    assert sorted(set(table.direction[new])) == [-1, 1] and set(table.axis[new]) == {1, NONE}
+    assert (np.diff(table.dwell_ns[new]) > 0).all()
+
+
+def test_a_watch_tells_a_mount_from_a_beam(case):
+    """What relaxes after a mounting is seen while nothing moves at the sensors' noise, not at that of arrivals."""
+    joint, sets = _explained_by(case, effect_class('mirror_mount_creep')(amp=[2e-5, -1e-5], tau=40.0), [
+        ('mirror_mount_creep', 'each mounting nearly the same amount, many time constants'),
+        ('beam_pointing_drift', 'smooth')])
+    run = Run(replace(joint.observation.log.description.setups['ppp'], name='ppp.2'))
+    assert _worth(joint, sets, replace(run, watch=120.0)) > _worth(joint, sets, run) + 1.0

@@ -88,6 +88,15 @@ def test_progress_names_what_moves_and_ends_at_all_stops():
     assert hall.progress[-1].time_left_s == 0.0
 
 
+def test_the_first_dwell_after_a_mounting_may_be_longer():
+    hall = Hall(Control(), stand_s=0.2)
+    hall.runner.execute(runs())
+    times = {event[:3]: event[3] for event in hall.events if len(event) == 4}
+    dwells = [times[run, stop, DONE] - times[run, stop, DWELL] for run, stop in (
+        ('lin_x/0/+', 0), ('lin_x/0/+', 1), ('lin_x/0/-', 1), ('lin_x/0/-', 0))]
+    assert dwells[0] >= 200_000_000 and max(dwells[1:]) < dwells[0]
+
+
 def test_cancel_stops_the_axes_and_says_what_was_done():
     control = Control()
     hall = Hall(control)
