@@ -8,8 +8,11 @@ a mirror's turn but by what the geometry leaves of a beam's turn: derivatives of
 import numpy as np
 
 from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
-from stepdiag_ros.effects.patterns import Drawn, drawn_size, follow, saturating
+from stepdiag_ros.effects.patterns import Drawn, by_setup, drawn_size, follow, saturating, settlings
 from stepdiag_ros.effects.timeforms import courses
+
+FASTEST_S = 20.0
+"""Least time constant of a stand that settles: what is over sooner is a jump."""
 
 
 class BeamPointingDrift(Effect):
@@ -32,4 +35,11 @@ class BeamPointingDrift(Effect):
         moment.laser = moment.laser + saturating(moment.seconds, self.tau)[:, None] * self.amp
 
     def appearance(self, view: StopView) -> list[Form]:
-        return [follow(view, course, view.by_laser, ('u', 'v'), 1e-5, 'rad') for course in courses(view.elapsed)]
+        forms = [follow(view, course, view.by_laser, ('u', 'v'), 1e-5, 'rad')
+                 for course in courses(view.elapsed)]
+        if len(np.unique(view.setup)) > 1:
+            # The stand that carries the base unit settles after each move.
+            own, names = by_setup(view, view.by_laser, ('u', 'v'))
+            forms += [follow(view, course, own, names, 1e-5, 'rad', 'each setup on its own')
+                      for course in settlings(view.mount_time, FASTEST_S)]
+        return forms

@@ -85,17 +85,25 @@ def recorded(view: StopView, values: np.ndarray, label: str) -> Course:
 
 RELAXING_FRACTIONS = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)
 """Time constants of what relaxes, as shares of the longest time."""
+SHORTEST = 0.1
+"""In a short log the least time constant is this share of the longest time."""
+
+
+def settlings(time: np.ndarray, fastest: float) -> list[Course]:
+    """What settles after a beginning at time 0 in one way: linear, exponential with a time constant not below
+    ``fastest`` [s]; ``time`` (n,) [s]."""
+    span, least = _limits(time, fastest)
+    return [Course('linear', (time / span)[None], np.full((1, len(time)), 1.0 / span), {})] + [
+        _not_below(least, time, tau) for tau in _time_constants(span, least)]
 
 
 def relaxations(time: np.ndarray, fastest: float = 0.0) -> list[Course]:
-    """What relaxes after a beginning at time 0: linear, exponential with a time constant not below ``fastest`` [s],
-    logarithmic, as a power, two exponentials; ``time`` (n,) [s]."""
-    span = max(float(time.max()), 1e-9)
-    result = [Course('linear', (time / span)[None], np.full((1, len(time)), 1.0 / span), {})]
-    result += [_not_below(fastest, time, tau) for tau in _time_constants(span, fastest)]
-    result += [_logarithm(time, fraction * span, span) for fraction in (0.01, 0.1)]
-    result += [_power(time, 0.5, span), _two(time, 0.1 * span, span)]
-    return result
+    """:func:`settlings`, logarithmic with a start not before ``fastest`` [s], as a power, two exponentials."""
+    span, least = _limits(time, fastest)
+    return settlings(time, fastest) + [
+        *(_logarithm(time, start, span, least)
+          for start in dict.fromkeys(max(share * span, least) for share in (0.01, 0.1))),
+        _power(time, 0.5, span), _two(time, max(0.1 * span, least), span)]
 
 
 def relaxing(time: np.ndarray, fastest: float) -> Course:
@@ -104,13 +112,19 @@ def relaxing(time: np.ndarray, fastest: float) -> Course:
 
     Glue and clamped metal relax on a whole spectrum of time constants; logarithm and power law are two of those.
     """
-    each = [exponential(time, tau) for tau in _time_constants(max(float(time.max()), 1e-9), fastest)]
+    each = [exponential(time, tau) for tau in _time_constants(*_limits(time, fastest))]
     return Course('many time constants', np.concatenate([c.values for c in each]),
                   np.concatenate([c.rates for c in each]), {}, sizes=np.ones(len(each)))
 
 
-def _time_constants(span: float, fastest: float) -> list[float]:
-    return list(dict.fromkeys(max(fraction * span, fastest) for fraction in RELAXING_FRACTIONS))
+def _limits(time: np.ndarray, fastest: float) -> tuple[float, float]:
+    """The longest time and the least time constant [s]."""
+    span = max(float(time.max()), 1e-9)
+    return span, min(fastest, SHORTEST * span)
+
+
+def _time_constants(span: float, least: float) -> list[float]:
+    return list(dict.fromkeys(max(fraction * span, least) for fraction in RELAXING_FRACTIONS))
 
 
 def _not_below(fastest: float, time: np.ndarray, tau: float) -> Course:
@@ -119,11 +133,12 @@ def _not_below(fastest: float, time: np.ndarray, tau: float) -> Course:
                    retune=lambda shape: _not_below(fastest, time, shape['tau_s']))
 
 
-def _logarithm(time: np.ndarray, start: float, span: float) -> Course:
+def _logarithm(time: np.ndarray, start: float, span: float, earliest: float) -> Course:
+    start = max(start, earliest)
     size = np.log1p(span / start)
     return Course(f'logarithmic from {start:.0f} s', np.log1p(time / start)[None] / size,
                   1.0 / (start + time)[None] / size, {'start_s': start},
-                  lambda shape: _logarithm(time, shape['start_s'], span))
+                  lambda shape: _logarithm(time, shape['start_s'], span, earliest))
 
 
 def _power(time: np.ndarray, exponent: float, span: float) -> Course:

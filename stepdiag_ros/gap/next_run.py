@@ -50,8 +50,9 @@ ASIDE_M = 0.02
 
 RESTS = (0.0, 0.3, 1.0)
 """How long a run is left standing before it is measured again: shares of the log's length, the first that is …"""
-ENOUGH = 5.0
-"""… told apart by this −ln ρ is taken: at most one run in 300 then misleads, were the forms right."""
+ENOUGH = 15.0
+"""… told apart by this −ln ρ is taken.  The forms are never quite right: runs of which they promised odds of a hundred
+to one settled one case in two."""
 WATCHED = (60.0, 1200.0)
 """A run is watched for as long as a setup usually takes, within these limits [s]."""
 GREY = 0.5

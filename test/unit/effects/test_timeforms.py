@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from stepdiag_ros.effects import effect_class
-from stepdiag_ros.effects.patterns import each_alone, relaxations
+from stepdiag_ros.effects.patterns import each_alone, relaxations, relaxing
 from stepdiag_ros.effects.timeforms import courses, unknown
 
 SPAN = 1500.0
@@ -17,6 +17,27 @@ def test_courses_are_the_integrals_of_their_rates(kind):
         steps = 0.5 * (course.rates[:, 1:] + course.rates[:, :-1]) * np.diff(time)
         np.testing.assert_allclose(np.cumsum(steps, axis=1), course.values[:, 1:] - course.values[:, :1],
                                    atol=1e-3)
+
+
+def test_nothing_relaxes_faster_than_an_effect_can():
+    time = np.linspace(0.0, 300.0, 100)
+    for course in relaxations(time, 20.0):
+        for name in {'tau_s', 'start_s'} & set(course.shape):
+            assert course.shape[name] >= 20.0
+            faster = course.retune({**course.shape, name: 3.0})
+            assert faster.shape[name] == 20.0
+    # Of a short log the whole is known.
+    assert min(course.shape.get('tau_s', np.inf) for course in relaxations(time / 10.0, 20.0)) == pytest.approx(3.0)
+
+
+def test_many_time_constants_hold_a_logarithm_and_a_power():
+    time = np.linspace(0.0, SPAN, 500)
+    course = relaxing(time, 20.0)
+    two = 0.6 * np.exp(-time / 80.0) + 0.4 * np.exp(-time / 900.0)
+    for wanted in (np.log1p(time / 60.0), np.sqrt(time + 30.0), two):
+        wanted = wanted - wanted[0]
+        size, *_ = np.linalg.lstsq(course.values.T, wanted, rcond=None)
+        assert np.abs(course.values.T @ size - wanted).max() < 0.02 * np.ptp(wanted)
 
 
 def test_courses_begin_with_the_log():
