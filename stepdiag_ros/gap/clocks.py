@@ -5,7 +5,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from stepdiag_ros.gap.inside import Timing
+from stepdiag_ros.gap.inside import Timing, apart, timing
+from stepdiag_ros.gap.observe import Observation, observe
 from stepdiag_ros.gap.thresholds import (
     CLOCK_SIGMAS,
     DRIFT_SIGMAS,
@@ -13,10 +14,12 @@ from stepdiag_ros.gap.thresholds import (
     LEAST_DRIFT_S,
     LEAST_SOONER_S,
 )
-from stepdiag_ros.model.log import Samples
+from stepdiag_ros.model.log import CalibrationLog, Samples
 
 ALONE = 0.25
 """Share of the difference of two clocks below which the nearer one is taken for right."""
+WORSE = 4.0
+"""Mean square of a channel's residuals at the stops by which clocks put right may leave more than they found."""
 
 
 @dataclass(frozen=True)
@@ -28,6 +31,26 @@ class Late:
     sigma: float
     drift: float
     probability: float
+
+
+def set_clocks(log: CalibrationLog, observation: Observation
+               ) -> tuple[CalibrationLog, Observation, dict[str, Timing | None], dict[str, Late]]:
+    """The log with stamps put right, observed anew; when each sensor sees the moves; the sensors that were late."""
+    table = observation.table
+    clocks = {'interferometer': timing(log.displacement, table, table.displacement, table.displacement_rows),
+              'psd': timing(log.spot, table, table.spot, table.spot_rows)}
+    late = late_clocks(clocks, apart(log, table))
+    if not late:
+        return log, observation, clocks, {}
+    stamped = log
+    for sensor, by in late.items():
+        channel = 'spot' if sensor == 'psd' else 'displacement'
+        stamped = replace(stamped, **{channel: put_right(getattr(stamped, channel), by, table.dwell_ns)})
+    again = observe(stamped)
+    before, after = (np.nanmean(o.fit.residual**2, axis=0) for o in (observation, again))
+    if np.any(after > WORSE * before):
+        return log, observation, clocks, {}  # motion has come into the dwells: no clock was off by this
+    return stamped, again, clocks, late
 
 
 def late_clocks(clocks: Mapping[str, Timing | None],

@@ -8,7 +8,8 @@ pairs, which follows from what the effects are.
 from collections.abc import Sequence
 
 from stepdiag_ros.gap.joint import Joint
-from stepdiag_ros.gap.next_run import NextRun, Ways, recommend
+from stepdiag_ros.gap.longer import Ways
+from stepdiag_ros.gap.next_run import NextRun, recommend
 
 WORTH = 3.0
 """A further run is advised from this expected log evidence: from even odds to 95 %; one that

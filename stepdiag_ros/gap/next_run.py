@@ -1,45 +1,24 @@
 """The further run that settles which of two sets of effects acts: computed, not guessed.
 
-A run is one more setup at the end of the log: a diagonal or line that the plan holds already, mounted and
-aligned anew, perhaps from another distance, with the detector's beam elsewhere, the mirror turned or less
-light; perhaps watched at its first stop for a while, where no arrival errs and what drifts shows at the sensors' own
-noise; perhaps left standing and measured again, so that what goes on while nothing is touched shows.  Given
-the log, each set of effects foretells the new readings as a normal distribution N(m, V): from its own
-sizes, the machine, all misalignments and resets, none of them better known than the log tells, and the noise.
-The probability that the run speaks for the wrong one of two sets is at most ½ρ, with
-
-    −ln ρ = ⅛ (m_A − m_B)ᵀ V⁻¹ (m_A − m_B) + ½ ln |V| − ¼ ln |V_A| − ¼ ln |V_B|,   V = ½ (V_A + V_B)
-
-(Kailath 1967).  A set may act in several ways, forms of its effects that the log does not tell apart; then
-ρ ≤ Σ √(w_a w_b) ρ_ab over these.  The run with the least ρ is taken, the largest over all sets that rival the
-likeliest.  Expected log evidence, which is given beside, would be a worse guide: where one set foretells little, it is
-large on the average of outcomes and nothing in many of them.  If A acts, it is
-
-    KL(A‖B) = ½ [tr(V_B⁻¹V_A) − n + ln |V_B|/|V_A| + (m_A − m_B)ᵀ V_B⁻¹ (m_A − m_B)],
-
-between mixtures that of Hershey and Olsen 2007, the least over both directions and all rivals.
+A run is one more setup at the end of the log: a diagonal or line, mounted and aligned anew, perhaps from another
+distance, with the detector's beam elsewhere, the mirror turned or less light; perhaps watched at its first stop for a
+while, where no arrival errs and what drifts shows at the sensors' own noise; perhaps left standing and measured
+again, so that what goes on while nothing is touched shows.  The run with the least probability of error
+(:mod:`forecast`) is taken, the largest over all sets that rival the likeliest.  Expected log evidence, which is given
+beside, would be a worse guide: where one set foretells little, it is large on the average of outcomes and nothing in
+many of them.
 """
 
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import linalg
 
-from stepdiag_ros.effects.base import Effect, Form, StopView
-from stepdiag_ros.estimate.enhanced import prior_precision
-from stepdiag_ros.estimate.forward import ForwardModel
-from stepdiag_ros.estimate.noise import whiteners
-from stepdiag_ros.estimate.parameters import parameters_of
-from stepdiag_ros.estimate.reduce import PIECES, STOOD, StopTable
-from stepdiag_ros.gap.closing import RESET_WIDTH_M
-from stepdiag_ros.gap.evidence import SIZES
+from stepdiag_ros.gap.forecast import Mixture, apart, expected_evidence
 from stepdiag_ros.gap.joint import Joint
-from stepdiag_ros.gap.observe import view_of
+from stepdiag_ros.gap.longer import Known, Longer, Run, Ways
 from stepdiag_ros.gap.unknown import NAME as UNKNOWN
-from stepdiag_ros.model.description import LINEAR, Description, Setup, path_of
-from stepdiag_ros.model.path import stops
+from stepdiag_ros.model.description import LINEAR, Setup, path_of
 
 WALK_M = 2e-3
 """Spot at the far end when the mirror is turned on purpose: well on any detector."""
@@ -62,45 +41,8 @@ FRESH = 'mirror_mount_creep'
 SOON = 'Begin right after mounting the mirror: a mount that relaxes moves most then, nothing else does.'
 """An effect that a fresh mounting shows best, whatever its forms foretell."""
 
-Member = tuple[Effect, Form]
-Ways = Sequence[tuple[float, Sequence[Member]]]
-"""A set of effects in the forms that it may take, with the share of probability of each."""
-
-
-@dataclass(frozen=True)
-class Run:
-    """A further run: a setup, ``how`` it differs from that of the log, in words; ``known``: whether the log holds it.
-
-    ``mirror_turn_rad``: how its mirror is turned; ``light`` in the beam against that of the log; ``watch`` [s]: length
-    of the first stop's dwell, 0: as usual; ``again_after`` [s]: left standing so long and measured as often again,
-    None: not.
-    """
-
-    setup: Setup
-    how: str = ''
-    known: bool = True
-    mirror_turn_rad: tuple[float, float] = (0.0, 0.0)
-    light: float = 1.0
-    watch: float = 0.0
-    again_after: float | None = None
-
-    @property
-    def text(self) -> str:
-        """What is to be done."""
-        label = f'{"line" if self.setup.is_linear else "diagonal"} {path_of(self.setup.name)}'
-        said = '' if self.light == 1.0 else \
-            f'Put a grey filter that leaves {self.light:.0%} of the light into the beam. '
-        said += f'Mount and align the {label}'
-        said += ' once more and measure it again' if self.known else \
-            f', which this log does not hold, and measure it at {self.setup.stops} stops'
-        said += f', {self.how}.' if self.how else '.'
-        if self.watch:
-            said += f' Before it moves, let it stand at its first stop for {self.watch / 60.0:.0f} min while both ' \
-                    'sensors record.'
-        if self.again_after is not None:
-            later = f'after {self.again_after / 60.0:.0f} min' if self.again_after else 'at once'
-            said += f' Then leave mirror and base unit as they are and measure it as often again {later}.'
-        return said
+Best = tuple[Run, float, Mixture, list[Mixture]] | None
+"""A run, its −ln ρ and the forecasts of the likeliest set and of the others."""
 
 
 @dataclass(frozen=True)
@@ -133,24 +75,6 @@ class NextRun:
                 'between': list(self.between), 'text': self.text}
 
 
-@dataclass(frozen=True)
-class _Forecast:
-    """White new readings (n,) as a set foretells them: ``mean`` and ``spread`` (n, p) of their covariance
-    ``1 + SSᵀ``; ``certain`` (p, n) is L⁻¹Sᵀ with ``LLᵀ = 1 + SᵀS``, ``volume`` ½ ln |1 + SSᵀ|, ``own`` the trace of
-    ``(1 + SSᵀ)⁻¹ − 1``."""
-
-    mean: np.ndarray
-    spread: np.ndarray
-    certain: np.ndarray
-    volume: float
-    own: float
-
-
-Mixture = Sequence[tuple[float, _Forecast]]
-Best = tuple[Run, float, Mixture, list[Mixture]] | None
-"""A run, its −ln ρ and the forecasts of the likeliest set and of the others."""
-
-
 def recommend(joint: Joint, rivals: Sequence[Ways]) -> NextRun | None:
     """The further run that tells the likeliest set, the first of ``rivals``, from all others best."""
     if len(rivals) < 2:
@@ -161,7 +85,7 @@ def recommend(joint: Joint, rivals: Sequence[Ways]) -> NextRun | None:
         return None
     # Which diagonal or line, whether it is watched or left standing, matters most; how it is set up is tried on the
     # best.
-    log, best, plain = _Log(joint), None, _once_more(joint)
+    log, best, plain = Known(joint), None, _once_more(joint)
     for runs in (plain, [_watched(joint, run) for run in plain], [_standing(joint, run)[-1] for run in plain]):
         if best is None or best[1] < ENOUGH:
             best = _best(joint, rivals, runs, best, log)
@@ -171,24 +95,24 @@ def recommend(joint: Joint, rivals: Sequence[Ways]) -> NextRun | None:
         best = _best(joint, rivals, [_watched(joint, best[0]), *_standing(joint, best[0])], best, log)
     if best is None:
         return None
-    run, apart, first, others = best
-    evidence = min(min(_between(first, other), _between(other, first)) for other in others)
-    error, at_once = 0.5 * float(np.exp(-max(apart, 0.0))), FRESH in between
+    run, told, first, others = best
+    evidence = min(min(expected_evidence(first, other), expected_evidence(other, first)) for other in others)
+    error, at_once = 0.5 * float(np.exp(-max(told, 0.0))), FRESH in between
     return NextRun(run, evidence, error, between, at_once,
                    run.text + (f' {SOON}' if at_once else '') + _hope(error, between))
 
 
 def _best(joint: Joint, rivals: Sequence[Ways], runs: Sequence[Run], best: Best,
-          log: '_Log') -> Best:
+          log: 'Known') -> Best:
     """The run that tells the sets apart best among ``runs`` and ``best``."""
     for run in runs:
-        longer = _Longer(joint, run, log)
+        longer = Longer(joint, run, log)
         forecasts = [longer.forecasts(ways) for ways in rivals]
         if not all(forecasts):
             continue
-        apart = min(_apart(forecasts[0], other) for other in forecasts[1:])
-        if best is None or apart > best[1]:
-            best = run, apart, forecasts[0], forecasts[1:]
+        told = min(apart(forecasts[0], other) for other in forecasts[1:])
+        if best is None or told > best[1]:
+            best = run, told, forecasts[0], forecasts[1:]
     return best
 
 
@@ -250,227 +174,3 @@ def _standing(joint: Joint, run: Run) -> list[Run]:
     """The run left standing, mirror and base unit untouched, and measured again."""
     span = float(np.ptp(joint.observation.table.time_s))
     return [replace(run, again_after=60.0 * round(share * span / 60.0)) for share in RESTS]
-
-
-def _foretold(mean: np.ndarray, spread: np.ndarray) -> _Forecast:
-    root = linalg.cholesky(np.eye(spread.shape[1]) + spread.T @ spread, lower=True)
-    certain = linalg.solve_triangular(root, spread.T, lower=True, check_finite=False)
-    return _Forecast(mean, spread, certain, float(np.sum(np.log(np.diag(root)))), -float(np.sum(certain**2)))
-
-
-def _evidence(true: _Forecast, other: _Forecast) -> float:
-    """Expected log evidence of the new readings for ``true`` against ``other``; all in the few directions in
-    which they are not known."""
-    shift = true.mean - other.mean
-    trace = other.own + np.sum(true.spread**2) - np.sum((other.certain @ true.spread) ** 2)
-    return float(0.5 * (trace + shift @ shift - np.sum((other.certain @ shift) ** 2)) + other.volume - true.volume)
-
-
-def _between(true: Mixture, other: Mixture) -> float:
-    """Expected log evidence for one mixture of forecasts against another."""
-    def near(forecast: _Forecast, mixture: Mixture) -> float:
-        return float(np.logaddexp.reduce([
-            np.log(share) - (0.0 if one is forecast else _evidence(forecast, one)) for share, one in mixture]))
-    return sum(share * (near(one, true) - near(one, other)) for share, one in true)
-
-
-def _apart(some: Mixture, other: Mixture) -> float:
-    """−ln ρ between two mixtures of forecasts, at least."""
-    return -float(np.logaddexp.reduce([0.5 * np.log(share * weight) - _distance(a, b)
-                                       for share, a in some for weight, b in other]))
-
-
-def _distance(a: _Forecast, b: _Forecast) -> float:
-    """−ln ρ between two forecasts."""
-    spread, shift = np.concatenate([a.spread, b.spread], axis=1) / np.sqrt(2.0), 0.5 * (a.mean - b.mean)
-    root = linalg.cholesky(np.eye(spread.shape[1]) + spread.T @ spread, lower=True)
-    taken = linalg.solve_triangular(root, spread.T @ shift, lower=True)
-    volume = np.sum(np.log(np.diag(root)))
-    return float(0.5 * (shift @ shift - taken @ taken) + volume - 0.5 * (a.volume + b.volume))
-
-
-def kind(form: Form) -> str:
-    """A form's label without its numbers."""
-    return ''.join(c for c in form.label if not c.isdigit() and c != '.')
-
-
-def _in_order(forms: Sequence[Form]) -> list[tuple[str, int]]:
-    """Kind of each form and its number among those of its kind."""
-    seen: Counter[str] = Counter()
-    result = []
-    for form in forms:
-        result.append((kind(form), seen[kind(form)]))
-        seen[kind(form)] += 1
-    return result
-
-
-class _Log:
-    """What is known of the log whatever comes after it: places of an effect's forms by label, and the size at
-    which a set in some forms suits it best."""
-
-    def __init__(self, joint: Joint):
-        self._view = joint.observation.view
-        self.sizes: dict[tuple[tuple[str, str], ...], Sequence[float]] = {}
-        self._places: dict[str, dict[str, tuple[str, int]]] = {}
-
-    def places(self, effect: Effect) -> dict[str, tuple[str, int]]:
-        if effect.name not in self._places:
-            forms = effect.appearance(self._view)
-            self._places[effect.name] = {form.label: at for form, at in zip(forms, _in_order(forms), strict=True)}
-        return self._places[effect.name]
-
-
-class _Longer:
-    """The log with one more setup: what is known of it before it is measured."""
-
-    def __init__(self, joint: Joint, run: Run, known: _Log):
-        observation, old, setup = joint.observation, joint.fit, run.setup
-        log = replace(observation.log, description=replace(
-            observation.log.description, setups={**observation.log.description.setups, setup.name: setup}))
-        whole = int(np.argmax(old.present.all(axis=1)))
-        table, rows = _with_run(observation.table, run, log.description, whole)
-        # A longer look has more samples, against less light the detector's own noise is larger.
-        longer = np.sqrt(_length_ns(table)[len(observation.table):] / _length_ns(observation.table)[rows])
-        new_noise = joint.noise.sensor[rows] / longer[:, None]
-        new_noise[:, -2:] /= run.light
-        noise = replace(joint.noise, sensor=np.concatenate([joint.noise.sensor, new_noise]))
-        parameters = parameters_of(log.description, table)
-        first, new = old.parameters.offset_first, len(table.run_ids) - old.parameters.runs
-        theta = np.concatenate([old.theta[:first], [0.0, 0.0, *run.mirror_turn_rad], old.theta[first:],
-                                np.zeros(new * old.parameters.beams)])
-        model = ForwardModel(log.description, table, parameters)
-        predicted, jacobian, arrival = model.jacobian(theta)
-        start, beams = len(observation.table), model.beams
-        table = replace(
-            table, displacement=np.concatenate([table.displacement[:start], predicted[start:, :beams]]),
-            spot=np.concatenate([table.spot[:start], predicted[start:, beams:]]))
-        present = np.concatenate([old.present, old.present[rows]])
-        bins = observation.view.bin_time
-        self.view: StopView = view_of(log, table, replace(old, model=model, theta=theta), np.concatenate(
-            [bins, bins[rows]]))
-        self._forms: dict[str, dict[tuple[str, int], Form]] = {}
-        self._log = known
-        self._white = whiteners(table, noise, arrival, present)
-        self._new = np.concatenate([w.rows for w in self._white]) >= start * present.shape[1]
-        self._nominal = self._whitened(jacobian.toarray())
-        self._precision = prior_precision(parameters)
-        offsets = np.arange(parameters.offset_first, parameters.size)
-        self._precision[offsets, offsets] = RESET_WIDTH_M**-2.0
-        residual = np.zeros(present.shape)
-        residual[:start] = observation.view.reading - predicted[:start]
-        self._data = self._whitened(np.where(present, residual, 0.0).ravel())[~self._new]
-
-    def forecasts(self, ways: Ways) -> Mixture:
-        """The new readings in each of the ways that have their like in the longer log."""
-        found = [(share, self.forecast(members)) for share, members in ways]
-        found = [(share, forecast) for share, forecast in found if forecast is not None]
-        total = sum(share for share, _ in found)
-        return [(share / total, forecast) for share, forecast in found]
-
-    def forecast(self, members: Sequence[Member]) -> _Forecast | None:
-        """The new readings if ``members`` act; None where one of them has no like, or no bound, in the longer log."""
-        forms = [self._laid(effect, form) for effect, form in members]
-        if None in forms:
-            return None
-        columns = np.concatenate([form.columns * form.scale[:, None, None] for form in forms])
-        effects = self._whitened(columns.reshape(len(columns), -1).T)
-        if not np.isfinite(effects).all():
-            return None
-        design = np.concatenate([self._nominal, effects], axis=1)
-        known, new = design[~self._new], design[self._new]
-        normal, along = known.T @ known, known.T @ self._data
-        best, way = None, tuple((effect.name, form.label) for effect, form in members)
-        for size in self._log.sizes.get(way, SIZES):
-            # The size that suits the log best: a wider one would let the effect do more than it ever did.
-            precision = linalg.block_diag(self._precision, np.eye(len(columns)) / size**2)
-            scale = 1.0 / np.sqrt(np.diag(normal + precision))
-            factor = linalg.cholesky((normal + precision) * np.outer(scale, scale), lower=True)
-            half = linalg.solve_triangular(factor, scale * along, lower=True)
-            fits = 0.5 * half @ half - np.sum(np.log(np.diag(factor) / scale)) - len(columns) * np.log(size)
-            if best is None or fits > best[0]:
-                best = fits, factor, scale, half, size
-        _, factor, scale, half, self._log.sizes[way] = *best[:-1], best[-1:]
-        spread = linalg.solve_triangular(factor, (new * scale).T, lower=True).T
-        return _foretold(spread @ half, spread)
-
-    def _laid(self, effect: Effect, form: Form) -> Form | None:
-        """The form at the longer log, its shape kept: time constants in a label follow the log's length, the
-        order of an effect's forms of one kind does not."""
-        if effect.name not in self._forms:
-            forms = effect.appearance(self.view)
-            self._forms[effect.name] = dict(zip(_in_order(forms), forms, strict=True))
-        place = self._log.places(effect).get(form.tuned_from or form.label)
-        laid = self._forms[effect.name].get(place) if place else None
-        if laid is None or set(laid.shape) != set(form.shape):
-            return None
-        return laid if laid.retune is None else laid.at(form.shape)
-
-    def _whitened(self, values: np.ndarray) -> np.ndarray:
-        return np.concatenate([w(values) for w in self._white])
-
-
-def _length_ns(table: StopTable) -> np.ndarray:
-    return np.maximum(table.done_ns - table.dwell_ns, 1)
-
-
-def _with_run(table: StopTable, run: Run, description: Description, usual: int) -> tuple[StopTable, np.ndarray]:
-    """The table with the setup of ``run`` measured at its end, once or twice; and for each of the new stops the old
-    one that it is like: that of the same diagonal or line or, where there was none, ``usual``."""
-    part, like, passes = _as_planned(table, run.setup, description, usual)
-    starts = [table.dwell_ns[table.setup == s].min() for s in np.unique(table.setup)]
-    ends = [table.done_ns[table.setup == s].max() for s in np.unique(table.setup)]
-    pause = int(np.median(np.array(starts)[1:] - np.array(ends)[:-1])) if len(starts) > 1 else 0
-    first, longer, watched = int(part['dwell_ns'].min()), int(run.watch * 1e9), PIECES if run.watch else 0
-    shifts = [int(table.done_ns.max()) + max(pause, 0) - first]
-    if run.again_after is not None:
-        shifts.append(shifts[0] + longer + int(part['done_ns'].max()) - first + int(run.again_after * 1e9))
-    parts, ids, rows = [], [], []
-    for visit, shift in enumerate(shifts):
-        # What is watched comes before the first stop as it usually is, cut as in a log.
-        before = 0 if visit else watched
-        own = np.concatenate([np.zeros(before, int), np.arange(len(like))])
-        new = {name: values[own] for name, values in part.items()}
-        for name in ('move_ns', 'dwell_ns', 'done_ns'):
-            new[name] += shift + (longer if before else 0)
-        if before:
-            new['axis'][1:before + 1] = STOOD
-            for name, end in (('dwell_ns', 0), ('done_ns', 1)):
-                new[name][:before] = first + shift + longer * (np.arange(before) + end) // before
-        parts.append(new | {
-            'run': new['run'] + len(table.run_ids) + len(ids), 'setup': np.full(len(own), len(table.setup_names)),
-            'repeat': new['repeat'] + visit * (int(part['repeat'].max()) + 1),
-            'intensity': new['intensity'] * run.light})
-        ids += [f'{run.setup.name}/{visit}/{one}' for one in passes]
-        rows.append(like[own])
-    return replace(table, run_ids=(*table.run_ids, *ids), setup_names=(*table.setup_names, run.setup.name),
-                   **{name: np.concatenate([getattr(table, name), *(part[name] for part in parts)])
-                      for name in parts[0]}), np.concatenate(rows)
-
-
-def _as_planned(table: StopTable, setup: Setup, description: Description,
-                usual: int) -> tuple[dict[str, np.ndarray], np.ndarray, list[str]]:
-    """Columns of the stops that a setup will have, at the times of the one that they are like; these; ids of the
-    passes that 'run' numbers."""
-    columns = [name for name, values in vars(table).items()
-               if isinstance(values, np.ndarray) and len(values) == len(table) and name != 'setup']
-    same = [i for i, name in enumerate(table.setup_names) if path_of(name) == path_of(setup.name)]
-    if same:
-        like = np.flatnonzero((table.setup == same[0]) & (table.axis != STOOD))
-        part = {name: getattr(table, name)[like] for name in columns}
-        runs, part['run'] = np.unique(part['run'], return_inverse=True)
-        return part, like, [table.run_ids[run].partition('/')[2] for run in runs]
-    path, repeats = stops(description, setup.name), description.plan.repeats
-    n = len(path)
-    back = np.concatenate([path.axis[:1], path.axis[:0:-1]])
-    like = np.full(2 * repeats * n, usual)
-    part = {name: getattr(table, name)[like] for name in columns}
-    pace = int(np.median(np.diff(table.dwell_ns)))
-    for name in ('move_ns', 'dwell_ns', 'done_ns'):
-        part[name] += pace * np.arange(len(like))
-    number = np.arange(2 * repeats)
-    part |= {'commanded': np.tile(np.concatenate([path.positions, path.positions[::-1]]), (repeats, 1)),
-             'index': np.tile(np.concatenate([np.arange(n), np.arange(n)[::-1]]), repeats),
-             'axis': np.tile(np.concatenate([path.axis, back]), repeats).astype(table.axis.dtype),
-             'run': np.repeat(number, n), 'repeat': np.repeat(number // 2, n),
-             'direction': np.repeat(1 - 2 * (number % 2), n).astype(table.direction.dtype)}
-    return part, like, [f'{i // 2}/{"+-"[i % 2]}' for i in number]

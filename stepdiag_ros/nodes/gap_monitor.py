@@ -23,7 +23,8 @@ from stepdiag_msgs.msg import GapReport
 from stepdiag_ros.effects import all_effects
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate import Solution, evaluate
-from stepdiag_ros.gap.diagnose import Diagnosis, diagnose
+from stepdiag_ros.gap.diagnose import diagnose
+from stepdiag_ros.gap.diagnosis import Diagnosis
 from stepdiag_ros.nodes.base import ERROR, OK, WARN, Health, overridable, reliable, run_node
 from stepdiag_ros.nodes.listener import ListenerNode
 from stepdiag_ros.nodes.stamps import stamp_of

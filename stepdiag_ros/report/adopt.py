@@ -17,7 +17,7 @@ import yaml
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate.enhanced import Fit
 from stepdiag_ros.estimate.gauge import slope_weights
-from stepdiag_ros.gap.diagnose import Diagnosis
+from stepdiag_ros.gap.diagnosis import Diagnosis
 from stepdiag_ros.gap.observe import sane_fit
 from stepdiag_ros.model.machine import CURVES
 from stepdiag_ros.report.physical import physical

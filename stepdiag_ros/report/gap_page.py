@@ -6,7 +6,7 @@ from html import escape
 import numpy as np
 
 from stepdiag_ros.estimate.evaluate import solution_of
-from stepdiag_ros.gap.diagnose import Diagnosis, Found
+from stepdiag_ros.gap.diagnosis import Diagnosis, Found
 from stepdiag_ros.gap.unknown import NAME as UNKNOWN
 from stepdiag_ros.report import gap_figures, gap_words
 from stepdiag_ros.report.page import bars, figure, page, table

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from stepdiag_ros.gap.closing import closing
-from stepdiag_ros.gap.diagnose import Diagnosis, Found
+from stepdiag_ros.gap.diagnosis import Diagnosis, Found
 from stepdiag_ros.model.machine import CURVES, SQUARENESS
 from stepdiag_ros.report.series import reach, share_map
 from stepdiag_ros.report.words import (

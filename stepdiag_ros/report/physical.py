@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stepdiag_ros.gap.diagnose import Diagnosis, Found
+from stepdiag_ros.gap.diagnosis import Diagnosis, Found
 from stepdiag_ros.gap.joint import Active
 from stepdiag_ros.model.air import refractive_index
 from stepdiag_ros.model.machine import CURVES, SQUARENESS

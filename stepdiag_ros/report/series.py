@@ -6,7 +6,7 @@ import numpy as np
 
 from stepdiag_ros.estimate.enhanced import readings_of
 from stepdiag_ros.estimate.noise import whiteners
-from stepdiag_ros.gap.diagnose import Diagnosis
+from stepdiag_ros.gap.diagnosis import Diagnosis
 from stepdiag_ros.gap.joint import unexplained
 from stepdiag_ros.gap.thresholds import LEAST_SHARE
 from stepdiag_ros.gap.where import excess_of

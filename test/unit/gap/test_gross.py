@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from stepdiag_ros.effects import all_effects, effect_class
-from stepdiag_ros.gap.diagnose import _noise
 from stepdiag_ros.gap.gross import GROSS, misfit, place_to_begin
 from stepdiag_ros.gap.joint import fit_jointly, inverse
+from stepdiag_ros.gap.turns import noise_of
 
 GROSS_EFFECTS = [
     ('psd_zero_offset', {'x': 1e-3, 'y': -7e-4}),
@@ -22,7 +22,7 @@ def test_the_search_begins_where_the_effect_is_taken_out(case, name, values):
     setups = observation.fit.parameters.setup_first.values()
     # Bent as the readings are, machine and mounts stay what a machine and mounts can be.
     assert np.abs(observation.fit.theta[:min(setups) + 4 * len(setups)]).max() < 0.02
-    nominal = fit_jointly(observation, [], _noise(observation))
+    nominal = fit_jointly(observation, [], noise_of(observation))
     assert misfit(nominal) > GROSS
     begun = place_to_begin(nominal, {kind.name: kind() for kind in all_effects().values()})
     assert misfit(begun) < 0.3 * misfit(nominal)
@@ -31,7 +31,7 @@ def test_the_search_begins_where_the_effect_is_taken_out(case, name, values):
 
 def test_a_log_with_a_small_effect_begins_at_its_nominal_fit(case):
     observation = case.observe(effect_class('backlash')(B=[1e-6, 0.0, 0.0]))
-    nominal = fit_jointly(observation, [], _noise(observation))
+    nominal = fit_jointly(observation, [], noise_of(observation))
     assert place_to_begin(nominal, {}) is nominal
 
 

@@ -9,20 +9,10 @@ from stepdiag_ros.effects import effect_class
 from stepdiag_ros.estimate.noise import arrivals, estimate_noise
 from stepdiag_ros.estimate.reduce import PIECES, STOOD
 from stepdiag_ros.gap.beyond import Beyond
+from stepdiag_ros.gap.forecast import apart, distance, evidence_of, expected_evidence, foretold
 from stepdiag_ros.gap.joint import fit_jointly
-from stepdiag_ros.gap.next_run import (
-    GREY,
-    Run,
-    _apart,
-    _between,
-    _distance,
-    _evidence,
-    _foretold,
-    _Log,
-    _Longer,
-    _with_run,
-    recommend,
-)
+from stepdiag_ros.gap.longer import Known, Longer, Run, with_run
+from stepdiag_ros.gap.next_run import GREY, recommend
 from stepdiag_ros.gap.observe import observe
 from stepdiag_ros.model.log import NONE
 from stepdiag_ros.model.path import stops
@@ -76,9 +66,9 @@ def test_a_drift_without_a_like_in_the_longer_log_is_not_foretold(small_offset):
 
 def _worth(joint, sets, run):
     """How well one run tells two sets apart."""
-    longer = _Longer(joint, run, _Log(joint))
+    longer = Longer(joint, run, Known(joint))
     one, other = (longer.forecast(members) for members in sets)
-    return _apart([(1.0, one)], [(1.0, other)])
+    return apart([(1.0, one)], [(1.0, other)])
 
 
 def _explained_by(case, effect, rivals):
@@ -114,7 +104,7 @@ def test_a_run_left_standing_is_measured_twice(small_offset):
     table = joint.observation.table
     rows = np.flatnonzero(table.setup == 0)
     setup = replace(joint.observation.log.description.setups['ppp'], name='ppp.2')
-    longer, _ = _with_run(table, Run(setup, light=GREY, again_after=600.0), joint.observation.log.description, 0)
+    longer, _ = with_run(table, Run(setup, light=GREY, again_after=600.0), joint.observation.log.description, 0)
     new = longer.setup == len(table.setup_names)
     assert longer.setup_names[-1] == 'ppp.2' and new.sum() == 2 * len(rows)
     assert sorted(set(longer.repeat[new])) == [0, 1, 2, 3] and len(set(longer.run_ids)) == len(longer.run_ids)
@@ -127,19 +117,19 @@ def test_evidence_is_that_of_the_whole_covariance():
     rng = np.random.default_rng(3)
 
     def drawn():
-        return _foretold(rng.normal(size=9), rng.normal(size=(9, 2)))
+        return foretold(rng.normal(size=9), rng.normal(size=(9, 2)))
     a, b = drawn(), drawn()
     whole = [np.eye(9) + f.spread @ f.spread.T for f in (a, b)]
     ratio, shift = np.linalg.solve(whole[1], whole[0]), a.mean - b.mean
     plain = 0.5 * (np.trace(ratio) - 9 - np.linalg.slogdet(ratio)[1] + shift @ np.linalg.solve(whole[1], shift))
-    assert _evidence(a, b) == pytest.approx(plain) and _evidence(a, a) == pytest.approx(0.0, abs=1e-9)
+    assert evidence_of(a, b) == pytest.approx(plain) and evidence_of(a, a) == pytest.approx(0.0, abs=1e-9)
     middle = 0.5 * (whole[0] + whole[1])
     logs = [np.linalg.slogdet(v)[1] for v in (middle, *whole)]
-    assert _distance(a, b) == pytest.approx(0.125 * shift @ np.linalg.solve(middle, shift)
+    assert distance(a, b) == pytest.approx(0.125 * shift @ np.linalg.solve(middle, shift)
                                             + 0.5 * logs[0] - 0.25 * logs[1] - 0.25 * logs[2])
-    assert _apart([(0.5, a), (0.5, b)], [(0.5, b), (0.5, a)]) <= 1e-9
+    assert apart([(0.5, a), (0.5, b)], [(0.5, b), (0.5, a)]) <= 1e-9
     # A mixture that holds the other's forecast as well is told from it by no more than its share.
-    assert 0.0 < _between([(1.0, a)], [(0.5, a), (0.5, b)]) <= np.log(2.0) + 1e-9
+    assert 0.0 < expected_evidence([(1.0, a)], [(0.5, a), (0.5, b)]) <= np.log(2.0) + 1e-9
 
 
 def test_forms_that_come_with_less_light_do_not_shift_the_others(case):
@@ -149,7 +139,7 @@ def test_forms_that_come_with_less_light_do_not_shift_the_others(case):
     view, effect = joint.observation.view, sets[1][0][0]
     cycle = next(form for form in effect.appearance(view) if 'period_s' in form.shape)
     run = Run(replace(joint.observation.log.description.setups['ppp'], name='ppp.2'), light=GREY)
-    longer = _Longer(joint, run, _Log(joint))
+    longer = Longer(joint, run, Known(joint))
     assert len(effect.appearance(longer.view)) > len(effect.appearance(view))
     assert longer._laid(effect, cycle).shape == cycle.shape
 
@@ -159,7 +149,7 @@ def test_a_run_is_watched_as_a_log_would_show_it(small_offset):
     joint, _ = small_offset
     log = joint.observation.log
     setup = replace(log.description.setups['ppp'], name='ppp.2')
-    table, like = _with_run(joint.observation.table, Run(setup, watch=60.0), log.description, 0)
+    table, like = with_run(joint.observation.table, Run(setup, watch=60.0), log.description, 0)
     new = np.flatnonzero(table.setup == len(joint.observation.table.setup_names))
     stood = table.axis[new] == STOOD
     assert stood.sum() == PIECES and not stood[0] and stood[1:PIECES + 1].all() and len(like) == len(new)
@@ -177,7 +167,7 @@ def test_a_line_that_the_log_does_not_hold_is_a_run_like_others(small_offset):
     description = replace(log.description, setups={**log.description.setups, 'lin_y.1': setup})
     old = joint.observation.table
     without = replace(old, setup_names=tuple('lin_x.2' if name == 'lin_y' else name for name in old.setup_names))
-    table, like = _with_run(without, Run(setup, known=False), description, 3)
+    table, like = with_run(without, Run(setup, known=False), description, 3)
     new = np.flatnonzero(table.setup == len(old.setup_names))
     path = stops(description, 'lin_y.1')
     passes = 2 * description.plan.repeats

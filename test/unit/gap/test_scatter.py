@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from stepdiag_ros.gap.diagnose import _noise
 from stepdiag_ros.gap.evidence import judge
 from stepdiag_ros.gap.joint import fit_jointly
 from stepdiag_ros.gap.observe import observe
 from stepdiag_ros.gap.scatter import _mixture, stray_arrivals, strays
+from stepdiag_ros.gap.turns import noise_of
 
 
 def test_a_wide_share_of_scores_is_evidence_and_noise_is_not():
@@ -32,7 +32,7 @@ def test_repeats_raised_by_what_is_off_do_not_hide_it():
 @pytest.fixture(scope='module')
 def joint(case):
     observation = observe(case.log())
-    return fit_jointly(observation, [], _noise(observation))
+    return fit_jointly(observation, [], noise_of(observation))
 
 
 def test_short_arrivals_are_seen_in_the_data(joint):

@@ -8,7 +8,8 @@ import pytest
 import yaml
 
 from stepdiag_ros.effects import effect_class
-from stepdiag_ros.gap.diagnose import Diagnosis, diagnose
+from stepdiag_ros.gap.diagnose import diagnose
+from stepdiag_ros.gap.diagnosis import Diagnosis
 from stepdiag_ros.virtual.cell import Cell, parse_cell
 from stepdiag_ros.virtual.offline import simulate_log
 

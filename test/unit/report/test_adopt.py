@@ -9,7 +9,7 @@ import yaml
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate.noise import whiteners
 from stepdiag_ros.estimate.reduce import reduce_log
-from stepdiag_ros.gap.diagnose import Diagnosis
+from stepdiag_ros.gap.diagnosis import Diagnosis
 from stepdiag_ros.model.description import Noise
 from stepdiag_ros.report.adopt import adopted_cell
 from stepdiag_ros.virtual.cell import Cell, parse_cell

@@ -1,0 +1,91 @@
+"""What a diagnosis is: everything that a report needs."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+from stepdiag_ros.estimate.solution import Solution
+from stepdiag_ros.gap.averaged import averaged_solution
+from stepdiag_ros.gap.closing import Closing
+from stepdiag_ros.gap.inside import Timing
+from stepdiag_ros.gap.joint import Joint
+from stepdiag_ros.gap.lines import Vibration
+from stepdiag_ros.gap.next_run import NextRun
+from stepdiag_ros.gap.observe import Observation
+from stepdiag_ros.gap.screen import Screen
+from stepdiag_ros.gap.search import EffectSet
+from stepdiag_ros.gap.where import Share
+from stepdiag_ros.model.log import CalibrationLog
+
+
+@dataclass(frozen=True)
+class Found:
+    """An effect of the diagnosis: name, probability, parameters with σ by name, share of the gap closed."""
+
+    name: str
+    title: str
+    probability: float
+    parameters: Mapping[str, float]
+    sigma: Mapping[str, float]
+    units: str
+    form: str
+    closes: float
+    remedy: str
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """Everything that a report needs.
+
+    ``verdict`` as in the contract; ``effects`` what the diagnosis would add to the simulator;
+    ``ranking`` probabilities of all effects, ``unknown`` and ``nothing``; ``sets`` the sets thought of with
+    their probabilities.
+    """
+
+    log: CalibrationLog
+    verdict: str
+    closing: Closing
+    shares: tuple[Share, ...]
+    effects: tuple[Found, ...]
+    ranking: Mapping[str, float]
+    sets: tuple[tuple[tuple[str, ...], float], ...]
+    indistinguishable: tuple[tuple[str, ...], ...]
+    nominal: Observation
+    joint: Joint
+    clocks: Mapping[str, Timing | None]
+    shaking: Vibration | None
+    leftover: str
+    warnings: tuple[str, ...]
+    raw: list[EffectSet]
+    screen: Screen
+    next_measurement: str | None = None
+    next_run: NextRun | None = None
+
+    def to_json_dict(self) -> dict:
+        """``gap.json`` of the contract, and more beside it."""
+        return {
+            'verdict': self.verdict,
+            'gap': {'before_m': self.closing.before_m, 'after_m': self.closing.after_m,
+                    'noise_floor_m': self.closing.floor_m, 'held_out': self.closing.held_out,
+                    'reduced_chi2_before': self.closing.before,
+                    'reduced_chi2_after': self.closing.after},
+            'where': [share.to_json_dict() for share in self.shares],
+            'effects': [{'name': f.name, 'probability': f.probability, 'parameters': dict(f.parameters),
+                         'sigma': dict(f.sigma), 'units': f.units, 'form': f.form, 'closes': f.closes,
+                         'what': f.title, 'remedy': f.remedy} for f in self.effects],
+            'indistinguishable': [list(group) for group in self.indistinguishable],
+            'next_measurement': self.next_measurement,
+            'next_run': self.next_run.to_json_dict() if self.next_run else None,
+            'unknown': self.leftover or None,
+            'ranking': dict(sorted(self.ranking.items(), key=lambda item: -item[1])),
+            'sets': [{'names': list(names), 'probability': p} for names, p in self.sets],
+            'errors': self.solution.to_json_dict()['errors'],
+            'noise': {'position_repeatability_m': self.joint.noise.position,
+                      'angle_repeatability_rad': self.joint.noise.angle,
+                      'source': self.joint.noise.source},
+            'warnings': list(self.warnings)}
+
+    @cached_property
+    def solution(self) -> Solution:
+        """The 21 errors with the effects taken out, their uncertainty included."""
+        return averaged_solution(self.joint, self.screen, self.raw[0])
