@@ -123,12 +123,10 @@ def _each_earned(screen: Screen, best: Mapping[frozenset, EffectSet]) -> list[Ef
     in whichever order they were found."""
     result: dict[frozenset, EffectSet] = {}
     for key in sorted(best, key=len):
-        found = best[key]
-        for name in key if len(key) > 1 else ():
-            less = result.get(key - {name})
-            if less is not None and not _enough(screen, less, found):
-                found = replace(found, log_bayes=min(found.log_bayes, less.log_bayes))
-        result[key] = found
+        whole = best[key]
+        fewer = [result[key - {name}] for name in key if len(key) > 1 and key - {name} in result]
+        least = min((less.log_bayes for less in fewer if not _enough(screen, less, whole)), default=whole.log_bayes)
+        result[key] = replace(whole, log_bayes=min(whole.log_bayes, least))
     return list(result.values())
 
 

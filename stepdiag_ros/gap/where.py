@@ -149,7 +149,7 @@ def _sigma(joint: Joint) -> np.ndarray:
 def _only(labels: np.ndarray, excess: np.ndarray):
     """The label that holds nearly all of the excess, or None."""
     total = excess.sum()
-    for label in set(labels.tolist()) - {None}:
+    for label in sorted(set(labels.tolist()) - {None}):
         if excess[labels == label].sum() > CONCENTRATED * total:
             return int(label) if isinstance(label, int) else label
     return None

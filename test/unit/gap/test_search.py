@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from stepdiag_ros.effects.base import Form
+from stepdiag_ros.gap import search as search_module
 from stepdiag_ros.gap.evidence import SIZES
 from stepdiag_ros.gap.joint import solve, tuned
 from stepdiag_ros.gap.parity import Parity
 from stepdiag_ros.gap.screen import Candidate, Member, Screen
-from stepdiag_ros.gap.search import search
+from stepdiag_ros.gap.search import EffectSet, search
 from stepdiag_ros.gap.unknown import NAME as UNKNOWN
 
 N = 400
@@ -173,3 +174,13 @@ def test_a_name_yields_to_a_leaner_pattern_and_holds_against_a_shapeless_one(wid
     pattern = Candidate(UNKNOWN, 'nameless', form('nameless', nameless, np.ones(count)), 8.0)
     screen = Screen(space(gross + rng.normal(size=N)), [Candidate('course', '', wide), pattern], 1e9)
     assert (search(screen)[0].key == {'course'}) == named
+
+
+@pytest.mark.parametrize(('one', 'other'), [(9.0, 6.5), (6.5, 9.0)])
+def test_what_a_set_must_bring_does_not_depend_on_the_order_of_names(monkeypatch, one, other):
+    """Names of a set have no order: a set's own evidence is judged, not what an effect before has left of it."""
+    monkeypatch.setattr(search_module, '_enough', lambda screen, less, more: more.log_bayes > less.log_bayes + 3.0)
+    sets = [EffectSet(tuple(Member(name, 0, 0.0) for name in names), size)
+            for names, size in (('a', one), ('b', other), ('ab', 10.0))]
+    earned = {s.key: s.log_bayes for s in search_module._each_earned(None, {s.key: s for s in sets})}
+    assert earned[frozenset('ab')] == 9.0
