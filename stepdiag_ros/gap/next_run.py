@@ -120,9 +120,9 @@ def _hope(error: float, between: Sequence[str]) -> str:
     """What is expected of a run, in words."""
     said = ['something else' if name == UNKNOWN else name for name in between]
     names = f'{", ".join(said[:-1])} and {said[-1]}'
-    odds = 'more than 10000' if error < 1e-4 else f'{1.0 / error:.0f}'
+    odds = 'more than 10000' if error < 1e-4 else f'{float(f"{1.0 / error:.2g}"):.0f}'
     return f' It is to decide between {names}' + (
-        f', with odds of {odds} to one that it does.' if error < 0.25 else
+        f', with odds of {odds} to one that it does if the courses thought of hold.' if error < 0.25 else
         '; no run that was thought of promises to.')
 
 
