@@ -11,7 +11,7 @@ import time
 from action_msgs.msg import GoalStatus, GoalStatusArray
 
 from stepdiag_ros.bag.schemas import DESCRIPTION, STEP, TOPICS
-from stepdiag_ros.model.log import CalibrationLog
+from stepdiag_ros.model.log import DONE, CalibrationLog
 from stepdiag_ros.nodes.assembler import LogAssembler
 from stepdiag_ros.nodes.base import OK, WARN, Health, StepdiagNode, reliable
 from stepdiag_ros.nodes.ears import Ears, Heard
@@ -75,13 +75,14 @@ class ListenerNode(StepdiagNode):
         return kept.build()
 
     def whole_log(self) -> CalibrationLog:
-        """The log, once the samples of the last dwell have arrived too."""
+        """The log, once the last dwell has ended and its samples have arrived too: topics do not wait for each other,
+        and a run's result may be heard before its last step."""
         end = time.monotonic() + SETTLE_S
         while True:
             log = self.log_so_far()
             last = log.steps.time_ns[-1]
             behind = [s for s in (log.displacement, log.spot) if len(s) and s.time_ns[-1] < last]
-            if not behind or time.monotonic() > end:
+            if (log.steps.phase[-1] == DONE and not behind) or time.monotonic() > end:
                 return log
             time.sleep(0.05)
 
