@@ -103,7 +103,7 @@ def relaxations(time: np.ndarray, fastest: float = 0.0) -> list[Course]:
     return settlings(time, fastest) + [
         *(_logarithm(time, start, span, least)
           for start in dict.fromkeys(max(share * span, least) for share in (0.01, 0.1))),
-        _power(time, 0.5, span), _two(time, max(0.1 * span, least), span)]
+        _power(time, 0.5, span), _two(time, 0.1 * span, span)]
 
 
 def relaxing(time: np.ndarray, fastest: float) -> Course:

@@ -12,7 +12,6 @@ import numpy as np
 
 from stepdiag_ros.estimate.reduce import StopTable
 from stepdiag_ros.model.description import Description
-from stepdiag_ros.model.log import NONE
 from stepdiag_ros.model.machine import GeometricErrors, tool_pose
 from stepdiag_ros.model.path import stops
 from stepdiag_ros.model.sensor import Misalignment, measure
@@ -38,12 +37,11 @@ def planned_table(description: Description, setups: Sequence[str] | None = None,
         count = len(path)
         for repeat in range(description.plan.repeats):
             for direction in directions:
-                back = np.concatenate([[NONE], path.axis[:0:-1]])
                 whole = {'run': len(run_ids), 'setup': number, 'repeat': repeat, 'direction': direction}
                 for key, value in whole.items():
                     columns[key].append(np.full(count, value))
                 columns['index'].append(np.arange(count)[::direction])
-                columns['axis'].append(path.axis if direction > 0 else back)
+                columns['axis'].append(path.moved(direction))
                 columns['commanded'].append(path.positions[::direction])
                 run_ids.append(f'{name}/{repeat}/{"+" if direction > 0 else "-"}')
     c = {key: np.concatenate(parts) for key, parts in columns.items()}

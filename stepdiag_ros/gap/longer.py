@@ -16,6 +16,7 @@ from stepdiag_ros.estimate.enhanced import prior_precision
 from stepdiag_ros.estimate.forward import ForwardModel
 from stepdiag_ros.estimate.noise import whiteners
 from stepdiag_ros.estimate.parameters import parameters_of
+from stepdiag_ros.estimate.planned import planned_table
 from stepdiag_ros.estimate.reduce import PIECES, STOOD, StopTable
 from stepdiag_ros.gap.closing import RESET_WIDTH_M
 from stepdiag_ros.gap.evidence import SIZES
@@ -23,7 +24,6 @@ from stepdiag_ros.gap.forecast import Forecast, Mixture, foretold
 from stepdiag_ros.gap.joint import Joint
 from stepdiag_ros.gap.observe import view_of
 from stepdiag_ros.model.description import Description, Setup, path_of
-from stepdiag_ros.model.path import stops
 
 Member = tuple[Effect, Form]
 Ways = Sequence[tuple[float, Sequence[Member]]]
@@ -236,18 +236,11 @@ def _as_planned(table: StopTable, setup: Setup, description: Description,
         part = {name: getattr(table, name)[like] for name in columns}
         runs, part['run'] = np.unique(part['run'], return_inverse=True)
         return part, like, [table.run_ids[run].partition('/')[2] for run in runs]
-    path, repeats = stops(description, setup.name), description.plan.repeats
-    n = len(path)
-    back = np.concatenate([path.axis[:1], path.axis[:0:-1]])
-    like = np.full(2 * repeats * n, usual)
+    plan = planned_table(description, (setup.name,))
+    like = np.full(len(plan), usual)
     part = {name: getattr(table, name)[like] for name in columns}
     pace = int(np.median(np.diff(table.dwell_ns)))
     for name in ('move_ns', 'dwell_ns', 'done_ns'):
         part[name] += pace * np.arange(len(like))
-    number = np.arange(2 * repeats)
-    part |= {'commanded': np.tile(np.concatenate([path.positions, path.positions[::-1]]), (repeats, 1)),
-             'index': np.tile(np.concatenate([np.arange(n), np.arange(n)[::-1]]), repeats),
-             'axis': np.tile(np.concatenate([path.axis, back]), repeats).astype(table.axis.dtype),
-             'run': np.repeat(number, n), 'repeat': np.repeat(number // 2, n),
-             'direction': np.repeat(1 - 2 * (number % 2), n).astype(table.direction.dtype)}
-    return part, like, [f'{i // 2}/{"+-"[i % 2]}' for i in number]
+    part |= {name: getattr(plan, name) for name in ('run', 'repeat', 'direction', 'index', 'axis', 'commanded')}
+    return part, like, [run.partition('/')[2] for run in plan.run_ids]

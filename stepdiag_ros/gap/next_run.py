@@ -103,7 +103,7 @@ def recommend(joint: Joint, rivals: Sequence[Ways]) -> NextRun | None:
 
 
 def _best(joint: Joint, rivals: Sequence[Ways], runs: Sequence[Run], best: Best,
-          log: 'Known') -> Best:
+          log: Known) -> Best:
     """The run that tells the sets apart best among ``runs`` and ``best``."""
     for run in runs:
         longer = Longer(joint, run, log)

@@ -23,6 +23,11 @@ class SetupPath:
     def __len__(self) -> int:
         return len(self.positions)
 
+    def moved(self, direction: int) -> np.ndarray:
+        """Number (n,) of the axis that moves to each stop in the order of going: back (−1), the axis that led from a
+        stop forward."""
+        return self.axis if direction > 0 else np.concatenate([self.axis[:1], self.axis[:0:-1]])
+
 
 def start_corner(machine: Machine, setup: str) -> np.ndarray:
     """The lower corner where a setup begins, (3,) [m]."""

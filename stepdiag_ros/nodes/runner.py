@@ -74,15 +74,14 @@ class Runner:
         self._done, self._completed = 0, []
         self._spent_s = 0.0
         mounted = None
-        longer = 0.0
         try:
             for run in runs:
-                if run.setup != mounted:
+                fresh = run.setup != mounted
+                if fresh:
                     self._tell(run, NONE, f'mounting setup {run.setup}')
                     self.mount(run.setup)
-                    mounted, longer = run.setup, self.stand_s
-                self._traverse(run, longer)
-                longer = 0.0
+                    mounted = run.setup
+                self._traverse(run, self.stand_s if fresh else 0.0)
                 self._completed.append(run.run_id)
         except (Cancelled, StepdiagError) as error:
             error.outcome = self._outcome()
@@ -109,7 +108,7 @@ class Runner:
         self._breathe()
         self.reset()
         for stop in run.stops:
-            began = time.monotonic()
+            began, stand = time.monotonic(), longer if stop is first else 0.0
             if stop is first:
                 self.announce(run, stop, MOVE, time.time_ns())
             else:
@@ -118,11 +117,11 @@ class Runner:
                 self.announce(run, stop, MOVE, time.time_ns())
                 self._go(stop)
             self.announce(run, stop, DWELL, time.time_ns())
-            self._dwell(self.dwell_s + (longer if stop is first else 0.0))
+            self._dwell(self.dwell_s + stand)
             done_ns = time.time_ns()
             self.announce(run, stop, DONE, done_ns)
             self._done += 1
-            self._spent_s += time.monotonic() - began - (longer if stop is first else 0.0)
+            self._spent_s += time.monotonic() - began - stand
             self.check(run.setup)
             time.sleep(self.guard_s)
         # The next zero or setup forgives what was lost before it.

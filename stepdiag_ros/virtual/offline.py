@@ -15,7 +15,6 @@ from stepdiag_ros.model.log import (
     DONE,
     DWELL,
     MOVE,
-    NONE,
     CalibrationLog,
     Samples,
     ScalarSeries,
@@ -206,15 +205,13 @@ def _events(cell: Cell, runs: list[Run]) -> StepEvents:
         path = stops(cell.description, run.setup)
         n = len(path)
         index = np.arange(n)[::run.direction]
-        # Going back, the axis that led from a stop forward is the one that moves.
-        axis = path.axis if run.direction > 0 else np.concatenate([[NONE], path.axis[:0:-1]])
         repeated = {'run': number, 'setup': cell.setup_names.index(run.setup),
                     'repeat': run.repeat, 'direction': run.direction}
         for key, value in repeated.items():
             columns[key].append(np.full(3 * n, value))
         columns['time'].append(np.stack([run.move_ns, run.dwell_ns, run.done_ns], 1).ravel())
         columns['index'].append(np.repeat(index, 3))
-        columns['axis'].append(np.repeat(axis, 3))
+        columns['axis'].append(np.repeat(path.moved(run.direction), 3))
         columns['commanded'].append(np.repeat(path.positions[::run.direction], 3, axis=0))
         columns['phase'].append(np.tile([MOVE, DWELL, DONE], n))
     c = {key: np.concatenate(parts) for key, parts in columns.items()}

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from stepdiag_ros.effects import effect_class
-from stepdiag_ros.estimate.noise import arrivals, estimate_noise
+from stepdiag_ros.estimate.noise import arrivals
 from stepdiag_ros.estimate.reduce import PIECES, STOOD
 from stepdiag_ros.gap.beyond import Beyond
 from stepdiag_ros.gap.forecast import apart, distance, evidence_of, expected_evidence, foretold
@@ -14,6 +14,7 @@ from stepdiag_ros.gap.joint import fit_jointly
 from stepdiag_ros.gap.longer import Known, Longer, Run, with_run
 from stepdiag_ros.gap.next_run import GREY, recommend
 from stepdiag_ros.gap.observe import observe
+from stepdiag_ros.gap.turns import noise_of
 from stepdiag_ros.model.log import NONE
 from stepdiag_ros.model.path import stops
 
@@ -78,18 +79,19 @@ def _explained_by(case, effect, rivals):
     for name, label in rivals:
         one = effect_class(name)()
         sets.append([(one, next(form for form in one.appearance(observation.view) if form.label == label))])
-    joint = fit_jointly(observation, sets[0], estimate_noise(
-        observation.table, observation.log.description.noise, observation.fit.arrival))
+    joint = fit_jointly(observation, sets[0], noise_of(observation))
     return joint, sets
 
 
-def test_waiting_tells_creep_from_a_turning_beam(case):
-    """What is foretold of a mount that stands is how little it still moves; the beam goes on."""
+@pytest.mark.parametrize('more', [
+    {'again_after': 600.0},  # how little a mount that stands still moves is foretold; the beam goes on
+    {'watch': 120.0}])  # what relaxes is seen, while nothing moves, at the sensors' noise, not at that of arrivals
+def test_waiting_tells_creep_from_a_turning_beam(case, more):
     joint, sets = _explained_by(case, effect_class('mirror_mount_creep')(amp=[2e-5, -1e-5], tau=40.0), [
         ('mirror_mount_creep', 'each mounting nearly the same amount, many time constants'),
         ('beam_pointing_drift', 'smooth')])
     run = Run(replace(joint.observation.log.description.setups['ppp'], name='ppp.2'))
-    assert _worth(joint, sets, replace(run, again_after=600.0)) > _worth(joint, sets, run) + 1.0
+    assert _worth(joint, sets, replace(run, **more)) > _worth(joint, sets, run) + 1.0
 
 
 def test_less_light_tells_background_from_a_gain(case):
@@ -175,12 +177,3 @@ def test_a_line_that_the_log_does_not_hold_is_a_run_like_others(small_offset):
     np.testing.assert_allclose(table.commanded[new[:10]], np.concatenate([path.positions, path.positions[::-1]]))
     assert sorted(set(table.direction[new])) == [-1, 1] and set(table.axis[new]) == {1, NONE}
     assert (np.diff(table.dwell_ns[new]) > 0).all()
-
-
-def test_a_watch_tells_a_mount_from_a_beam(case):
-    """What relaxes after a mounting is seen while nothing moves at the sensors' noise, not at that of arrivals."""
-    joint, sets = _explained_by(case, effect_class('mirror_mount_creep')(amp=[2e-5, -1e-5], tau=40.0), [
-        ('mirror_mount_creep', 'each mounting nearly the same amount, many time constants'),
-        ('beam_pointing_drift', 'smooth')])
-    run = Run(replace(joint.observation.log.description.setups['ppp'], name='ppp.2'))
-    assert _worth(joint, sets, replace(run, watch=120.0)) > _worth(joint, sets, run) + 1.0

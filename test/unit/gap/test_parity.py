@@ -7,14 +7,12 @@ import pytest
 
 from stepdiag_ros.effects.base import Form
 from stepdiag_ros.estimate.enhanced import readings_of
-from stepdiag_ros.estimate.noise import estimate_noise
 from stepdiag_ros.gap.parity import parity
+from stepdiag_ros.gap.turns import noise_of
 
 
 def _space(observation):
-    noise = estimate_noise(observation.table, observation.log.description.noise,
-                           observation.fit.arrival)
-    return parity(observation, observation.fit, noise, readings_of(observation.table))
+    return parity(observation, observation.fit, noise_of(observation), readings_of(observation.table))
 
 
 def test_what_the_fit_can_imitate_is_not_seen(case):
