@@ -61,7 +61,8 @@ class AirRefractionDrift(Effect):
             label = '' if share == 1.0 else f'dead path {share:g} times as described'
             path = on_lengths(view, view.distance + (share - 1.0) * float(np.nanmin(view.distance)))[None]
             forms += [replace(follow(view, course, path, ('index',), 1e-6, '1', label), source=f'dead path {share}')
-                      for course in courses(view.elapsed) if share == 1.0 or course.label in ('linear', *ROUGHNESS)]
+                      for course in courses(view.elapsed, view.watches)
+                      if share == 1.0 or course.label in ('linear', *ROUGHNESS)]
         logged = self._logged(view)
         if logged is not None:
             course = recorded(view, logged[None], 'logged air, not divided out')

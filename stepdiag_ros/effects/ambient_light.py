@@ -48,7 +48,7 @@ class AmbientLight(Effect):
         beam = _beam(view)
         pull_of_light = pull / beam[:, None]
         forms = [follow(view, self._with_constant(course), pull_of_light, ('share',), 0.02, '1')
-                 for course in courses(view.elapsed)]
+                 for course in courses(view.elapsed, view.watches)]
         return self._from_intensity(view, pull, beam) + forms
 
     def _with_constant(self, course: Course) -> Course:

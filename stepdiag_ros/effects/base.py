@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from stepdiag_ros.model.description import Description
+from stepdiag_ros.model.log import STOOD
 from stepdiag_ros.model.mirror_form import MirrorForm
 
 
@@ -138,6 +139,12 @@ class StopView:
         return self.time - self.time.min() + self.lead
 
     @property
+    def watches(self) -> list[np.ndarray]:
+        """Stops (k,) of each watch: a long dwell that was cut, its first piece and those that go on standing."""
+        begins = np.flatnonzero(self.axis != STOOD)
+        return [watch for watch in np.split(np.arange(len(self.axis)), begins[1:]) if len(watch) > 1]
+
+    @property
     def beams(self) -> int:
         return self.distance.shape[1]
 
@@ -167,7 +174,8 @@ class Form:
     unknown course; it is held to the size that the log shows, other coefficients are free.  ``held``:
     that size, in scales, once it is known.  ``by_reading`` (k, n, c): derivatives of columns that are made of the
     readings themselves, by the reading.  ``source``: what it comes from where a cell has but one, as its
-    laser or its dead path; two forms of an effect with different sources do not act together.
+    laser or its dead path; two forms of an effect with different sources do not act together.  ``beside``: what may act
+    beside it as large without the log telling; no part of what is found, but of how uncertain the errors are.
     """
 
     label: str
@@ -183,6 +191,7 @@ class Form:
     held: float | None = None
     by_reading: np.ndarray | None = None
     source: str = ''
+    beside: 'Form | None' = None
 
     def at(self, shape: Mapping[str, float]) -> 'Form':
         """The same form with other shape parameters; only where there is something to tune."""

@@ -36,7 +36,7 @@ class BeamPointingDrift(Effect):
 
     def appearance(self, view: StopView) -> list[Form]:
         forms = [follow(view, course, view.by_laser, ('u', 'v'), 1e-5, 'rad')
-                 for course in courses(view.elapsed)]
+                 for course in courses(view.elapsed, view.watches)]
         if len(np.unique(view.setup)) > 1:
             # The stand that carries the base unit settles after each move.
             own, names = by_setup(view, view.by_laser, ('u', 'v'))

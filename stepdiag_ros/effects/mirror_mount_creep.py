@@ -8,7 +8,16 @@ whenever the mirror is mounted for a setup, by another amount.  A turn ``α u + 
 import numpy as np
 
 from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
-from stepdiag_ros.effects.patterns import Drawn, by_setup, drawn_size, follow, relaxations, relaxing, saturating
+from stepdiag_ros.effects.patterns import (
+    Drawn,
+    by_setup,
+    drawn_size,
+    follow,
+    power_law,
+    relaxations,
+    relaxing,
+    saturating,
+)
 from stepdiag_ros.effects.timeforms import drift_form
 from stepdiag_ros.model.description import path_of
 
@@ -16,6 +25,9 @@ BETWEEN_MOUNTINGS = 0.4
 """Typical difference of the amount from mounting to mounting, as a share of it."""
 FASTEST_S = 20.0
 """Least time constant of a mount: what is over sooner is a mirror that jumped."""
+
+LETS_GO = 1.8
+"""Exponent of a mount that gives way faster and faster, tuned from half to twice of it: creep's third stage."""
 
 
 class MirrorMountCreep(Effect):
@@ -43,7 +55,7 @@ class MirrorMountCreep(Effect):
                                          * self.amp * amount)
 
     def appearance(self, view: StopView) -> list[Form]:
-        courses = relaxations(view.mount_time, FASTEST_S)
+        courses = [*relaxations(view.mount_time, FASTEST_S), power_law(view.mount_time, LETS_GO)]
         forms = [follow(view, course, view.by_mirror, ('u', 'v'), 1e-5, 'rad') for course in courses]
         if len(np.unique(view.setup)) > 1:
             own, names = by_setup(view, view.by_mirror, ('u', 'v'))

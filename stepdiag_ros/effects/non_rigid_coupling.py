@@ -5,6 +5,7 @@ position of axis ``b`` too.  In the simplest case it is the product of both posi
 one of them alone is an ordinary error curve of that axis, or next to it, and is absorbed.
 """
 
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -75,7 +76,7 @@ class NonRigidCoupling(Effect):
         for a, b in combinations(range(3), 2):
             product = share[:, a] * share[:, b]
             pair = f'{AXES[a]}·{AXES[b]}'
-            columns, names, scales = [], [], []
+            columns, names, scales, mine = [], [], [], []
             for axis, other in ((a, b), (b, a)):
                 for k in range(6):
                     # A shift by a product is the same motion whichever of the two axes it is given to.
@@ -87,13 +88,14 @@ class NonRigidCoupling(Effect):
                     column = product[:, None] * motion
                     bent = [column, column * share[:, [axis]], column * share[:, [other]]]
                     units = 'm' if k < 3 else 'rad'
-                    forms.append(Form(f'{name}, product', column[None], (name,), np.full(1, scale), units))
-                    forms.append(Form(f'{name}, bent', np.stack(bent),
-                                      (name, f'{name} ({axis + 1}²)', f'{name} ({other + 1}²)'),
-                                      np.full(3, scale), units))
+                    mine.append(Form(f'{name}, product', column[None], (name,), np.full(1, scale), units))
+                    mine.append(Form(f'{name}, bent', np.stack(bent),
+                                     (name, f'{name} ({axis + 1}²)', f'{name} ({other + 1}²)'),
+                                     np.full(3, scale), units))
                     columns.append(column)
                     names.append(name)
                     scales.append(scale)
-            forms.append(Form(f'all motions by {pair}', np.stack(columns), tuple(names),
-                              np.array(scales), 'm, rad'))
+            together = Form(f'all motions by {pair}', np.stack(columns), tuple(names), np.array(scales), 'm, rad')
+            # A slide that runs out shifts and turns what carries it in more than the one motion that is seen.
+            forms += [*(replace(form, beside=together) for form in mine), together]
         return forms

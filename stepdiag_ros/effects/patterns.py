@@ -103,7 +103,7 @@ def relaxations(time: np.ndarray, fastest: float = 0.0) -> list[Course]:
     return settlings(time, fastest) + [
         *(_logarithm(time, start, span, least)
           for start in dict.fromkeys(max(share * span, least) for share in (0.01, 0.1))),
-        _power(time, 0.5, span), _two(time, 0.1 * span, span)]
+        power_law(time, 0.5), _two(time, 0.1 * span, span)]
 
 
 def relaxing(time: np.ndarray, fastest: float) -> Course:
@@ -141,12 +141,13 @@ def _logarithm(time: np.ndarray, start: float, span: float, earliest: float) -> 
                   lambda shape: _logarithm(time, shape['start_s'], span, earliest))
 
 
-def _power(time: np.ndarray, exponent: float, span: float) -> Course:
-    """A power law; the first second, in which its rate has no bound, is left out."""
+def power_law(time: np.ndarray, exponent: float) -> Course:
+    """A power law after a beginning at time 0; the first second, in which its rate may have no bound, is left out."""
+    span, _ = _limits(time, 0.0)
     since = np.maximum(time, 1.0) / span
     return Course(f'power {exponent:.2f}', since[None] ** exponent,
                   exponent / span * since[None] ** (exponent - 1.0), {'exponent': exponent},
-                  lambda shape: _power(time, shape['exponent'], span))
+                  lambda shape: power_law(time, shape['exponent']))
 
 
 def _two(time: np.ndarray, fast: float, slow: float) -> Course:

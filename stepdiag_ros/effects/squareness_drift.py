@@ -36,7 +36,7 @@ class SquarenessDrift(Effect):
 
     def appearance(self, view: StopView) -> list[Form]:
         signature = np.stack([self._column(view, name) for name in SQUARENESS])
-        pace = courses(view.elapsed)
+        pace = courses(view.elapsed, view.watches)
         return [follow(view, course, signature, SQUARENESS, 1e-5, 'rad') for course in pace] \
             + each_alone(view, pace, signature, SQUARENESS, 1e-5, 'rad')
 

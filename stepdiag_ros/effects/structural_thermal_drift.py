@@ -27,6 +27,6 @@ class StructuralThermalDrift(Effect):
         moment.shift = moment.shift + grown[:, None] * self.amp
 
     def appearance(self, view: StopView) -> list[Form]:
-        pace, axes = courses(view.elapsed), ('X', 'Y', 'Z')
+        pace, axes = courses(view.elapsed, view.watches), ('X', 'Y', 'Z')
         return [follow(view, course, view.by_shift, axes, 1e-5) for course in pace] \
             + each_alone(view, pace, view.by_shift, axes, 1e-5)

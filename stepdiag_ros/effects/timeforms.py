@@ -5,7 +5,7 @@ multiplies with its signature.  All are zero when the log begins: the errors tha
 the machine at its beginning, whatever drifted afterwards.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +15,8 @@ from stepdiag_ros.effects.base import Form, StopView
 MOST_WAVES = 40
 STOPS_A_WAVE = 8
 """Half waves of an unknown course: at most as many, and one for each so many stops."""
+WATCH_WAVES = 5
+"""Half waves of its own that a watch has, where the log looks on so closely that those of the whole are too coarse."""
 ROUGHNESS = {'winding': 1.0, 'smooth': 2.0}
 """An unknown course's half waves fall with this power of their number: a walk at random, and one whose rate
 walks at random."""
@@ -52,13 +54,15 @@ def cycle(since: np.ndarray, period: float) -> Course:
                   lambda shape: cycle(since, shape['period_s']))
 
 
-def unknown(time: np.ndarray) -> list[Course]:
+def unknown(time: np.ndarray, watches: Sequence[np.ndarray] = ()) -> list[Course]:
     """Courses of no known formula over ``time`` (n,) [s] since the log began: a straight line and half waves
     whose typical sizes fall with their number.
 
     ``cos(kπt/T)/k`` are the Karhunen-Loève functions of a walk at random (its mean left out), so their
     coefficients are a Gaussian process: how fine a course is taken to be costs no more evidence than it
-    needs.  All begin at zero.
+    needs.  All begin at zero.  In each of ``watches``, stops (k,) that follow each other, there are finer ones:
+    between its ends a walk is a bridge independent of all else (Lévy's construction), in the same units
+    ``√(ℓ/T) sin(jπs/ℓ)/j``.
     """
     span = max(float(time.max()), 1e-9)
     share = time / span
@@ -66,18 +70,31 @@ def unknown(time: np.ndarray) -> list[Course]:
     phase = np.pi * number[:, None] * share
     values = np.concatenate([share[None], np.cos(phase) - 1.0])
     rates = np.concatenate([np.ones((1, len(time))), -np.pi * number[:, None] * np.sin(phase)]) / span
-    return [Course(label, values, rates, {}, sizes=np.concatenate([[1.0], number**-power]))
-            for label, power in ROUGHNESS.items()]
+    bridges = [_bridge(time, watch) for watch in watches]
+    values = np.concatenate([values, *(bridge for bridge, _, _ in bridges)])
+    rates = np.concatenate([rates, *(rate for _, rate, _ in bridges)])
+    closer = np.arange(1.0, WATCH_WAVES + 1)
+    return [Course(label, values, rates, {}, sizes=np.concatenate(
+        [[1.0], number**-power, *((length / span)**(power - 0.5) * closer**-power for _, _, length in bridges)]))
+        for label, power in ROUGHNESS.items()]
 
 
-def courses(time: np.ndarray) -> list[Course]:
+def _bridge(time: np.ndarray, watch: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    """Half waves (k, n) between the ends of a watch, zero elsewhere, their rates, and its length [s]."""
+    begin, length = time[watch[0]], time[watch[-1]] - time[watch[0]]
+    angular = np.pi / length * np.arange(1, WATCH_WAVES + 1)[:, None]
+    phase, during = angular * (time - begin), np.isin(np.arange(len(time)), watch)
+    return np.sin(phase) * during, angular * np.cos(phase) * during, length
+
+
+def courses(time: np.ndarray, watches: Sequence[np.ndarray] = ()) -> list[Course]:
     """Courses over ``time`` (n,) [s] since the log began: linear, exponentials of several time constants,
-    cycles, unknown ones."""
+    cycles, unknown ones; ``watches`` as :func:`unknown` takes them."""
     span = max(float(np.ptp(time)), 1e-9)
     result = [Course('linear', (time / span)[None], np.full((1, len(time)), 1.0 / span), {})]
     result += [exponential(time, fraction * span) for fraction in TAU_FRACTIONS]
     result += [cycle(time, fraction * span) for fraction in PERIOD_FRACTIONS]
-    return result + unknown(time)
+    return result + unknown(time, watches)
 
 
 def drift_form(view: StopView, course: Course, signature: np.ndarray, names: tuple[str, ...],

@@ -19,9 +19,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import linalg
 
-from stepdiag_ros.estimate.reduce import STOOD, StopTable
+from stepdiag_ros.estimate.reduce import StopTable
 from stepdiag_ros.model.description import Noise
-from stepdiag_ros.model.log import NONE
+from stepdiag_ros.model.log import NONE, STOOD
 
 FLOOR_M = 1e-11
 """Nothing is believed to be quieter than ten picometres: it keeps noise-free data solvable.  The rounding

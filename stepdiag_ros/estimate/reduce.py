@@ -11,11 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from stepdiag_ros.errors import StepdiagError
-from stepdiag_ros.model.log import DONE, DWELL, MOVE, CalibrationLog, Samples
+from stepdiag_ros.model.log import DONE, DWELL, MOVE, STOOD, CalibrationLog, Samples
 
 SPOT_COLUMNS = 2
-STOOD = 254
-"""``axis`` of a stop that only goes on standing where the one before it stood: nothing moved."""
 LONG = 8.0
 PIECES = 40
 """A dwell of more than so many usual ones is cut, where that is asked for, into at most so many stops."""

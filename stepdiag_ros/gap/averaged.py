@@ -3,10 +3,13 @@
 What an effect takes of the errors depends on the form that it is given, and forms that explain a log as well as
 each other may take different things: a motion that depends on two axes' places can be laid to either.  So may a
 course whose size the log hardly shows.  The errors are therefore averaged over forms and sizes by their evidence;
-their variance is the mean of the forms' own and the variance between them (law of total variance).  No form of the
-list is right to the last part either: of each correction a share remains uncertain that the log would let pass unseen.
+their variance is the mean of the forms' own and the variance between them (law of total variance).  A pattern without a
+name is weighed against the names that may stand for it.  What may act beside an effect, as large and unseen, is as
+uncertain as that: a machine that is seen to bend in one motion bends in others.  No form of the list is right to the
+last part either: of each correction a share remains uncertain that the log would let pass unseen.
 """
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -17,45 +20,52 @@ from stepdiag_ros.estimate.evaluate import solution_of
 from stepdiag_ros.estimate.gauge import reporting_matrix
 from stepdiag_ros.estimate.solution import Solution
 from stepdiag_ros.estimate.standing import with_standing
-from stepdiag_ros.gap.joint import Active, Joint, held_to_sizes, inverse, solve, unexplained, widths
-from stepdiag_ros.gap.screen import Screen
+from stepdiag_ros.gap.evidence import SIZES
+from stepdiag_ros.gap.joint import Active, Joint, held_to_sizes, inverse, size_of, solve, unexplained, widths
+from stepdiag_ros.gap.screen import Member, Screen
 from stepdiag_ros.gap.search import EffectSet
 from stepdiag_ros.gap.thresholds import FORM_ERROR
 from stepdiag_ros.gap.unknown import NAME as UNKNOWN
 
 WITHIN = 5.0
 """Compositions this far behind the best in log evidence (odds of 150) have no part in the average …"""
-MOST = 6
+MOST = 16
 """… nor have those beyond so many."""
 
 
 def compositions(screen: Screen, best: EffectSet) -> list[EffectSet]:
-    """Sets of as many forms as ``best`` has that explain the log nearly as well; nameless members stay."""
-    forms: dict[str, int] = {}
-    for candidate in screen.candidates:
-        forms[candidate.effect] = forms.get(candidate.effect, 0) + 1
-    sets = [EffectSet((), 0.0)]
-    for member in best.members:
+    """Sets of as many forms as ``best`` has that explain the log nearly as well, its forms exchanged one by one."""
+    forms = Counter(candidate.effect for candidate in screen.candidates)
+    sets = [best]
+    for place, member in enumerate(best.members):
+        if member.effect == UNKNOWN and any(m.effect == UNKNOWN for m in best.members[place + 1:]):
+            continue  # its evidence is that beside those found before it
         grown: dict[frozenset, EffectSet] = {}
         for found in sets:
-            taken = {m.candidate for m in found.members}
-            fitting = [member.candidate] if member.effect == UNKNOWN else [
-                number for number, candidate in enumerate(screen.candidates)
-                if candidate.effect != UNKNOWN and not candidate.decoy]
-            fitting = [number for number in fitting if number not in taken]
-            judged = screen.judge_all(found.members, fitting)
-            for number in fitting:
-                candidate = screen.candidates[number]
-                evidence = found.log_bayes + judged[number].log_bayes - np.log(forms[candidate.effect])
-                size = judged[number].size if candidate.form.process else member.size
-                larger = EffectSet((*found.members, replace(
-                    member, effect=candidate.effect, candidate=number, size=size)), float(evidence))
+            rest = found.members[:place] + found.members[place + 1:]
+            taken = {m.candidate for m in rest}
+            fitting = [number for number, candidate in enumerate(screen.candidates)
+                       if number not in taken and candidate.effect != UNKNOWN and not candidate.decoy]
+            judged = screen.judge_all(rest, fitting)
+            evidence = {number: judged[number].log_bayes - float(np.log(forms[screen.candidates[number].effect]))
+                        for number in fitting}
+            now = member.log_bayes - member.doubt if member.effect == UNKNOWN else evidence[member.candidate]
+            others = [EffectSet((*found.members[:place], _as_member(screen, number, judged[number].size),
+                                 *found.members[place + 1:]), found.log_bayes - now + evidence[number])
+                      for number in fitting if number != member.candidate]
+            for larger in (found, *others):
                 key = frozenset(m.candidate for m in larger.members)
-                if key not in grown or grown[key].log_bayes < evidence:
+                if key not in grown or grown[key].log_bayes < larger.log_bayes:
                     grown[key] = larger
         leading = sorted(grown.values(), key=lambda s: -s.log_bayes)[:MOST]
         sets = [s for s in leading if s.log_bayes > leading[0].log_bayes - WITHIN]
     return sets
+
+
+def _as_member(screen: Screen, number: int, size: float) -> Member:
+    """A candidate as a member of a set; ``size``: the one that the log shows, of an unknown course."""
+    candidate = screen.candidates[number]
+    return Member(candidate.effect, number, 0.0, size if candidate.form.process else float(SIZES[-1]))
 
 
 def averaged_solution(joint: Joint, screen: Screen, best: EffectSet) -> Solution:
@@ -69,7 +79,7 @@ def averaged_solution(joint: Joint, screen: Screen, best: EffectSet) -> Solution
     other = compositions(screen, best)
     fitted = [(np.exp(c.log_bayes - other[0].log_bayes) * share, active)
               for c in other for share, active in _fitted(joint, screen, c)]
-    if len(fitted) > 1:
+    if len(fitted) > 1 or len(fitted[0][1]) > len(joint.active):
         weight = np.array([w for w, _ in fitted])
         weight /= weight.sum()
         parts = [_pull(joint, active) for _, active in fitted]
@@ -85,9 +95,16 @@ def averaged_solution(joint: Joint, screen: Screen, best: EffectSet) -> Solution
 
 
 def _fitted(joint: Joint, screen: Screen, found: EffectSet) -> list[tuple[float, tuple[Active, ...]]]:
-    """The effects at each size that the log leaves them, with its probability."""
+    """The effects, and what may act beside them, at each size that the log leaves them, with its probability."""
     chosen: list[tuple[Effect, Form]] = [(Effect(), screen.candidates[m.candidate].form) for m in found.members]
-    return [(share, solve(joint.parity, held)) for share, held in held_to_sizes(joint.parity, chosen)]
+    return [(share, solve(joint.parity, [*held, *_beside(held)]))
+            for share, held in held_to_sizes(joint.parity, chosen)]
+
+
+def _beside(held: Sequence[tuple[Effect, Form]]) -> list[tuple[Effect, Form]]:
+    """What may act beside forms that are held to their sizes: all of it together as large as each of them."""
+    return [(effect, replace(form.beside, held=size_of(form) / np.sqrt(len(form.beside.columns))))
+            for effect, form in held if form.beside is not None]
 
 
 def _pull(joint: Joint, active: Sequence[Active]) -> tuple[np.ndarray, np.ndarray]:

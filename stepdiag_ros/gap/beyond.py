@@ -88,7 +88,7 @@ def _twist(view: StopView) -> Iterator[Form]:
 def _bow(view: StopView) -> Iterator[Form]:
     """A guideway's straightness changes its shape with time: a bow or an S that follows a course."""
     place = view.commanded / np.array(view.description.machine.volume)
-    pace = [c for c in courses(view.time) if c.label != 'winding']
+    pace = [c for c in courses(view.time, view.watches) if c.label != 'winding']
     for axis, letter in enumerate(AXES):
         for across in range(3):
             if across == axis:

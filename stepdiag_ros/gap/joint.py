@@ -186,6 +186,11 @@ def _held(form: Form, judged: Judged) -> Form:
     return replace(form, held=judged.size if form.process else min(FREE * judged.size, float(SIZES[-1])))
 
 
+def size_of(form: Form) -> float:
+    """The size, in its scales, that the log shows of a form held to it."""
+    return width_of(form) if form.process else width_of(form) / FREE
+
+
 def solve(space: Parity, chosen: list[tuple[Effect, Form]]) -> tuple[Active, ...]:
     """Coefficients of all chosen forms together, each held to its form's size."""
     if not chosen:

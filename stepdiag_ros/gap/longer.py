@@ -17,13 +17,14 @@ from stepdiag_ros.estimate.forward import ForwardModel
 from stepdiag_ros.estimate.noise import whiteners
 from stepdiag_ros.estimate.parameters import parameters_of
 from stepdiag_ros.estimate.planned import planned_table
-from stepdiag_ros.estimate.reduce import PIECES, STOOD, StopTable
+from stepdiag_ros.estimate.reduce import PIECES, StopTable
 from stepdiag_ros.gap.closing import RESET_WIDTH_M
 from stepdiag_ros.gap.evidence import SIZES
 from stepdiag_ros.gap.forecast import Forecast, Mixture, foretold
 from stepdiag_ros.gap.joint import Joint
 from stepdiag_ros.gap.observe import view_of
 from stepdiag_ros.model.description import Description, Setup, path_of
+from stepdiag_ros.model.log import STOOD
 
 Member = tuple[Effect, Form]
 Ways = Sequence[tuple[float, Sequence[Member]]]

@@ -12,6 +12,8 @@ import numpy as np
 from stepdiag_ros.model.description import Description
 
 MOVE, DWELL, DONE, NONE = 0, 1, 2, 255
+STOOD = 254
+"""Axis of a stop that only goes on standing where the one before it stood: nothing moved."""
 
 
 @dataclass(frozen=True)

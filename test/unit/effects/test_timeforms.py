@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from stepdiag_ros.effects import effect_class
-from stepdiag_ros.effects.patterns import each_alone, relaxations, relaxing
-from stepdiag_ros.effects.timeforms import courses, unknown
+from stepdiag_ros.effects.patterns import each_alone, power_law, relaxations, relaxing
+from stepdiag_ros.effects.timeforms import WATCH_WAVES, courses, unknown
 
 SPAN = 1500.0
 
@@ -56,6 +56,36 @@ def test_a_winding_course_is_a_walk_and_a_smooth_one_is_smoother():
     # A walk's variance grows with the time, that of one whose rate walks with its square or more.
     assert variance(winding, 200) / variance(winding, 100) == pytest.approx(2.0, rel=0.1)
     assert variance(smooth, 200) / variance(smooth, 100) > 3.0
+
+
+def test_between_the_ends_of_a_watch_a_walk_is_a_bridge():
+    """Its variance against the Brownian bridge's, s(ℓ − s)/ℓ times the rate of the walk that the half waves make."""
+    time = np.concatenate([np.linspace(0.0, 1000.0, 101), np.linspace(1005.0, 1125.0, 241),
+                           np.linspace(1130.0, SPAN, 38)])
+    watch = np.arange(101, 342)
+    whole, closer = unknown(time), unknown(time, [watch])
+    for course, finer in zip(whole, closer, strict=True):
+        added = len(course.values)
+        np.testing.assert_array_equal(finer.values[:added], course.values)
+        assert not finer.values[added:, np.setdiff1d(np.arange(len(time)), watch)].any()
+        np.testing.assert_allclose(finer.values[added:, watch[[0, -1]]], 0.0, atol=1e-12)
+        steps = 0.5 * (finer.rates[added:, watch[1:]] + finer.rates[added:, watch[:-1]]) * np.diff(time[watch])
+        np.testing.assert_allclose(np.cumsum(steps, axis=1), finer.values[added:, watch[1:]], atol=2e-2)
+    winding = closer[0]
+    rate = np.pi**2 / (2.0 * SPAN)
+    s = time[watch] - time[watch[0]]
+    bridge = rate * s * (s[-1] - s) / s[-1]
+    variance = np.sum((winding.values[-WATCH_WAVES:, watch] * winding.sizes[-WATCH_WAVES:, None])**2, axis=0)
+    assert 0.85 < variance.sum() / bridge.sum() < 1.0  # the waves beyond the fifth hold the rest
+
+
+def test_a_power_law_finds_its_way_to_what_gives_way_faster_and_faster():
+    time = np.linspace(0.0, SPAN, 300)
+    wanted = (time / SPAN)**1.5
+    course = power_law(time, 1.8)
+    errors = {exponent: np.abs(course.retune({'exponent': exponent}).values[0] - wanted).max()
+              for exponent in (1.2, 1.5, 2.4)}
+    assert min(errors, key=errors.get) == 1.5 and errors[1.5] < 1e-3
 
 
 def test_a_short_log_gets_few_waves():

@@ -18,8 +18,7 @@ from stepdiag_ros.estimate.noise import (
 )
 from stepdiag_ros.estimate.parameters import parameters_of
 from stepdiag_ros.estimate.planned import filled, observe, planned_table
-from stepdiag_ros.estimate.reduce import STOOD
-from stepdiag_ros.model.log import NONE
+from stepdiag_ros.model.log import NONE, STOOD
 from stepdiag_ros.model.machine import GeometricErrors
 
 

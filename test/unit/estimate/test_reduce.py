@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from stepdiag_ros.errors import StepdiagError
-from stepdiag_ros.estimate.reduce import STOOD, reduce_log
-from stepdiag_ros.model.log import DONE, DWELL, MOVE, NONE, CalibrationLog, Samples, StepEvents
+from stepdiag_ros.estimate.reduce import reduce_log
+from stepdiag_ros.model.log import DONE, DWELL, MOVE, NONE, STOOD, CalibrationLog, Samples, StepEvents
 
 SECOND = 1_000_000_000
 

@@ -7,7 +7,7 @@ import pytest
 
 from stepdiag_ros.effects import effect_class
 from stepdiag_ros.estimate.noise import arrivals
-from stepdiag_ros.estimate.reduce import PIECES, STOOD
+from stepdiag_ros.estimate.reduce import PIECES
 from stepdiag_ros.gap.beyond import Beyond
 from stepdiag_ros.gap.forecast import apart, distance, evidence_of, expected_evidence, foretold
 from stepdiag_ros.gap.joint import fit_jointly
@@ -15,7 +15,7 @@ from stepdiag_ros.gap.longer import Known, Longer, Run, with_run
 from stepdiag_ros.gap.next_run import GREY, recommend
 from stepdiag_ros.gap.observe import observe
 from stepdiag_ros.gap.turns import noise_of
-from stepdiag_ros.model.log import NONE
+from stepdiag_ros.model.log import NONE, STOOD
 from stepdiag_ros.model.path import stops
 
 
