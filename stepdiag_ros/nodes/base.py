@@ -6,8 +6,10 @@ A node declares its parameters, says how it is (``health``), and does its work i
 second, the lifecycle's return codes, signals, spinning.
 """
 
+import os
 import signal
 import sys
+import threading
 import traceback
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -224,6 +226,16 @@ def run_node(make: Callable[[], StepdiagNode]) -> int:
     rclpy's own signal handlers would close the context at once, before a recorder has
     drained and an axis has stopped; so the node takes the signals itself.
     """
+    status = _run(make)
+    if threading.active_count() > 1:
+        # A thread still computes, and the interpreter's end may abort where it tears one out of C++ code.
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(status)
+    return status
+
+
+def _run(make: Callable[[], StepdiagNode]) -> int:
     asked: list[int] = []
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda got, _frame: asked.append(got))

@@ -23,7 +23,7 @@ import yaml
 
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.nodes import environment
-from stepdiag_ros.nodes.graph import NODES, PARAMETERS, hardware_endpoints, namespace_of, write_graph
+from stepdiag_ros.nodes.graph import LISTENERS, NODES, PARAMETERS, hardware_endpoints, namespace_of, write_graph
 from stepdiag_ros.virtual.cell import Cell, load_cell
 
 CELL = 'virtual cell'
@@ -265,9 +265,8 @@ class Bringup:
     def stop(self) -> None:
         """End everything: sequencers first (the machines stand), recorders after the sources,
         the virtual cell last."""
-        last = ('evaluation_solver', 'gap_monitor', 'recorder')
-        for wanted in (lambda n: n == 'step_sequencer', lambda n: n and n not in last,
-                       lambda n: n in last, lambda n: not n):
+        for wanted in (lambda n: n == 'step_sequencer', lambda n: n and n not in LISTENERS,
+                       lambda n: n in LISTENERS, lambda n: not n):
             self._end([child for child in self._children.values()
                        if child.process.poll() is None and wanted(child.node)])
         self._children.clear()

@@ -16,6 +16,7 @@ from rclpy.node import Node
 from stepdiag_ros.nodes.base import DEPTH, overridable, reliable
 
 PERIOD_S = 0.005
+HEARS = 'hears'
 
 
 @dataclass(frozen=True)
@@ -74,6 +75,11 @@ class Ears:
         """Messages heard so far by topic."""
         with self._lock:
             return dict(self._received)
+
+    @property
+    def heard(self) -> str:
+        """Topics of which at least one message was heard, as diagnostics say it under the key :data:`HEARS`."""
+        return ' '.join(topic for topic, number in self.received.items() if number)
 
     @property
     def lost(self) -> dict[str, int]:

@@ -15,10 +15,11 @@ import yaml
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.virtual.cell import Cell
 
+#: Nodes that keep the log: they hear all of it or the sequencer does not begin.
+LISTENERS = ('recorder', 'evaluation_solver', 'gap_monitor')
 #: Nodes of a machine, in the order in which they are made active: those that listen
 #: first, the sequencer last.
-NODES = ('recorder', 'evaluation_solver', 'gap_monitor', 'interferometer_driver', 'psd_driver',
-         'step_sequencer')
+NODES = (*LISTENERS, 'interferometer_driver', 'psd_driver', 'step_sequencer')
 PARAMETERS = 'parameters.yaml'
 DESCRIPTION_FILE = 'cell_description.yaml'
 
@@ -110,6 +111,7 @@ def write_graph(cell: Cell, endpoints: Mapping[str, Mapping[str, Any]], runtime:
     space = namespace_of(cell.description.machine.name) if namespace is None \
         else '/' + namespace.strip('/')
     wanted = parameters(cell, endpoints, description_file, bag, bag_folder, steps)
+    wanted['step_sequencer']['listeners'] = [name for name in nodes if name in LISTENERS] or ['']
     content = {f'{space}/{name}': {'ros__parameters': wanted[name]} for name in nodes if wanted[name]}
     file = (runtime / PARAMETERS).absolute()
     file.write_text(yaml.safe_dump(content, sort_keys=False), encoding='utf-8')

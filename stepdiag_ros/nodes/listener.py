@@ -14,7 +14,7 @@ from stepdiag_ros.bag.schemas import DESCRIPTION, STEP, TOPICS
 from stepdiag_ros.model.log import DONE, CalibrationLog
 from stepdiag_ros.nodes.assembler import LogAssembler
 from stepdiag_ros.nodes.base import OK, WARN, Health, StepdiagNode, reliable
-from stepdiag_ros.nodes.ears import Ears, Heard
+from stepdiag_ros.nodes.ears import HEARS, Ears, Heard
 from stepdiag_ros.nodes.step_sequencer import ACTION
 
 #: Longest wait for samples that are still on their way.
@@ -91,7 +91,8 @@ class ListenerNode(StepdiagNode):
         if self._ears is None or self.state != 'active':
             return Health(OK, self.state)
         lost = sum(self._ears.lost.values())
-        values = {'messages': len(self._assembler), 'lost': lost, 'steps': self.steps_heard()}
+        values = {'messages': len(self._assembler), 'lost': lost, 'steps': self.steps_heard(),
+                  HEARS: self._ears.heard}
         if self._ears.failure is not None:
             return Health(WARN, f'hears no more: {self._ears.failure}', values)
         if lost:

@@ -17,7 +17,7 @@ from stepdiag_ros.bag.schemas import DESCRIPTION, TOPICS
 from stepdiag_ros.bag.writer import COMPRESSIONS, BagWriter
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.nodes.base import DEPTH, ERROR, OK, WARN, Health, StepdiagNode, reliable, run_node
-from stepdiag_ros.nodes.ears import Ears, Heard
+from stepdiag_ros.nodes.ears import HEARS, Ears, Heard
 from stepdiag_ros.nodes.stamps import stamp_of
 
 STATUS_PERIOD_S = 0.5
@@ -118,7 +118,7 @@ class Recorder(StepdiagNode):
             return Health(OK, self.state, {'bag': self._bag})
         received, lost = ears.received, ears.lost
         values = {'bag': self._bag, 'received': sum(received.values()), 'lost': sum(lost.values()),
-                  'hears': ' '.join(t for t, n in received.items() if n)}
+                  HEARS: ears.heard}
         if self._trouble():
             return Health(ERROR, f'stopped writing: {self._trouble()}', values)
         if values['lost']:

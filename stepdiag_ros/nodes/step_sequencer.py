@@ -9,10 +9,11 @@ goal ends at once, nothing has moved, and the result's message names what is sil
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import Point
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
@@ -29,6 +30,7 @@ from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.model.description import Description
 from stepdiag_ros.nodes.base import ERROR, OK, Health, StepdiagNode, overridable, reliable, run_node
 from stepdiag_ros.nodes.course import Run, Stop, course, with_steps
+from stepdiag_ros.nodes.ears import HEARS
 from stepdiag_ros.nodes.runner import Cancelled, Outcome, Progress, Runner
 from stepdiag_ros.nodes.stamps import ns_of, stamp_of
 from stepdiag_ros.nodes.watch import Recording, Watch
@@ -62,9 +64,9 @@ class StepSequencer(StepdiagNode):
         self.text('ask_operator', False, 'a setup without a code is mounted by a person, who confirms by the '
                                          'service sequencer/mounted')
         self.text('listeners', ['recorder', 'evaluation_solver'],
-                  'nodes that must be connected to sequencer/step before a start')
+                  'nodes that must be connected to sequencer/step and hear the sources before a start')
         self.text('sources', [DISPLACEMENT, SPOT], 'topics that must deliver before a start')
-        self.number('ready_timeout', 10.0, 'wait for sources and recorder before a goal is refused',
+        self.number('ready_timeout', 20.0, 'wait for sources, recorder and listeners before a goal is refused',
                     0.0, 600.0, 's')
         self.number('source_timeout', 3.0, 'silence after which a source counts as lost',
                     0.1, 60.0, 's')
@@ -86,6 +88,7 @@ class StepSequencer(StepdiagNode):
             self.create_subscription(kinds[topic][0], topic, kinds[topic][1], reliable(),
                                      qos_overriding_options=overridable())
         self.create_subscription(RecorderStatus, 'recorder/status', self._on_recorder, reliable(10))
+        self.create_subscription(DiagnosticArray, '/diagnostics', self._on_diagnostics, 50)
         self._mounted, self._asking = threading.Event(), False
         self.create_service(Trigger, 'sequencer/mounted', self._on_mounted)
         self._action = ActionServer(
@@ -175,6 +178,13 @@ class StepSequencer(StepdiagNode):
         self._watch.recorder(Recording(
             time.monotonic(), status.recording, status.bag, frozenset(status.hears),
             dict(zip(status.topics, status.received, strict=True)), int(sum(status.lost))))
+
+    def _on_diagnostics(self, array: DiagnosticArray) -> None:
+        for status in array.status:
+            space, _, name = f'/{status.name}'.rpartition('/')
+            if space == self.get_namespace().rstrip('/') and name in self.value('listeners'):
+                heard = next((v.value for v in status.values if v.key == HEARS), '')
+                self._watch.listener(name, frozenset(map(self.resolve_topic_name, heard.split())))
 
     # -- the action --------------------------------------------------------------
 
@@ -286,23 +296,24 @@ class StepSequencer(StepdiagNode):
         return future.result() if answered.wait(timeout_s) else None
 
     def _await_ready(self, handle: ServerGoalHandle) -> None:
-        """Every source delivers and the recorder hears it, or the goal is refused."""
+        """Every source delivers, and the recorder and the listeners hear it, or the goal is refused."""
         began = time.monotonic()
         end = began + self.value('ready_timeout')
-        while wants := self._watch.wants(since_s=began) + self._unconnected():
+        listeners = [name for name in self.value('listeners') if name]
+        while wants := (self._watch.wants(since_s=began) + self._unconnected(listeners)
+                        + self._watch.deaf(listeners, began)):
             if handle.is_cancel_requested or self._leave.is_set():
                 raise Cancelled
             if time.monotonic() > end:
                 raise StepdiagError('refused to start: ' + '; '.join(wants))
             time.sleep(0.05)
 
-    def _unconnected(self) -> list[str]:
+    def _unconnected(self, listeners: Sequence[str]) -> list[str]:
         """Listeners that would miss the first step."""
         names = [info.node_name for info in
                  self.get_subscriptions_info_by_topic(self.resolve_topic_name(STEP))]
         return [f'{listener} is not connected to {self.resolve_topic_name(STEP)}'
-                for listener in self.value('listeners')
-                if listener and not any(name.startswith(listener) for name in names)]
+                for listener in listeners if not any(name.startswith(listener) for name in names)]
 
     def _begin_bag(self, bag: str) -> None:
         """Number runs from 0 in a new bag; refuse one that holds runs which are not ours."""

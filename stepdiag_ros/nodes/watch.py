@@ -38,6 +38,8 @@ class Watch:
 
     A source or the recorder that has said nothing for ``timeout_s`` counts as silent.
     ``heard_besides``: topics that the recorder must hear although they are no sources.
+    Each listener says of itself what it has heard: that a publisher knows of it, or it of the publisher, does not yet
+    mean that samples get through.
     """
 
     def __init__(self, sources: Sequence[str], heard_besides: Sequence[str], timeout_s: float):
@@ -46,6 +48,7 @@ class Watch:
         self._besides = tuple(heard_besides)
         self._timeout_s = timeout_s
         self._recording: Recording | None = None
+        self._listeners: dict[str, tuple[float, frozenset[str]]] = {}
         self._since_ns = 0
 
     def block(self, topic: str, begin_ns: int, end_ns: int, signal: bool, setup: str) -> None:
@@ -70,6 +73,24 @@ class Watch:
         """The recorder's status came."""
         with self._lock:
             self._recording = recording
+
+    def listener(self, name: str, hears: frozenset[str]) -> None:
+        """A node that keeps the log said which topics it has heard."""
+        with self._lock:
+            self._listeners[name] = (time.monotonic(), hears)
+
+    def deaf(self, listeners: Sequence[str], since_s: float) -> list[str]:
+        """What ``listeners`` would miss of a run that starts now, a phrase each; their word before ``since_s``
+        (monotonic) does not count."""
+        with self._lock:
+            wants = []
+            for name in listeners:
+                said_s, hears = self._listeners.get(name, (0.0, frozenset()))
+                if said_s < since_s:
+                    wants.append(f'{name} has not said what it hears')
+                else:
+                    wants += [f'{name} does not hear {topic}' for topic in self._sources if topic not in hears]
+            return wants
 
     @property
     def recording(self) -> Recording | None:

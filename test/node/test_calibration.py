@@ -87,7 +87,7 @@ def test_a_goal_is_refused_while_a_source_is_silent(cell, live):
         outcome = operator.calibrate()
     finally:
         operator.bring('psd_driver', 'active')
-        operator.set_parameters('step_sequencer', {'ready_timeout': 10.0})
+        operator.set_parameters('step_sequencer', {'ready_timeout': 20.0})
     assert outcome.how == 'aborted' and outcome.stops == 0
     assert outcome.message.startswith('refused to start: ') and '/tiny/psd/spot' in outcome.message
     operator.bring('recorder', 'inactive')
@@ -102,8 +102,22 @@ def test_a_goal_is_refused_while_nothing_is_recorded(cell, live):
     try:
         outcome = operator.calibrate()
     finally:
-        operator.set_parameters('step_sequencer', {'ready_timeout': 10.0})
+        operator.set_parameters('step_sequencer', {'ready_timeout': 20.0})
     assert outcome.how == 'aborted' and 'the recorder is not recording' in outcome.message
+
+
+def test_a_goal_is_refused_while_a_listener_has_not_said_that_it_hears(cell, live):
+    operator = cell.operator
+    operator.new_log(str(cell.runtime.parent / 'unheard'))
+    operator.bring('gap_monitor', 'inactive')
+    operator.set_parameters('step_sequencer', {'ready_timeout': 4.0})
+    try:
+        outcome = operator.calibrate()
+    finally:
+        operator.bring('gap_monitor', 'active')
+        operator.set_parameters('step_sequencer', {'ready_timeout': 20.0})
+    assert outcome.how == 'aborted' and outcome.stops == 0
+    assert 'gap_monitor does not hear /tiny/interferometer/displacement' in outcome.message
 
 
 def test_an_unknown_setup_is_refused(cell, live):

@@ -1,6 +1,8 @@
 """Every node of a running cell: lifecycle, parameters, diagnostics."""
 
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -45,6 +47,35 @@ def test_every_parameter_is_described_and_numbers_have_a_range(cell, node):
             assert descriptor.floating_point_range and '[' in descriptor.description, descriptor.name
         if descriptor.type == ParameterType.PARAMETER_INTEGER:
             assert descriptor.integer_range, descriptor.name
+
+
+BUSY = """
+import sys, threading
+import numpy as np
+from scipy.spatial import cKDTree
+from stepdiag_ros.nodes.base import StepdiagNode, run_node
+
+def compute():
+    while True:  # in C++ without the interpreter's lock, as an evaluation is
+        cKDTree(np.random.rand(20000, 3)).query(np.random.rand(200000, 3))
+
+class Busy(StepdiagNode):
+    def __init__(self):
+        super().__init__('busy')
+        threading.Thread(target=compute, daemon=True).start()
+        print('computing', flush=True)
+
+sys.exit(run_node(Busy))
+"""
+
+
+def test_a_node_that_still_computes_ends_in_order(module_domain):
+    with subprocess.Popen([sys.executable, '-c', BUSY], stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+                          text=True) as node:
+        assert node.stdout.readline() == 'computing\n'
+        node.terminate()
+        said = node.communicate(timeout=60.0)[0]
+    assert node.returncode == 0 and said == ''
 
 
 def test_quality_of_service_can_be_overridden(cell):

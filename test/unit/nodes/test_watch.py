@@ -57,6 +57,18 @@ def test_a_source_that_falls_silent_is_named():
     assert [w.split(' has been silent')[0] for w in one.wants()] == list(SOURCES)
 
 
+def test_a_listener_that_samples_do_not_reach_yet_would_miss_the_first_stops():
+    """That it is known to the graph does not mean that its subscriptions are matched."""
+    one, began = watch(), time.monotonic()
+    assert one.deaf(['solver'], began) == ['solver has not said what it hears']
+    one.listener('solver', frozenset([DESCRIPTION, SOURCES[0]]))
+    assert one.deaf(['solver'], began) == [f'solver does not hear {SOURCES[1]}']
+    one.listener('solver', frozenset([DESCRIPTION, *SOURCES]))
+    assert one.deaf(['solver'], began) == []
+    # What it heard of the log before this one says nothing of this one.
+    assert one.deaf(['solver'], time.monotonic()) == ['solver has not said what it hears']
+
+
 def test_what_came_before_the_goal_does_not_count():
     one = watch()
     for topic in SOURCES:
