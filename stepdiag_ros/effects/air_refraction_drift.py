@@ -56,13 +56,13 @@ class AirRefractionDrift(Effect):
 
     def appearance(self, view: StopView) -> list[Form]:
         way, forms = on_lengths(view, view.distance)[None], []
+        pace = courses(view.elapsed, view.watches)
         for share in (1.0, *DEAD_PATHS):
             # The air of the dead path changes as that of the way does: one course, and one dead path a log.
             label = '' if share == 1.0 else f'dead path {share:g} times as described'
             path = on_lengths(view, view.distance + (share - 1.0) * float(np.nanmin(view.distance)))[None]
             forms += [replace(follow(view, course, path, ('index',), 1e-6, '1', label), source=f'dead path {share}')
-                      for course in courses(view.elapsed, view.watches)
-                      if share == 1.0 or course.label in ('linear', *ROUGHNESS)]
+                      for course in pace if share == 1.0 or course.label in ('linear', *ROUGHNESS)]
         logged = self._logged(view)
         if logged is not None:
             course = recorded(view, logged[None], 'logged air, not divided out')

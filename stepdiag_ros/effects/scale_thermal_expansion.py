@@ -47,7 +47,8 @@ class ScaleThermalExpansion(Effect):
     def appearance(self, view: StopView) -> list[Form]:
         axes = ('X', 'Y', 'Z')
         growth = view.commanded.T[:, :, None] * view.by_shift
-        forms = [follow(view, course, growth, axes, 1e-5, '1') for course in courses(view.elapsed, view.watches)]
+        pace = courses(view.elapsed, view.watches)
+        forms = [follow(view, course, growth, axes, 1e-5, '1') for course in pace]
         # A scale that is held elsewhere than at its zero also shifts the axis as a whole: somewhere along the
         # travel, so that it is taken from the middle on, by at most half of it either way.
         travel = np.maximum(np.ptp(view.commanded, axis=0), 1e-3)
@@ -56,7 +57,7 @@ class ScaleThermalExpansion(Effect):
         named = axes + tuple(f'{axis} shift' for axis in axes)
         size = 1e-5 * np.concatenate([np.ones(3), travel / np.sqrt(12.0)])
         forms += [drift_form(view, course, both, named, size, 'held elsewhere than at zero', '1, m')
-                  for course in courses(view.elapsed, view.watches)
+                  for course in pace
                   if course.label in ('linear', *ROUGHNESS)
                   or course.shape.get('tau_s', 0.0) > 0.2 * np.ptp(view.time)]
         # One axis that warms: the place where its scale is held does not change while it does.
@@ -64,8 +65,8 @@ class ScaleThermalExpansion(Effect):
         for label, share in HELD.items():
             held = view.commanded.min(axis=0) + share * travel
             one = ((view.commanded - held) * moved).T[:, :, None] * view.by_shift
-            pace = [c for c in courses(view.elapsed, view.watches) if not share or c.label in ROUGHNESS]
-            forms += each_alone(view, pace, one, axes, 1e-5, '1', label)
+            fitting = [c for c in pace if not share or c.label in ROUGHNESS]
+            forms += each_alone(view, fitting, one, axes, 1e-5, '1', label)
         return self._logged(view, growth, both, size) + forms
 
     @staticmethod

@@ -20,9 +20,9 @@ from stepdiag_ros.estimate.evaluate import solution_of
 from stepdiag_ros.estimate.gauge import reporting_matrix
 from stepdiag_ros.estimate.solution import Solution
 from stepdiag_ros.estimate.standing import with_standing
-from stepdiag_ros.gap.evidence import SIZES
+from stepdiag_ros.gap.evidence import Judged
 from stepdiag_ros.gap.joint import Active, Joint, held_to_sizes, inverse, size_of, solve, unexplained, widths
-from stepdiag_ros.gap.screen import Member, Screen
+from stepdiag_ros.gap.screen import Member, Screen, allowed
 from stepdiag_ros.gap.search import EffectSet
 from stepdiag_ros.gap.thresholds import FORM_ERROR
 from stepdiag_ros.gap.unknown import NAME as UNKNOWN
@@ -50,7 +50,7 @@ def compositions(screen: Screen, best: EffectSet) -> list[EffectSet]:
             evidence = {number: judged[number].log_bayes - float(np.log(forms[screen.candidates[number].effect]))
                         for number in fitting}
             now = member.log_bayes - member.doubt if member.effect == UNKNOWN else evidence[member.candidate]
-            others = [EffectSet((*found.members[:place], _as_member(screen, number, judged[number].size),
+            others = [EffectSet((*found.members[:place], _as_member(screen, number, judged[number]),
                                  *found.members[place + 1:]), found.log_bayes - now + evidence[number])
                       for number in fitting if number != member.candidate]
             for larger in (found, *others):
@@ -62,10 +62,10 @@ def compositions(screen: Screen, best: EffectSet) -> list[EffectSet]:
     return sets
 
 
-def _as_member(screen: Screen, number: int, size: float) -> Member:
-    """A candidate as a member of a set; ``size``: the one that the log shows, of an unknown course."""
+def _as_member(screen: Screen, number: int, judged: Judged) -> Member:
+    """A candidate as a member of a set."""
     candidate = screen.candidates[number]
-    return Member(candidate.effect, number, 0.0, size if candidate.form.process else float(SIZES[-1]))
+    return Member(candidate.effect, number, 0.0, allowed(candidate.form, judged))
 
 
 def averaged_solution(joint: Joint, screen: Screen, best: EffectSet) -> Solution:

@@ -47,6 +47,11 @@ class Member:
     doubt: float = 0.0
 
 
+def allowed(form: Form, judged: Judged) -> float:
+    """The size that a form's coefficients are allowed in a set: an unknown course the one that the log shows of it."""
+    return judged.size if form.process else float(SIZES[-1])
+
+
 @dataclass
 class Screen:
     """All candidates of a log in one parity space, ready to be judged given a set.
@@ -186,8 +191,7 @@ class Screen:
         number, form = member.candidate, self.candidates[member.candidate].form
         forms = sum(candidate.effect == member.effect for candidate in self.candidates)
         alone = self.judge_all((), [number])[number]
-        return replace(member, log_bayes=alone.log_bayes - float(np.log(forms)),
-                       size=alone.size if form.process else float(SIZES[-1]))
+        return replace(member, log_bayes=alone.log_bayes - float(np.log(forms)), size=allowed(form, alone))
 
     def shared(self, less: Sequence[Member], more: Sequence[Member]) -> float:
         """Overlap (0 … 1) of the channels, lengths or spot, in which ``less`` explains the data with those in
@@ -227,8 +231,8 @@ class Screen:
             # The doubt is that against the family which carries the sum: another's would be paid back unpaid.
             family = max(logs, key=logs.__getitem__)
             best = max(families[family], key=lambda i: judged[i].log_bayes)
-            size = judged[best].size if self.candidates[best].form.process else float(SIZES[-1])
-            result[effect] = Member(effect, best, log_sum(list(logs.values())) + doubts[family], size, doubts[family])
+            result[effect] = Member(effect, best, log_sum(list(logs.values())) + doubts[family],
+                                    allowed(self.candidates[best].form, judged[best]), doubts[family])
         return result
 
     def _doubt(self, numbers: Sequence[int], judged: Mapping[int, Judged]) -> float:

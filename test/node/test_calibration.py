@@ -78,16 +78,21 @@ def test_live_replayed_and_read_have_the_same_bits(live):
     assert document['dof'] > 0 and np.isfinite(document['reduced_chi2'])
 
 
+def calibrate_without(operator, node, ready_s, after='active'):
+    """How a goal ends while a node is inactive, which is brought to ``after`` again."""
+    operator.bring(node, 'inactive')
+    operator.set_parameters('step_sequencer', {'ready_timeout': ready_s})
+    try:
+        return operator.calibrate()
+    finally:
+        operator.bring(node, after)
+        operator.set_parameters('step_sequencer', {'ready_timeout': 20.0})
+
+
 def test_a_goal_is_refused_while_a_source_is_silent(cell, live):
     operator = cell.operator
     operator.new_log(str(cell.runtime.parent / 'refused'))
-    operator.set_parameters('step_sequencer', {'ready_timeout': 4.0})
-    operator.bring('psd_driver', 'inactive')
-    try:
-        outcome = operator.calibrate()
-    finally:
-        operator.bring('psd_driver', 'active')
-        operator.set_parameters('step_sequencer', {'ready_timeout': 20.0})
+    outcome = calibrate_without(operator, 'psd_driver', 4.0)
     assert outcome.how == 'aborted' and outcome.stops == 0
     assert outcome.message.startswith('refused to start: ') and '/tiny/psd/spot' in outcome.message
     operator.bring('recorder', 'inactive')
@@ -96,26 +101,14 @@ def test_a_goal_is_refused_while_a_source_is_silent(cell, live):
 
 
 def test_a_goal_is_refused_while_nothing_is_recorded(cell, live):
-    operator = cell.operator
-    operator.bring('recorder', 'inactive')
-    operator.set_parameters('step_sequencer', {'ready_timeout': 1.0})
-    try:
-        outcome = operator.calibrate()
-    finally:
-        operator.set_parameters('step_sequencer', {'ready_timeout': 20.0})
+    outcome = calibrate_without(cell.operator, 'recorder', 1.0, after='inactive')
     assert outcome.how == 'aborted' and 'the recorder is not recording' in outcome.message
 
 
 def test_a_goal_is_refused_while_a_listener_has_not_said_that_it_hears(cell, live):
     operator = cell.operator
     operator.new_log(str(cell.runtime.parent / 'unheard'))
-    operator.bring('gap_monitor', 'inactive')
-    operator.set_parameters('step_sequencer', {'ready_timeout': 4.0})
-    try:
-        outcome = operator.calibrate()
-    finally:
-        operator.bring('gap_monitor', 'active')
-        operator.set_parameters('step_sequencer', {'ready_timeout': 20.0})
+    outcome = calibrate_without(operator, 'gap_monitor', 4.0)
     assert outcome.how == 'aborted' and outcome.stops == 0
     assert 'gap_monitor does not hear /tiny/interferometer/displacement' in outcome.message
 
