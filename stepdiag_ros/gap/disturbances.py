@@ -11,9 +11,9 @@ import numpy as np
 from stepdiag_ros.gap.hops import Hops, hops
 from stepdiag_ros.gap.inside import step_noise, steps
 from stepdiag_ros.gap.joint import Joint
-from stepdiag_ros.gap.lines import Unrest, unrest
 from stepdiag_ros.gap.observe import Observation
 from stepdiag_ros.gap.thresholds import ALARM
+from stepdiag_ros.gap.unrest import Unrest, unrest
 from stepdiag_ros.model.log import CalibrationLog
 
 
@@ -70,7 +70,7 @@ def _with_unrest(observation: Observation, samples: Unrest) -> Observation:
         table = replace(table, wander=samples.power)
         # A part of a dwell has that of the e-folds between its length and the dwell's besides.
         more = samples.power[:, None] * np.log(observation.bins.shape[1])
-    elif samples.shakes:
+    elif samples.shakes or samples.swells:
         length = float(np.median(table.done_ns - table.dwell_ns)) * 1e-9
         bins = observation.bins.shape[1]
         # A line fills no more than two of the bins' contrasts, with all its power.
@@ -116,6 +116,9 @@ def _restless(samples: Unrest, names: Mapping[str, float]) -> str:
     if samples.boils:
         return ('displacement: slow random noise inside the dwells that grows with the path '
                 f'(its power as path^{samples.growth:.1f}), as of moving air')
+    if samples.swells:
+        return (f'displacement: swings at {samples.displacement.frequency:.3g} Hz (as sampled) inside the dwells, '
+                'the more the longer the path, as of moving air or of the laser')
     if samples.hums and names.get('ambient_light', 0.0) < 0.5:
         return (f'spot: swings at {samples.spot.frequency:.3g} Hz (as sampled) inside the dwells, '
                 'the displacement does not')

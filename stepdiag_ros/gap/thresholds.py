@@ -38,6 +38,11 @@ CONFUSED = 3.0
 """Sets closer than this in log evidence (odds of 20) cannot be told apart."""
 VIBRATION_ALARM = 6.0
 """Least log evidence of lines in the dwells' spectrum; white noise passes it about once in 10⁵ logs."""
+STEADY_ALARM = 12.0
+"""Least log evidence of lines that keep their phase from dwell to dwell; of logs without any one in twenty shows 4,
+one in 10⁵ this."""
+GROWS = 3.0
+"""Log evidence from which a line is said to grow with the path."""
 BACKGROUND_ALARM = 12.0
 """Least log evidence of smooth noise inside the dwells beyond white."""
 LEAST_GROWTH = 0.75

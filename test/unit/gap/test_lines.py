@@ -7,7 +7,9 @@ import pytest
 
 from stepdiag_ros.effects import effect_class
 from stepdiag_ros.estimate.reduce import reduce_log
-from stepdiag_ros.gap.lines import dwells_of, find_lines, unrest
+from stepdiag_ros.gap.dwells import dwells_of
+from stepdiag_ros.gap.lines import find_lines
+from stepdiag_ros.gap.unrest import unrest
 
 COUNT, SIZE, PERIOD_S = 300, 30, 0.02
 
