@@ -15,6 +15,7 @@ QUARTER = 3.825e-7
 
 class CountSlip(Effect):
     name = 'count_slip'
+    repeatable = True
     title = 'The laser lost count once: from there to the next reset all lengths are wrong by one amount.'
     parameters = (Parameter('jump', 'm', -2e-5, 2e-5, meaning='what is added from the slip on'),
                   Parameter('arrival', '1', 1.0, 200.0, meaning='number of the move in which it happens'))

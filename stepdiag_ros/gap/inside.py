@@ -19,6 +19,8 @@ LEAST_MOVES = 24
 """Fewest moves from which the delay between two sensors is told."""
 LEAST_STRETCHES = 6
 """Fewest stretches by which those moves must agree."""
+MOST_NOISE = 0.5
+"""Noise over step of a move, above which it says next to nothing of a delay; hundreds of faint moves together do."""
 FAINT = 1e-5
 """Noise over step, above which a jerk-limited move is well under way before it is seen."""
 
@@ -192,7 +194,7 @@ def _progress(samples: Samples, table: StopTable, columns: np.ndarray, i: int,
     if hi - lo < 8 or level is None or goal is None or goal[0] == level[0]:
         return None
     noise = max(level[1], goal[1]) / abs(goal[0] - level[0])
-    if noise > 0.05 or not np.isfinite(samples.values[lo:hi, k]).all():
+    if noise > MOST_NOISE or not np.isfinite(samples.values[lo:hi, k]).all():
         return None
     time = (samples.time_ns[lo:hi] - table.move_ns[i]) * 1e-9
     if np.any(np.diff(time) <= 0.0):

@@ -6,7 +6,7 @@ that of each further one given those before, the largest over the orders.  A for
 its effect is in the set, are free: what is left is what nothing in the set can explain.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -66,6 +66,9 @@ def search(screen: Screen) -> list[EffectSet]:
         found = EffectSet((member,), member.log_bayes)
         sets[found.names] = found
         front.append(found)
+        for again in _repeated(screen, found):
+            sets[again.names] = again
+            front.append(again)
     alone = max((m.log_bayes for m in first.values() if m.effect != UNKNOWN), default=0.0)
     while front:
         # Nameless patterns, which fit anything, must not crowd out the names.
@@ -100,6 +103,23 @@ def search(screen: Screen) -> list[EffectSet]:
             best[found.key] = found
     found = _held_to_names(screen, _each_earned(screen, best))
     return sorted(found, key=lambda s: -(s.log_bayes + log_prior(s, len(first))))
+
+
+def _repeated(screen: Screen, found: EffectSet) -> Iterator[EffectSet]:
+    """An effect that repeats, twice and more often.
+
+    Each time it explains one run only: by the first alone it may look hopeless beside a rich form that explains a
+    part of all.
+    """
+    effect = found.members[0].effect
+    if effect not in screen.repeatable or found.log_bayes < MEMBER_ALARM:
+        return
+    while len(found.members) < MOST_REPEATS:
+        member = screen.by_effect(found.members, lambda other: other == effect)[effect]
+        if member.log_bayes < least_growth(found):
+            return
+        found = EffectSet((*found.members, member), found.log_bayes + member.log_bayes)
+        yield found
 
 
 def _recomposed(screen: Screen, pair: EffectSet) -> EffectSet:

@@ -169,7 +169,7 @@ def test_backlash(bench):
 
 
 def test_servo_settling(bench):
-    tau, amp = 0.2, 1e-6
+    tau, amp = 0.17, 1e-6
     acting = bench.with_effect(effect_class('servo_settling')(amp=amp, tau=tau))
     form = pick(effect_class('servo_settling')().appearance(acting.view), f'τ = {tau:g} s', 'each axis',
                 'at the first stops')

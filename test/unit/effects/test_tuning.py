@@ -21,7 +21,7 @@ def flat(form):
 
 
 @pytest.mark.parametrize(('name', 'label', 'shape'), [
-    ('servo_settling', 'τ = 0.2 s, all', {'tau_s': 0.2345}),
+    ('servo_settling', 'τ = 0.17 s, all', {'tau_s': 0.2345}),
     ('mirror_mount_creep', 'logarithmic', {'start_s': 3.0}),
     ('beam_pointing_drift', 'exponential', {'tau_s': 11.0}),
     ('ambient_light', 'cycle', {'period_s': 300.0})])

@@ -75,6 +75,19 @@ def test_moves_to_and_fro_tell_a_delay_from_a_bend(case):
     assert sigma < 5e-4
 
 
+def test_moves_of_which_none_stands_out_tell_a_delay_together(case):
+    """A spot whose noise is a tenth to a half of its moves."""
+    log = case.log()
+    table = reduce_log(log)
+    rng, step = np.random.default_rng(4), float(np.nanmedian(np.abs(np.diff(table.spot, axis=0))))
+    for delay in (0.0, 0.04):
+        noise = 0.3 * step * rng.standard_normal(log.spot.values.shape)
+        loud = replace(log, spot=replace(_stamped(log.spot, delay), values=log.spot.values + noise))
+        seen, sigma = apart(loud, reduce_log(loud))
+        assert abs(seen - delay) < 4.0 * sigma
+        assert sigma < 6e-3
+
+
 @pytest.mark.parametrize('offset', [-0.08, 0.05])
 def test_stamps_that_are_off_are_measured(case, offset):
     log = case.log()

@@ -11,7 +11,7 @@ from stepdiag_ros.gap.evidence import SIZES
 from stepdiag_ros.gap.joint import solve, tuned
 from stepdiag_ros.gap.parity import Parity
 from stepdiag_ros.gap.screen import Candidate, Member, Screen
-from stepdiag_ros.gap.search import EffectSet, search
+from stepdiag_ros.gap.search import HOPELESS, EffectSet, search
 from stepdiag_ros.gap.unknown import NAME as UNKNOWN
 
 N = 400
@@ -89,6 +89,19 @@ def test_a_pair_is_found_although_a_rich_form_of_the_first_swallows_the_second()
     best = search(screen)[0]
     assert best.key == {'A', 'B'}
     assert {screen.candidates[m.candidate].form.label for m in best.members} == {'lean', 'other'}
+
+
+def test_what_happens_twice_is_found_though_each_time_it_explains_less_than_a_rich_form():
+    rng = np.random.default_rng(6)
+    once, again, *more = np.linalg.qr(rng.normal(size=(N, 6)))[0].T
+    slips = [Candidate('slip', '', form(str(k), column[None], np.ones(1))) for k, column in enumerate((once, again))]
+    rich = form('rich', np.stack([0.8 * once + 0.8 * again, *more]), np.ones(5))
+    data = 40.0 * (once + again) + rng.normal(size=N)
+    screen = Screen(space(data), [*slips, Candidate('rich', '', rich)], 1e9, frozenset({'slip'}))
+    alone = screen.by_effect()
+    assert alone['rich'].log_bayes > alone['slip'].log_bayes + HOPELESS
+    best = search(screen)[0]
+    assert best.names == ('slip', 'slip')
 
 
 @pytest.mark.parametrize('at, named', [(3 * N // 4, True), (0, False)])
