@@ -144,10 +144,12 @@ def _late(late: Mapping[str, Late]) -> Found:
 def _shaking(effects: Mapping[str, Effect], seen: Vibration) -> Found:
     effect = effects.get('vibration', Effect())
     probability = float(1.0 / (1.0 + np.exp(-min(seen.log_bayes, 30.0))))
+    line = 'a line in the spectrum of the dwells' + (', of one phase through many' if seen.steady else '')
+    alike = ' and '.join(f'{hertz:.3g} Hz' for hertz in seen.aliases)
     return Found('vibration', effect.title, probability,
                  {'frequency_Hz': seen.frequency, 'amplitude_m': seen.amplitude},
-                 {'amplitude_m': seen.sigma}, 'm', 'a line in the spectrum of the dwells', seen.share,
-                 effect.remedy)
+                 {'amplitude_m': seen.sigma}, 'm', line, seen.share,
+                 f'{effect.remedy} Sampled at {seen.rate:.3g} Hz, {alike} look the same.'.lstrip())
 
 
 def _verdict(found: list[Found], leftover: str) -> str:

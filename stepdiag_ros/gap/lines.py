@@ -36,10 +36,11 @@ SIZES = np.logspace(-2.5, 5.5, 33)
 
 @dataclass(frozen=True)
 class Vibration:
-    """Lines in the dwells' spectrum: ``frequency`` [Hz] of the strongest (as sampled: it may be an alias),
-    its ``amplitude`` and ``sigma`` [m]; ``log_bayes`` of ``lines`` lines against a smooth spectrum;
+    """Lines in the dwells' spectrum: ``frequency`` [Hz] of the strongest (as sampled, at ``rate`` [Hz]: it may
+    be an alias), its ``amplitude`` and ``sigma`` [m]; ``log_bayes`` of ``lines`` lines against a smooth spectrum;
     ``share`` of them in the dwells' variance; ``powers`` [m²]: variance of each line in one sample; ``steady``: they
-    keep their phase from dwell to dwell; ``log_growth``: log evidence that the strongest grows with the path."""
+    keep their phase from dwell to dwell; ``log_growth``: log evidence that the strongest grows with the path;
+    ``by_dwell`` (K,) [m²]: what single dwells show of the strongest, beyond the noise on average."""
 
     frequency: float
     amplitude: float
@@ -50,6 +51,13 @@ class Vibration:
     powers: tuple[float, ...] = ()
     steady: bool = False
     log_growth: float = 0.0
+    by_dwell: np.ndarray | None = None
+    rate: float = np.inf
+
+    @property
+    def aliases(self) -> tuple[float, float]:
+        """The next higher frequencies [Hz] that, sampled so, look the same."""
+        return self.rate - self.frequency, self.rate + self.frequency
 
     def variance(self, length: float) -> float:
         """Variance [m²] that the lines bring into means over ``length`` [s]."""
@@ -134,10 +142,13 @@ def find_lines(dwells: Dwells) -> tuple[Vibration | None, float]:
     excess = powers[strongest] * float(np.sum(waves[:, k] ** 2)) / 2.0
     noise = max(float(np.trace(moment)) - sum(powers) * size, 0.0) / rank
     sigma = amplitude * (1.0 + noise / max(excess, 1e-300)) / np.sqrt(4.0 * count)
+    along, _ = np.linalg.qr(waves[:, k])
+    by_dwell = np.sum((dwells.values @ along) ** 2, axis=1) - 2.0 * noise
     share = min(sum(powers) * size / max(float(np.trace(moment)), 1e-300), 1.0)
     return Vibration(float(cycles[k] / dwells.length), amplitude, float(sigma),
                      float(min(best - null, 1e4)), float(share),
-                     tuple(float(cycles[i] / dwells.length) for i in lines), powers), null - plain
+                     tuple(float(cycles[i] / dwells.length) for i in lines), powers,
+                     by_dwell=by_dwell, rate=1.0 / dwells.period), null - plain
 
 
 def _background(inner: np.ndarray, moment: np.ndarray, count: int) -> tuple[float, float]:

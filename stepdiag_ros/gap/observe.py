@@ -29,7 +29,8 @@ class Observation:
     """A log made ready: ``table`` and nominal ``fit``; ``view`` for effects.
 
     ``bins`` (n, b, c) [m]: means of the dwell's bins minus the dwell's mean, NaN where a bin is empty;
-    ``bin_sigma`` (n, c) [m]: noise of one bin's mean.
+    ``bin_sigma`` (n, c) [m]: noise of one bin's mean.  ``swings`` (n, c) [m²]: what lines in the spectrum of the
+    dwells add to the samples, beyond their noise on average; None where there are none.
     """
 
     log: CalibrationLog
@@ -38,6 +39,7 @@ class Observation:
     view: StopView
     bins: np.ndarray
     bin_sigma: np.ndarray
+    swings: np.ndarray | None = None
 
 
 def observe(log: CalibrationLog) -> Observation:

@@ -98,10 +98,14 @@ def _lines(dwells: Dwells, samples: np.ndarray, path: np.ndarray, stretches: lis
     weighted /= level[:, 0] * floor[chosen[0]] * seen[chosen[0]]
     alike = _evidence(power[:, chosen[:1]] / floor[chosen[0]], counts)
     grown = _evidence(weighted[:, None], counts)
+    by_dwell = np.zeros(len(samples))
+    for rows, excess, count in zip(stretches, over[:, 0], counts, strict=True):
+        by_dwell[rows] = excess / count
     return Vibration(float(hertz[chosen[0]]), amplitude, float(spread[0]) / max(amplitude, 1e-300),
                      float(min(evidence[chosen[0]], 1e4)),
                      float(min(strength.sum() * samples.size / max(np.sum(dwells.values**2), 1e-300), 1.0)),
-                     tuple(hertz[chosen].tolist()), tuple(strength.tolist()), True, float((grown - alike)[0]))
+                     tuple(hertz[chosen].tolist()), tuple(strength.tolist()), True, float((grown - alike)[0]), by_dwell,
+                     1.0 / dwells.period)
 
 
 def _evidence(power: np.ndarray, counts: np.ndarray) -> np.ndarray:

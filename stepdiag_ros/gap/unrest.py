@@ -27,7 +27,8 @@ class Unrest:
     ``displacement`` and ``spot``: lines of each, None where dwells are too short to tell; ``slow``: log
     evidence for a smooth background in the displacement, ``slow_spot`` in the spot; ``growth``: exponent
     with which the displacement's unrest grows with the path, and ``growth_sigma`` (infinite: not seen);
-    ``power`` (n,) [m²]: of that unrest at each stop, per e-fold of frequency.
+    ``power`` (n,) [m²]: of that unrest at each stop, per e-fold of frequency; ``swings`` (n, 3) [m²]: what lines
+    that were seen add to displacement and spot in the dwells, beyond the noise on average.
     """
 
     displacement: Vibration | None
@@ -37,6 +38,7 @@ class Unrest:
     growth: float
     growth_sigma: float
     power: np.ndarray
+    swings: np.ndarray
 
     @property
     def shakes(self) -> bool:
@@ -68,13 +70,18 @@ def unrest(log: CalibrationLog, table: StopTable, distance: np.ndarray) -> Unres
     lines, slow = _lines(beams, table.run, distance) if beams else (None, 0.0)
     growth, sigma, power = growth_with(beams, distance) if beams else \
         (0.0, np.inf, np.zeros(len(table)))
+    swings = np.zeros((len(table), 3))
+    if _clear(lines, slow):
+        swings[beams.rows, 0] = lines.by_dwell
     spots = [(None, 0.0)]
-    for column in log.spot.values.T:
-        dwells = dwells_of(column, log.spot.time_ns, table.spot_rows, kind, table.dwell_ns)
+    for column, values in enumerate(log.spot.values.T, start=1):
+        dwells = dwells_of(values, log.spot.time_ns, table.spot_rows, kind, table.dwell_ns)
         if dwells is not None:
             spots.append(_lines(dwells, table.run, distance))
+            if _clear(*spots[-1]):
+                swings[dwells.rows, column] = spots[-1][0].by_dwell
     spot, slow_spot = max(spots, key=lambda s: _margin(*s))
-    return Unrest(lines, spot, slow, slow_spot, growth, sigma, power)
+    return Unrest(lines, spot, slow, slow_spot, growth, sigma, power, swings)
 
 
 def _lines(dwells: Dwells, run: np.ndarray, distance: np.ndarray) -> tuple[Vibration | None, float]:

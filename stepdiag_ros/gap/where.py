@@ -4,7 +4,8 @@ The excess is what a user sees after the nominal fit: what the effects add to th
 what machine, misalignments and resets take of it, in units of each reading's own noise and freed of the
 noise that the effects' coefficients carry.  Parity space would not do: its rows are white mixtures of the
 readings of a run.  Where no effect was named, the excess is what the residuals have above their
-expectation; where the stops' means show nothing, what happens inside the dwells.  A cell is split by
+expectation; where the stops' means show nothing, what happens inside the dwells: the swing of lines in their
+spectrum where there are any, else what their parts show.  A cell is split by
 the axis that moved or the direction of the run only if nearly all of it lies in one of them.
 """
 
@@ -76,7 +77,9 @@ def excess_of(joint: Joint, leftover: bool = False) -> np.ndarray:
         excess = excess + added / np.maximum(own, 1e-32)
     elif leftover or not joint.active:
         excess = excess + _of_residuals(joint)
-    return excess if excess.any() else _inside(joint)
+    if excess.any():
+        return excess
+    return _inside(joint) if joint.observation.swings is None or joint.active else _of_swings(joint)
 
 
 def _of_effects(joint: Joint) -> np.ndarray:
@@ -112,6 +115,18 @@ def _of_residuals(joint: Joint) -> np.ndarray:
     excess = (residual**2 - expected).reshape(result.residual.shape)
     return _significant(joint, excess, lambda rows: float(np.sqrt(2.0 * np.sum(expected[rows]**2))),
                         CELL_SIGMAS)
+
+
+def _of_swings(joint: Joint) -> np.ndarray:
+    """What lines in the spectrum of the dwells add to each channel (n, c), against the sensors' noise in a sample; 0 in
+    setups where that comes to no more than nothing."""
+    swings, table = joint.observation.swings, joint.observation.table
+    noise = np.nanmedian(np.concatenate([table.displacement_scatter, table.spot_scatter], axis=1), axis=0)
+    excess = np.zeros_like(swings)
+    for number in range(len(table.setup_names)):
+        mine = table.setup == number
+        excess[mine] = np.maximum(swings[mine].mean(axis=0), 0.0) / noise**2
+    return excess
 
 
 def _inside(joint: Joint) -> np.ndarray:

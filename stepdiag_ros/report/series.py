@@ -133,7 +133,8 @@ def share_map(diagnosis: Diagnosis) -> Shares | None:
     # Whether at rest or moving is a matter of what is seen best: of parity space.
     rest = unexplained(space, joint.active)
     seen = (space.data - rest) ** 2 if joint.active else np.maximum(rest**2 - 1.0, 0.0)
-    inside = float(seen[space.stops:].sum() / max(seen.sum(), 1e-300))
+    swings = joint.observation.swings is not None and not joint.active and not diagnosis.leftover
+    inside = 1.0 if swings else float(seen[space.stops:].sum() / max(seen.sum(), 1e-300))
     return Shares(cells, axis, direction, {'between stops (means)': 1.0 - inside,
                                            'inside the stops (while standing still)': inside})
 

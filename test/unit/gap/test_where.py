@@ -8,6 +8,7 @@ import pytest
 from stepdiag_ros.blind.visibility import Yardstick
 from stepdiag_ros.effects import effect_class
 from stepdiag_ros.gap.where import shares
+from stepdiag_ros.report.series import share_map
 
 
 @pytest.mark.parametrize(('name', 'values'), [
@@ -59,3 +60,13 @@ def test_what_was_taken_for_noise_lies_where_it_was_added(case):
     found = shares(replace(joint, observation=disturbed), (), True)
     assert [(s.channel, s.setup) for s in found] == [('displacement', table.setup_names[2])]
     assert found[0].share == pytest.approx(1.0)
+
+
+def test_a_shake_lies_in_the_length_and_in_the_dwells(case):
+    """Along Z: alike in all four diagonals, nothing of it in a line along X."""
+    found = case.diagnose(effect_class('vibration')(amp=[0.0, 0.0, 2e-8], frequency=9.3))
+    assert [e.name for e in found.effects] == ['vibration'] and 'look the same' in found.effects[0].remedy
+    assert {s.channel for s in found.shares} == {'displacement'}
+    diagonals = [s.share for s in found.shares if not s.setup.startswith('lin')]
+    assert sum(diagonals) > 0.7 and max(diagonals) < 2.0 * min(diagonals)
+    assert share_map(found).state['inside the stops (while standing still)'] == 1.0
