@@ -22,11 +22,10 @@ SIZES = np.logspace(-1.5, 1.5, 9)
 
 @dataclass(frozen=True)
 class Judged:
-    """``log_bayes`` of a form against nothing; ``fall``: what of zᵀz its best fit takes away; ``size``, in
-    typical ones, that speaks best for it; ``of_sizes``: the probability of each of ``SIZES``."""
+    """``log_bayes`` of a form against nothing; ``size``, in typical ones, that speaks best for it; ``of_sizes``: the
+    probability of each of ``SIZES``."""
 
     log_bayes: float
-    fall: float
     size: float = float(SIZES[-1])
     of_sizes: tuple[float, ...] = ()
 
@@ -45,11 +44,9 @@ def judge(gram: np.ndarray, along: np.ndarray, total: float, dof: float,
             - 0.5 * (dof + noise_dof) * np.log1p(-share))
     top = logs.max(axis=0)
     mean = top + np.log(np.mean(np.exp(logs - top), axis=0))
-    shrink = 1.0 / (value + SIZES[-1] ** -2.0)
-    fall = np.sum(turned**2 * shrink * (2.0 - value * shrink), axis=1)
     odds = np.exp(logs - top)
-    return [Judged(float(m), max(float(f), 0.0), float(SIZES[k]), tuple(p))
-            for m, f, k, p in zip(mean, fall, logs.argmax(axis=0), (odds / odds.sum(axis=0)).T, strict=True)]
+    return [Judged(float(m), float(SIZES[k]), tuple(p))
+            for m, k, p in zip(mean, logs.argmax(axis=0), (odds / odds.sum(axis=0)).T, strict=True)]
 
 
 def width_of(form: Form) -> float:

@@ -20,7 +20,7 @@ SETTLED = 1e-2
 """The diagnosis needs a fit to a hundredth of a standard deviation, not to the last digit [χ²]."""
 FIRST = 5
 """Readings of an environment sensor that are averaged where the log begins."""
-GROSS = 4.0
+BADLY_FITTED = 4.0
 """Reduced χ² above which the noise is scaled up for the fit, so that a gross effect bends it less."""
 
 
@@ -60,9 +60,9 @@ def sane_fit(log: CalibrationLog, table: StopTable, theta: np.ndarray | None = N
     noise, scale = result.noise, 1.0
     for _ in range(6):
         reduced = result.chi2 / max(result.dof, 1)
-        if np.isfinite(reduced) and reduced < GROSS and result.converged:
+        if np.isfinite(reduced) and reduced < BADLY_FITTED and result.converged:
             break
-        scale *= np.sqrt(max(reduced, GROSS)) if np.isfinite(reduced) else 100.0
+        scale *= np.sqrt(max(reduced, BADLY_FITTED)) if np.isfinite(reduced) else 100.0
         result = fit(log.description, table, noise=noise.scaled(scale), theta=theta, settled=SETTLED)
     return result
 

@@ -44,15 +44,6 @@ def test_more_columns_of_no_use_cost_more():
     assert _judge(wide[:, :1], data).log_bayes > _judge(wide, data).log_bayes
 
 
-def test_fall_is_that_of_least_squares():
-    rng = np.random.default_rng(6)
-    columns = rng.normal(size=(100, 4))
-    data = rng.normal(size=100)
-    solution = np.linalg.lstsq(columns, data, rcond=None)[0]
-    expected = data @ data - np.sum((data - columns @ solution)**2)
-    assert _judge(columns, data).fall == pytest.approx(expected, rel=1e-2)
-
-
 def test_unknown_noise_makes_evidence_humbler():
     rng = np.random.default_rng(7)
     column = rng.normal(size=(60, 1))
