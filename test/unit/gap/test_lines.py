@@ -108,10 +108,12 @@ def test_shaking_is_told_from_hum_and_from_moving_air(case):
     hum = 2e-6 * np.sin(2.0 * np.pi * 9.0 * (log.spot.time_ns - log.spot.time_ns[0]) * 1e-9)
     seen = _seen(replace(log, spot=_with(log.spot, hum[:, None] * [1.0, 0.0])))
     assert seen.hums and not seen.shakes
+    path = 0.2 + log.displacement.values - log.displacement.values.min()
+    seen = _seen(replace(log, displacement=_with(log.displacement, 8e-8 * swing * path)))
+    assert seen.swells and not seen.shakes and not seen.hums
     rng = np.random.default_rng(2)
     waves = np.exp(rng.uniform(np.log(0.02), np.log(5.0), 120))
     boil = np.sin(2.0 * np.pi * waves * seconds[:, None] + 7.0 * rng.random(120)).sum(axis=1)
-    path = 0.2 + log.displacement.values - log.displacement.values.min()
     seen = _seen(replace(log, displacement=_with(log.displacement, 3e-8 * boil[:, None] * path)))
     assert seen.boils and not seen.shakes
 
