@@ -13,6 +13,8 @@ What shakes the tool is as large near the mirror as far from it; a swing of the 
 grows with the path.  The same powers with each dwell weighted by its path tell the one from the other.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 from scipy import fft
 
@@ -34,16 +36,62 @@ SIZES = np.logspace(-3.0, 4.0, 29)
 MOST_LINES = 3
 
 
+@dataclass(frozen=True)
+class Spectrum:
+    """Powers (s, f) |z|² of s stretches of ``counts`` (s,) dwells at ``hertz`` (f,), in units of each stretch's own
+    ``level`` (s, 1) [m²]; their ``floor`` (f,); what a dwell has left, ``seen`` (f,), of a line's sum of squares;
+    ``width`` [Hz] that a dwell resolves."""
+
+    hertz: np.ndarray
+    power: np.ndarray
+    level: np.ndarray
+    floor: np.ndarray
+    seen: np.ndarray
+    counts: np.ndarray
+    width: float
+
+    @property
+    def over_median(self) -> np.ndarray:
+        """Power (f,) over that of most frequencies, mean of the stretches."""
+        mean = self.power.mean(axis=0)
+        return mean / np.median(mean)
+
+    @property
+    def strongest(self) -> int:
+        """Number of the frequency at which a line stands out of the noise beside it most."""
+        return self.peak(int(np.argmax(self.power.mean(axis=0) / self.floor)))
+
+    def peak(self, k: int) -> int:
+        """Number of the frequency of the line that is seen at number ``k``.
+
+        At the pace of the stops a line has shadows, and a strong one lifts the floor beside it.  Its own power is
+        the largest of all that it makes: |⟨e′, e⟩|² ≤ ⟨e′, e′⟩⟨e, e⟩ in what the dwells have left.
+        """
+        near = np.flatnonzero(np.abs(self.hertz - self.hertz[k]) < self.width)
+        return int(near[np.argmax(np.sum(self.level * self.power[:, near], axis=0))])
+
+
 def steady_lines(dwells: Dwells, run: np.ndarray, path: np.ndarray, alarm: float) -> Vibration | None:
     """Lines in ``dwells`` of K stops that belong to ``run`` (K,) and lie ``path`` (K,) [m] from the mirror; None
     where no stretch is long enough.  Lines beside the strongest are told above the evidence ``alarm``."""
+    samples = _samples(dwells)
+    found = [_lines(dwells, samples, path, stretches, alarm) for stretches in _stretches(run)]
+    return max((f for f in found if f is not None), key=lambda f: f.log_bayes, default=None)
+
+
+def spectrum(dwells: Dwells, run: np.ndarray) -> Spectrum | None:
+    """That of the whole runs, ``run`` (K,), to look at; None where no run is long enough."""
+    return _spectrum(dwells, _samples(dwells), _stretches(run)[0])
+
+
+def _samples(dwells: Dwells) -> np.ndarray:
+    """The dwells' samples (K, n), without what their kind of move leaves: that has the moves' own rhythm."""
     samples = dwells.values @ dwells.basis.T
     for number in np.unique(dwells.kind):
         mine = dwells.kind == number
         if mine.sum() >= LEAST:
-            samples[mine] -= samples[mine].mean(axis=0)  # what each such move leaves has the moves' own rhythm
-    found = [_lines(dwells, samples, path, stretches, alarm) for stretches in _stretches(run)]
-    return max((f for f in found if f is not None), key=lambda f: f.log_bayes, default=None)
+            samples[mine] -= samples[mine].mean(axis=0)
+    return samples
 
 
 def _stretches(run: np.ndarray) -> list[list[np.ndarray]]:
@@ -53,13 +101,16 @@ def _stretches(run: np.ndarray) -> list[list[np.ndarray]]:
     return [[rows for rows in rows_of if len(rows) >= LEAST] for rows_of in (runs, few)]
 
 
-def _lines(dwells: Dwells, samples: np.ndarray, path: np.ndarray, stretches: list[np.ndarray],
-           alarm: float) -> Vibration | None:
-    """The lines of one choice of stretches."""
+def _places(dwells: Dwells) -> np.ndarray:
+    """Places (K, n) of the samples on a grid of times, in steps of a sample's period by FINER."""
+    return np.rint(FINER * (dwells.first_s[:, None] / dwells.period + np.arange(len(dwells.basis)))).astype(np.int64)
+
+
+def _spectrum(dwells: Dwells, samples: np.ndarray, stretches: list[np.ndarray]) -> Spectrum | None:
+    """That of one choice of stretches; None where none is long enough."""
     if not stretches:
         return None
-    step = dwells.period / FINER
-    place = np.rint((dwells.first_s[:, None] + dwells.period * np.arange(samples.shape[1])) / step).astype(np.int64)
+    place, step = _places(dwells), dwells.period / FINER
     longest = max(int(place[rows[-1], -1] - place[rows[0], 0]) + 1 for rows in stretches)
     size = fft.next_fast_len(2 * longest, real=True)
     hertz = np.arange(size // (2 * FINER)) / (size * step)
@@ -76,36 +127,52 @@ def _lines(dwells: Dwells, samples: np.ndarray, path: np.ndarray, stretches: lis
         p[:] = np.abs(fft.rfft(course)[usable]) ** 2 / (len(rows) * seen)
     level = np.median(power, axis=1, keepdims=True)  # the farther the mirror, the more air
     power /= level
-    floor = _floor(power.mean(axis=0), block, len(stretches))
-    evidence = _evidence(power / floor, counts) - np.log(len(usable) / 2.0) - 1.0
-    chosen: list[int] = []
-    free = np.ones(len(usable), bool)
+    return Spectrum(hertz, power, level, _floor(power.mean(axis=0), block, len(stretches)), seen, counts,
+                    1.0 / dwells.length)
+
+
+def _lines(dwells: Dwells, samples: np.ndarray, path: np.ndarray, stretches: list[np.ndarray],
+           alarm: float) -> Vibration | None:
+    """The lines of one choice of stretches."""
+    found = _spectrum(dwells, samples, stretches)
+    if found is None:
+        return None
+    hertz, counts = found.hertz, found.counts
+    evidence = _evidence(found.power / found.floor, counts) - np.log(len(hertz) / 2.0) - 1.0
+    best, chosen = -np.inf, []
+    free = np.ones(len(hertz), bool)
     while len(chosen) < MOST_LINES and free.any():
         k = int(np.argmax(np.where(free, evidence, -np.inf)))
         if chosen and evidence[k] < alarm:
             break
-        chosen.append(k)
-        free &= np.abs(hertz - hertz[k]) > 1.0 / dwells.length  # nearer ones are the same line's side lobes
-    noise = level * floor[chosen]
-    over = level * power[:, chosen] - noise
-    weight = counts.sum() * seen[chosen] / 2.0
+        best = max(best, float(evidence[k]))
+        chosen.append(found.peak(k))
+        free &= np.minimum(np.abs(hertz - hertz[k]), np.abs(hertz - hertz[chosen[-1]])) > found.width
+    noise = found.level * found.floor[chosen]
+    over = found.level * found.power[:, chosen] - noise
+    weight = counts.sum() * found.seen[chosen] / 2.0
     strength = np.maximum(over.sum(axis=0), 0.0) / weight
     spread = np.sqrt(np.sum(noise**2 + 2.0 * noise * np.maximum(over, 0.0), axis=0)) / weight
     amplitude = float(np.sqrt(2.0 * strength[0]))
-    wave = np.exp(-2j * np.pi * hertz[chosen[0]] * step * place)
-    swing, far = np.sum(samples * wave, axis=1), np.where(np.isfinite(path), path, 0.0)
-    weighted = np.array([abs(far[rows] @ swing[rows]) ** 2 / max(far[rows] @ far[rows], 1e-300) for rows in stretches])
-    weighted /= level[:, 0] * floor[chosen[0]] * seen[chosen[0]]
-    alike = _evidence(power[:, chosen[:1]] / floor[chosen[0]], counts)
-    grown = _evidence(weighted[:, None], counts)
     by_dwell = np.zeros(len(samples))
     for rows, excess, count in zip(stretches, over[:, 0], counts, strict=True):
         by_dwell[rows] = excess / count
     return Vibration(float(hertz[chosen[0]]), amplitude, float(spread[0]) / max(amplitude, 1e-300),
-                     float(min(evidence[chosen[0]], 1e4)),
+                     min(best, 1e4),
                      float(min(strength.sum() * samples.size / max(np.sum(dwells.values**2), 1e-300), 1.0)),
-                     tuple(hertz[chosen].tolist()), tuple(strength.tolist()), True, float((grown - alike)[0]), by_dwell,
-                     1.0 / dwells.period)
+                     tuple(hertz[chosen].tolist()), tuple(strength.tolist()), True,
+                     _growth(dwells, samples, path, stretches, found, chosen[0]), by_dwell, 1.0 / dwells.period)
+
+
+def _growth(dwells: Dwells, samples: np.ndarray, path: np.ndarray, stretches: list[np.ndarray], found: Spectrum,
+            k: int) -> float:
+    """Log evidence that the swing at ``found.hertz[k]`` grows with the path against one that does not."""
+    wave = np.exp(-2j * np.pi * found.hertz[k] * dwells.period / FINER * _places(dwells))
+    swing, far = np.sum(samples * wave, axis=1), np.where(np.isfinite(path), path, 0.0)
+    weighted = np.array([abs(far[rows] @ swing[rows]) ** 2 / max(far[rows] @ far[rows], 1e-300) for rows in stretches])
+    weighted /= found.level[:, 0] * found.floor[k] * found.seen[k]
+    alike = _evidence(found.power[:, k:k + 1] / found.floor[k], found.counts)
+    return float((_evidence(weighted[:, None], found.counts) - alike)[0])
 
 
 def _evidence(power: np.ndarray, counts: np.ndarray) -> np.ndarray:

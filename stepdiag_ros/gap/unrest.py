@@ -1,6 +1,6 @@
 """Unrest inside the dwells: a machine that shakes, air that boils, a detector into which the mains hum."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -64,24 +64,25 @@ class Unrest:
 
 def unrest(log: CalibrationLog, table: StopTable, distance: np.ndarray) -> Unrest:
     """What the samples inside the dwells show; ``distance`` (n,) [m] of the stops to the mirror."""
-    kind = (table.setup * 256 + table.axis) * 3 + table.direction
-    beams = dwells_of(log.displacement.values.mean(axis=1), log.displacement.time_ns,
-                      table.displacement_rows, kind, table.dwell_ns)
-    lines, slow = _lines(beams, table.run, distance) if beams else (None, 0.0)
-    growth, sigma, power = growth_with(beams, distance) if beams else \
-        (0.0, np.inf, np.zeros(len(table)))
-    swings = np.zeros((len(table), 3))
-    if _clear(lines, slow):
-        swings[beams.rows, 0] = lines.by_dwell
-    spots = [(None, 0.0)]
-    for column, values in enumerate(log.spot.values.T, start=1):
-        dwells = dwells_of(values, log.spot.time_ns, table.spot_rows, kind, table.dwell_ns)
-        if dwells is not None:
-            spots.append(_lines(dwells, table.run, distance))
-            if _clear(*spots[-1]):
-                swings[dwells.rows, column] = spots[-1][0].by_dwell
-    spot, slow_spot = max(spots, key=lambda s: _margin(*s))
+    beams, *spots = dwells_by_channel(log, table)
+    found = [(None, 0.0) if dwells is None else _lines(dwells, table.run, distance) for dwells in (beams, *spots)]
+    growth, sigma, power = growth_with(beams, distance) if beams else (0.0, np.inf, np.zeros(len(table)))
+    swings = np.zeros((len(table), len(found)))
+    for channel, (dwells, (lines, slow)) in enumerate(zip((beams, *spots), found, strict=True)):
+        if _clear(lines, slow):
+            swings[dwells.rows, channel] = lines.by_dwell
+    (lines, slow), *others = found
+    spot, slow_spot = max(others, key=lambda s: _margin(*s))
     return Unrest(lines, spot, slow, slow_spot, growth, sigma, power, swings)
+
+
+def dwells_by_channel(log: CalibrationLog, table: StopTable) -> list[Dwells | None]:
+    """The dwells' samples of displacement, spot x and spot y; None where they are too few or too short."""
+    kind = (table.setup * 256 + table.axis) * 3 + table.direction
+    return [dwells_of(values, samples.time_ns, rows, kind, table.dwell_ns)
+            for samples, rows, columns in ((log.displacement, table.displacement_rows,
+                                            [log.displacement.values.mean(axis=1)]),
+                                           (log.spot, table.spot_rows, log.spot.values.T)) for values in columns]
 
 
 def _lines(dwells: Dwells, run: np.ndarray, distance: np.ndarray) -> tuple[Vibration | None, float]:
@@ -94,6 +95,8 @@ def _lines(dwells: Dwells, run: np.ndarray, distance: np.ndarray) -> tuple[Vibra
     steady = steady_lines(dwells, run[dwells.rows], distance[dwells.rows], STEADY_ALARM)
     if _clear(steady, slow) and (not _clear(lines, slow) or steady.log_growth > GROWS):
         return steady, slow
+    if _clear(steady, slow) and abs(steady.frequency - lines.frequency) < 1.0 / dwells.length:
+        lines = replace(lines, frequency=steady.frequency)  # of what a dwell tells to one over its length
     return lines, slow
 
 

@@ -2,6 +2,7 @@
 
 import io
 import re
+from collections.abc import Mapping
 
 import matplotlib
 import numpy as np
@@ -9,6 +10,7 @@ from matplotlib.figure import Figure
 
 from stepdiag_ros.estimate.reduce import StopTable
 from stepdiag_ros.estimate.solution import Solution
+from stepdiag_ros.gap.steady import Spectrum
 from stepdiag_ros.model.machine import CURVES, SQUARENESS
 from stepdiag_ros.report.series import Inside, Series
 from stepdiag_ros.report.words import setup_words
@@ -199,6 +201,22 @@ def inside_stops(parts: Inside, table: StopTable) -> Figure:
     if np.any(size > 3.0 * misfit):
         return _courses(parts)
     return _rates(parts, table)
+
+
+@styled
+def spectra(found: Mapping[int, Spectrum]) -> Figure:
+    """Power over that of most frequencies in the dwells of a channel each; the line that stands out is marked."""
+    figure = Figure(figsize=(11.5, 0.4 + 2.0 * len(found)), layout='constrained')
+    for ax, (channel, one) in zip(figure.subplots(len(found), 1, squeeze=False)[:, 0], found.items(), strict=True):
+        power, k = one.over_median, one.strongest
+        ax.axhspan(0.0, 1.0, color=NOISE, linewidth=0, zorder=0.5)
+        ax.plot(one.hertz, power, '-', color=AFTER, linewidth=0.8)
+        ax.annotate(f'{one.hertz[k]:.3g} Hz', (one.hertz[k], power[k]), xytext=(4, -6), textcoords='offset points',
+                    color=INK)
+        ax.set(xlim=(0.0, float(one.hertz[-1])), xlabel='frequency as sampled  [Hz]',
+               ylabel=f'{CHANNEL_NAMES[channel]}  [power / median]')
+        ax.set_ylim(0.0, 1.1 * float(power.max()))
+    return figure
 
 
 def _courses(parts: Inside) -> Figure:

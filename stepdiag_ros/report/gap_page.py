@@ -10,7 +10,7 @@ from stepdiag_ros.gap.diagnosis import Diagnosis, Found
 from stepdiag_ros.gap.unknown import NAME as UNKNOWN
 from stepdiag_ros.report import gap_figures, gap_words
 from stepdiag_ros.report.page import bars, figure, page, table
-from stepdiag_ros.report.series import Shares, inside, named_cells, series, share_map
+from stepdiag_ros.report.series import Shares, inside, named_cells, series, share_map, spectra
 from stepdiag_ros.report.words import (
     SHORT_CHANNELS,
     certainty,
@@ -215,7 +215,7 @@ def _pictures(diagnosis: Diagnosis) -> str:
             + figure(gap_figures.along_stops(parts, stops, False), caption, 2)
             + '<h3>What is left over time</h3>'
             + figure(gap_figures.over_time(parts, stops),
-                     'The same, in the order in which it was measured.', 3) + _inside(diagnosis))
+                     'The same, in the order in which it was measured.', 3) + _inside(diagnosis) + _swings(diagnosis))
 
 
 def _inside(diagnosis: Diagnosis) -> str:
@@ -227,6 +227,15 @@ def _inside(diagnosis: Diagnosis) -> str:
         gap_figures.inside_stops(inside(diagnosis), diagnosis.nominal.table),
         'How the reading moves from the beginning of a stop to its end. Points: the machine; line: the '
         'simulator with what was found.', 5)
+
+
+def _swings(diagnosis: Diagnosis) -> str:
+    """The spectrum of what swings while the machine stands still."""
+    found = spectra(diagnosis)
+    return '' if not found else '<h3>What swings while the machine stands still</h3>' + figure(
+        gap_figures.spectra(found),
+        'What keeps its phase through a run, all runs together. The marked line is the swing; those beside it, at the '
+        'pace of the stops, are its shadows.', 6)
 
 
 def _errors(diagnosis: Diagnosis) -> str:

@@ -8,7 +8,9 @@ from stepdiag_ros.estimate.enhanced import readings_of
 from stepdiag_ros.estimate.noise import whiteners
 from stepdiag_ros.gap.diagnosis import Diagnosis
 from stepdiag_ros.gap.joint import unexplained
+from stepdiag_ros.gap.steady import Spectrum, spectrum
 from stepdiag_ros.gap.thresholds import LEAST_SHARE
+from stepdiag_ros.gap.unrest import dwells_by_channel
 from stepdiag_ros.gap.where import excess_of
 
 CHANNELS = ('displacement', 'spot_x', 'spot_y')
@@ -97,6 +99,18 @@ def inside(diagnosis: Diagnosis) -> Inside:
             courses[1, axis] = np.mean(modelled[rows] * sign, axis=0)
     return Inside(np.einsum('nb,nbc->nc', weight, real), np.einsum('nb,nbc->nc', weight, modelled),
                   np.median(view.bin_time, axis=0), *courses)
+
+
+def spectra(diagnosis: Diagnosis) -> dict[int, Spectrum]:
+    """Spectra of the dwells by channel, of the channels in which lines were seen."""
+    seen = diagnosis.joint.observation
+    if seen.swings is None:
+        return {}
+    keep = [0, *range(seen.table.displacement.shape[1], seen.swings.shape[1])]
+    found = {channel: spectrum(dwells, seen.table.run[dwells.rows])
+             for channel, dwells in enumerate(dwells_by_channel(seen.log, seen.table))
+             if dwells is not None and seen.swings[:, keep[channel]].any()}
+    return {channel: one for channel, one in found.items() if one is not None}
 
 
 @dataclass(frozen=True)

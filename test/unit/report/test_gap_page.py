@@ -9,6 +9,7 @@ import pytest
 from stepdiag_ros.estimate.evaluate import solution_of
 from stepdiag_ros.report.gap_page import budget_svg, gap_page
 from stepdiag_ros.report.gap_words import changes, closed_share, headline, steps, summary, where_words
+from stepdiag_ros.report.series import spectra
 
 VOID = {'meta', 'br', 'img', 'hr', 'link', 'input'}
 BACKLASH = {'B': [4e-6, 3e-6, 5e-6]}
@@ -90,6 +91,17 @@ def test_summary_says_what_is_wrong(backlash):
     for said in ('noise alone', '[backlash]: practically certain', 'What to do: Check the ball screw',
                  'Where: ', 'note: cell written to x.yaml'):
         assert said in text, said
+
+
+def test_a_shake_is_shown_in_its_spectrum(diagnosed):
+    shaken = diagnosed('vibration', {'amp': [0.0, 0.0, 1e-7], 'frequency': 11.7}, dwell=0.5)
+    text = Page(gap_page(shaken, 'shaken')).text
+    assert 'What swings while the machine stands still' in text
+    assert 'Sampled at 40 Hz, 28.3 Hz and 51.7 Hz look the same' in text
+    (channel, seen), = spectra(shaken).items()
+    assert channel == 0
+    assert seen.hertz[seen.strongest] == pytest.approx(11.7, abs=0.05)
+    assert spectra(diagnosed('')) == {}
 
 
 def test_null_log_is_called_sound(diagnosed):
