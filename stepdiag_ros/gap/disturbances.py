@@ -67,8 +67,7 @@ def _with_unrest(observation: Observation, samples: Unrest) -> Observation:
     to it.  Shaking hardly moves a dwell's mean; moving air does, and wanders from stop to stop."""
     table, beams = observation.table, observation.fit.model.beams
     if samples.swings.any():
-        observation = replace(observation, swings=np.concatenate(
-            [np.repeat(samples.swings[:, :1] / beams, beams, axis=1), samples.swings[:, 1:]], axis=1))
+        observation = replace(observation, swings=samples.swings)
     if samples.boils:
         table = replace(table, wander=samples.power)
         # A part of a dwell has that of the e-folds between its length and the dwell's besides.

@@ -29,8 +29,8 @@ class Observation:
     """A log made ready: ``table`` and nominal ``fit``; ``view`` for effects.
 
     ``bins`` (n, b, c) [m]: means of the dwell's bins minus the dwell's mean, NaN where a bin is empty;
-    ``bin_sigma`` (n, c) [m]: noise of one bin's mean.  ``swings`` (n, c) [m²]: what lines in the spectrum of the
-    dwells add to the samples, beyond their noise on average; None where there are none.
+    ``bin_sigma`` (n, c) [m]: noise of one bin's mean.  ``swings`` (n, 3) [m²]: what lines in the spectrum of the
+    dwells add to displacement and spot, beyond the noise on average; None where there are none.
     """
 
     log: CalibrationLog

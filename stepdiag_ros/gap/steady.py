@@ -19,7 +19,7 @@ import numpy as np
 from scipy import fft
 
 from stepdiag_ros.gap.dwells import Dwells
-from stepdiag_ros.gap.lines import Vibration
+from stepdiag_ros.gap.lines import MOST_LINES, Vibration
 
 FEW = 8
 """Dwells of a short stretch."""
@@ -33,7 +33,6 @@ SEEN = 0.1
 """Share of a line's power that a dwell must have left."""
 SIZES = np.logspace(-3.0, 4.0, 29)
 """Powers of a line in one dwell against the floor that are tried."""
-MOST_LINES = 3
 
 
 @dataclass(frozen=True)

@@ -120,7 +120,9 @@ def _of_residuals(joint: Joint) -> np.ndarray:
 def _of_swings(joint: Joint) -> np.ndarray:
     """What lines in the spectrum of the dwells add to each channel (n, c), against the sensors' noise in a sample; 0 in
     setups where that comes to no more than nothing."""
-    swings, table = joint.observation.swings, joint.observation.table
+    table, beams = joint.observation.table, joint.fit.model.beams
+    swings = np.concatenate([np.repeat(joint.observation.swings[:, :1] / beams, beams, axis=1),
+                             joint.observation.swings[:, 1:]], axis=1)
     noise = np.nanmedian(np.concatenate([table.displacement_scatter, table.spot_scatter], axis=1), axis=0)
     excess = np.zeros_like(swings)
     for number in range(len(table.setup_names)):

@@ -106,10 +106,9 @@ def spectra(diagnosis: Diagnosis) -> dict[int, Spectrum]:
     seen = diagnosis.joint.observation
     if seen.swings is None:
         return {}
-    keep = [0, *range(seen.table.displacement.shape[1], seen.swings.shape[1])]
     found = {channel: spectrum(dwells, seen.table.run[dwells.rows])
              for channel, dwells in enumerate(dwells_by_channel(seen.log, seen.table))
-             if dwells is not None and seen.swings[:, keep[channel]].any()}
+             if dwells is not None and seen.swings[:, channel].any()}
     return {channel: one for channel, one in found.items() if one is not None}
 
 
