@@ -11,18 +11,16 @@ from stepdiag_ros.model.description import Noise
 from stepdiag_ros.model.log import DONE, DWELL, CalibrationLog, ScalarSeries
 from stepdiag_ros.virtual.cell import Cell
 from stepdiag_ros.virtual.draw import normals
-from stepdiag_ros.virtual.offline import simulate_log
+from stepdiag_ros.virtual.offline import Visit, simulate_log
 
 AIR_TOPICS = ('air_temperature', 'air_pressure', 'humidity')
 
 
 def measure(cell: Cell, conditions: Conditions, effects: Sequence[Hidden] = (),
-            pauses: Mapping[str, float] | None = None,
-            again: Mapping[str, float] | None = None, watches: Mapping[str, float] | None = None) -> CalibrationLog:
-    """The log of the cell with the effects acting, as its maker would have recorded it; ``pauses``, ``again`` and
-    ``watches`` [s] as in :func:`~stepdiag_ros.virtual.offline.simulate_log`."""
-    log = simulate_log(cell, start_ns=conditions.start_ns, effects=list(effects), pauses=pauses, again=again,
-                       watches=watches)
+            visits: Mapping[str, Visit] | None = None) -> CalibrationLog:
+    """The log of the cell with the effects acting, as its maker would have recorded it; ``visits`` as in
+    :func:`~stepdiag_ros.virtual.offline.simulate_log`."""
+    log = simulate_log(cell, start_ns=conditions.start_ns, effects=list(effects), visits=visits)
     for effect in effects:
         log = effect.spoil(log)
     health = log.displacement.health / 96.0 * conditions.quality \

@@ -2,8 +2,9 @@
 
 Of every log whose answer holds effects that may stand for each other and recommends a run, the sealed world
 is made again, the run is added at its end — the same machine, the same hidden effects going on, the mirror
-mounted and aligned anew — and the longer log is diagnosed as it stands.  It is settled when one effect of
-the group has at least 95 % and acts in truth, and all others have less than half.
+mounted and aligned anew — and the longer log is diagnosed as it stands.  It is settled when what truly acts of the
+group has at least 95 %, both where both act, and all others have less than half.  Where none of the group acts, that
+must be seen, and what acts instead have at least 95 %.
 """
 
 import copy
@@ -30,6 +31,7 @@ from stepdiag_ros.gap.diagnose import diagnose
 from stepdiag_ros.model.description import Setup
 from stepdiag_ros.model.log import CalibrationLog
 from stepdiag_ros.model.sensor import Misalignment
+from stepdiag_ros.virtual.offline import Visit
 
 SURE = 0.95
 AT_ONCE_S = 10.0
@@ -56,9 +58,9 @@ def longer_log(made: SealedWorld, run: Mapping[str, Any]) -> CalibrationLog:
         for effect in effects:
             if isinstance(effect, AmbientLight):
                 effect.beam = {setup.name: run['light']}
-    pauses = {setup.name: AT_ONCE_S} if run['at_once'] else None
-    again = {setup.name: run['again_after_s']} if run.get('again_after_s') is not None else None
-    log = measure(cell, made.conditions, effects, pauses, again, {setup.name: run.get('watch_s', 0.0)})
+    visit = Visit(run.get('wait_s', 0.0), AT_ONCE_S if run['at_once'] else None, run.get('watch_s', 0.0),
+                  run.get('again_after_s'))
+    log = measure(cell, made.conditions, effects, {setup.name: visit})
     # What was measured before stays as it was; only the description's new setup comes beside it.
     return replace(log, description=replace(made.log.description, setups=description.setups))
 
@@ -97,10 +99,11 @@ def _mounted_again(effect: Hidden, setups: Iterable[str], name: str, rng: np.ran
 
 
 def is_settled(ranking: Mapping[str, float], between: Iterable[str], true: Iterable[str]) -> bool:
-    """Whether one of ``between`` is sure and true, and no other is more likely than not."""
-    ranking = {name: ranking.get(name, 0.0) for name in between}
-    likely = {name for name, p in ranking.items() if p >= 0.5}
-    return len(likely) == 1 and likely <= set(true) and ranking[likely.pop()] >= SURE
+    """Whether what acts of ``between`` is sure and nothing else of it likely; where nothing of it acts, whether that is
+    seen and what else acts is sure."""
+    acting = set(true) & {*between} or set(true)
+    likely = {name for name in {*between, *acting} if ranking.get(name, 0.0) >= 0.5}
+    return likely == acting and all(ranking[name] >= SURE for name in likely)
 
 
 def settle(folder: Path, progress: Callable[[dict[str, Any]], None] | None = None,

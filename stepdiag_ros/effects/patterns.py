@@ -98,7 +98,8 @@ def settlings(time: np.ndarray, fastest: float) -> list[Course]:
 
 
 def relaxations(time: np.ndarray, fastest: float = 0.0) -> list[Course]:
-    """:func:`settlings`, logarithmic with a start not before ``fastest`` [s], as a power, two exponentials."""
+    """:func:`settlings`, logarithmic with a start not before ``fastest`` [s], as a power, two exponentials in one
+    ratio."""
     span, least = _limits(time, fastest)
     return settlings(time, fastest) + [
         *(_logarithm(time, start, span, least)
@@ -150,12 +151,15 @@ def power_law(time: np.ndarray, exponent: float) -> Course:
                   lambda shape: power_law(time, shape['exponent']))
 
 
-def _two(time: np.ndarray, fast: float, slow: float) -> Course:
-    """Two exponentials at once, each with its own size."""
-    both = [exponential(time, tau) for tau in (fast, slow)]
-    return Course(f'exponentials, τ = {fast:.0f} s and {slow:.0f} s',
-                  np.concatenate([c.values for c in both]), np.concatenate([c.rates for c in both]),
-                  {'fast_s': fast, 'slow_s': slow}, lambda shape: _two(time, shape['fast_s'], shape['slow_s']))
+def _two(time: np.ndarray, fast: float, slow: float, ratio: float = 1.0) -> Course:
+    """Two exponentials in one ratio, slow to fast: what gives way once more does so by another amount, not in another
+    way."""
+    both, weights = [exponential(time, tau) for tau in (fast, slow)], np.array([1.0, ratio]) / (1.0 + ratio)
+    return Course(f'exponentials, τ = {fast:.0f} s and {slow:.0f} s, 1 : {ratio:.2g}',
+                  sum(w * c.values for w, c in zip(weights, both, strict=True)),
+                  sum(w * c.rates for w, c in zip(weights, both, strict=True)),
+                  {'fast_s': fast, 'slow_s': slow, 'ratio': ratio},
+                  lambda shape: _two(time, shape['fast_s'], shape['slow_s'], shape['ratio']))
 
 
 def drawn_size(rng: np.random.Generator, low: float, high: float, size: int | None = None

@@ -35,9 +35,9 @@ Ways = Sequence[tuple[float, Sequence[Member]]]
 class Run:
     """A further run: a setup, ``how`` it differs from that of the log, in words; ``known``: whether the log holds it.
 
-    ``mirror_turn_rad``: how its mirror is turned; ``light`` in the beam against that of the log; ``watch`` [s]: length
-    of the first stop's dwell, 0: as usual; ``again_after`` [s]: left standing so long and measured as often again,
-    None: not.
+    ``wait`` [s]: left alone so long before mounting; ``mirror_turn_rad``: how its mirror is turned; ``light`` in the
+    beam against that of the log; ``watch`` [s]: length of the first stop's dwell, 0: as usual; ``again_after`` [s]:
+    left standing so long and measured as often again, None: not.
     """
 
     setup: Setup
@@ -45,6 +45,7 @@ class Run:
     known: bool = True
     mirror_turn_rad: tuple[float, float] = (0.0, 0.0)
     light: float = 1.0
+    wait: float = 0.0
     watch: float = 0.0
     again_after: float | None = None
 
@@ -52,8 +53,10 @@ class Run:
     def text(self) -> str:
         """What is to be done."""
         label = f'{"line" if self.setup.is_linear else "diagonal"} {path_of(self.setup.name)}'
-        said = '' if self.light == 1.0 else \
-            f'Put a grey filter that leaves {self.light:.0%} of the light into the beam. '
+        said = '' if not self.wait else \
+            f'Leave the cell as it is for {self.wait / 60.0:.0f} min, the laser on and the control under power. '
+        if self.light != 1.0:
+            said += f'Put a grey filter that leaves {self.light:.0%} of the light into the beam. '
         said += f'Mount and align the {label}'
         said += ' once more and measure it again' if self.known else \
             f', which this log does not hold, and measure it at {self.setup.stops} stops'
@@ -199,7 +202,7 @@ def with_run(table: StopTable, run: Run, description: Description, usual: int) -
     ends = [table.done_ns[table.setup == s].max() for s in np.unique(table.setup)]
     pause = int(np.median(np.array(starts)[1:] - np.array(ends)[:-1])) if len(starts) > 1 else 0
     first, longer, watched = int(part['dwell_ns'].min()), int(run.watch * 1e9), PIECES if run.watch else 0
-    shifts = [int(table.done_ns.max()) + max(pause, 0) - first]
+    shifts = [int(table.done_ns.max()) + max(pause, 0) + int(run.wait * 1e9) - first]
     if run.again_after is not None:
         shifts.append(shifts[0] + longer + int(part['done_ns'].max()) - first + int(run.again_after * 1e9))
     parts, ids, rows = [], [], []

@@ -3,10 +3,10 @@
 A run is one more setup at the end of the log: a diagonal or line, mounted and aligned anew, perhaps from another
 distance, with the detector's beam elsewhere, the mirror turned or less light; perhaps watched at its first stop for a
 while, where no arrival errs and what drifts shows at the sensors' own noise; perhaps left standing and measured
-again, so that what goes on while nothing is touched shows.  The run with the least probability of error
-(:mod:`forecast`) is taken, the largest over all sets that rival the likeliest.  Expected log evidence, which is given
-beside, would be a worse guide: where one set foretells little, it is large on the average of outcomes and nothing in
-many of them.
+again, so that what goes on while nothing is touched shows; such a run begins after a wait.  The run with the least
+probability of error (:mod:`forecast`) is taken, the largest over all sets that rival the likeliest.  Expected log
+evidence, which is given beside, would be a worse guide: where one set foretells little, it is large on the average of
+outcomes and nothing in many of them.
 """
 
 from collections.abc import Sequence
@@ -34,6 +34,10 @@ ENOUGH = 15.0
 to one settled one case in two."""
 WATCHED = (60.0, 1200.0)
 """A run is watched for as long as a setup usually takes, within these limits [s]."""
+PATIENT_S = 600.0
+"""Where it is the courses in time that tell, the cell is left alone before the run for as long as the log took, and
+watched for at least so long: what follows the clock has gone on by then, what begins at each mounting begins as before.
+No forecast asks for that, for each takes one of its forms to be right."""
 GREY = 0.5
 """Light that is left in the beam where background is to be told from it."""
 BACKGROUND = 'ambient_light'
@@ -70,7 +74,8 @@ class NextRun:
         length = {'length': s.length, 'stops': s.stops} if s.is_linear else {}
         return {'setup': s.name, 'standoff_m': s.standoff, 'psd_offset_m': list(s.psd_offset), **length,
                 'mirror_turn_rad': list(self.run.mirror_turn_rad), 'light': self.run.light,
-                'watch_s': self.run.watch, 'again_after_s': self.run.again_after, 'at_once': self.at_once,
+                'wait_s': self.run.wait, 'watch_s': self.run.watch, 'again_after_s': self.run.again_after,
+                'at_once': self.at_once,
                 'expected_log_evidence': self.evidence, 'error_probability': self.error,
                 'between': list(self.between), 'text': self.text}
 
@@ -95,6 +100,8 @@ def recommend(joint: Joint, rivals: Sequence[Ways]) -> NextRun | None:
         best = _best(joint, rivals, [_watched(joint, best[0]), *_standing(joint, best[0])], best, log)
     if best is None:
         return None
+    if best[0].watch or best[0].again_after is not None:
+        best = _best(joint, rivals, [_patient(joint, best[0])], None, log) or best
     run, told, first, others = best
     evidence = min(min(expected_evidence(first, other), expected_evidence(other, first)) for other in others)
     error, at_once = 0.5 * float(np.exp(-max(told, 0.0))), FRESH in between
@@ -168,6 +175,12 @@ def _watched(joint: Joint, run: Run) -> Run:
     table = joint.observation.table
     taken = np.median([np.ptp(table.time_s[table.setup == s]) for s in np.unique(table.setup)])
     return replace(run, watch=60.0 * float(np.ceil(np.clip(taken, *WATCHED) / 60.0)))
+
+
+def _patient(joint: Joint, run: Run) -> Run:
+    """The run after the cell has been left alone for as long as the log took, and with a long look."""
+    span = float(np.ptp(joint.observation.table.time_s))
+    return replace(run, wait=60.0 * float(np.ceil(span / 60.0)), watch=max(run.watch, PATIENT_S))
 
 
 def _standing(joint: Joint, run: Run) -> list[Run]:

@@ -54,22 +54,33 @@ class Run:
         return f'{self.setup}/{self.repeat}/{"+" if self.direction > 0 else "-"}'
 
 
+@dataclass(frozen=True)
+class Visit:
+    """How a setup is measured otherwise than the cell says, all [s].
+
+    ``wait``: the cell is left alone so long before mirror and base unit are mounted; ``mount``: from mounting to the
+    first move, None: as the cell says; ``watch``: the first dwell is so much longer; ``again``: left standing so long
+    and measured as often again, None: not.
+    """
+
+    wait: float = 0.0
+    mount: float | None = None
+    watch: float = 0.0
+    again: float | None = None
+
+
 def simulate_log(cell: Cell, start_ns: int = START_NS, setups: tuple[str, ...] | None = None,
                  rate: float | None = None, in_motion: bool | None = None,
                  effects: Sequence[Effect] | None = None,
-                 pauses: Mapping[str, float] | None = None,
-                 again: Mapping[str, float] | None = None,
-                 watches: Mapping[str, float] | None = None) -> CalibrationLog:
+                 visits: Mapping[str, Visit] | None = None) -> CalibrationLog:
     """The log of a calibration of ``cell``.
 
     ``setups``: which, in which order (all); ``rate`` [Hz] of both sensors and ``in_motion``
-    override the cell's sampling; ``effects`` act instead of those that the cell names; ``pauses`` [s]:
-    setups that are measured sooner or later after mounting than the cell says; ``again`` [s]: setups that
-    are left standing so long and measured as often again; ``watches`` [s]: setups whose first dwell is so much
-    longer.  The same cell gives the same log, bit by bit.
+    override the cell's sampling; ``effects`` act instead of those that the cell names; ``visits``: setups
+    that are measured otherwise than the cell says.  The same cell gives the same log, bit by bit.
     """
     history = History()
-    runs = execute(cell, history, start_ns, setups or cell.setup_names, pauses, again, watches)
+    runs = execute(cell, history, start_ns, setups or cell.setup_names, visits)
     world = World(cell, history, start_ns, effects)
     moving = cell.sampling.in_motion if in_motion is None else in_motion
     spans = [(run, *span) for run in runs for span in _spans(run, moving)]
@@ -83,8 +94,7 @@ def simulate_log(cell: Cell, start_ns: int = START_NS, setups: tuple[str, ...] |
 
 
 def execute(cell: Cell, history: History, start_ns: int, setups: tuple[str, ...],
-            pauses: Mapping[str, float] | None = None,
-            again: Mapping[str, float] | None = None, watches: Mapping[str, float] | None = None) -> list[Run]:
+            visits: Mapping[str, Visit] | None = None) -> list[Run]:
     """Move through the plan, filling ``history``; returns the runs."""
     now, place, runs = start_ns, np.zeros(3), []
     rest = point_to_point(0.0, 1.0, 1.0, 1.0)
@@ -92,16 +102,16 @@ def execute(cell: Cell, history: History, start_ns: int, setups: tuple[str, ...]
     history.append(now, place, place, rest, -1)
     for setup in setups:
         path = stops(cell.description, setup)
-        number = cell.setup_names.index(setup)
-        now += COMMAND_DELAY_NS
+        number, visit = cell.setup_names.index(setup), (visits or {}).get(setup, Visit())
+        now += COMMAND_DELAY_NS + round(visit.wait * 1e9)
         history.append(now, place, place, rest, number)
-        now += int((pauses or {}).get(setup, cell.motion.mount) * 1e9)
+        now += int((cell.motion.mount if visit.mount is None else visit.mount) * 1e9)
         repeats = cell.description.plan.repeats
-        for repeat in range(2 * repeats if again and setup in again else repeats):
+        for repeat in range(repeats if visit.again is None else 2 * repeats):
             if repeat == repeats:
-                now += int(again[setup] * 1e9)
+                now += int(visit.again * 1e9)
             for direction in (1, -1):
-                watch = (watches or {}).get(setup, 0.0) if (repeat, direction) == (0, 1) else 0.0
+                watch = visit.watch if (repeat, direction) == (0, 1) else 0.0
                 run = _run(cell.motion, history, now, place, path, number, setup, repeat, direction, watch)
                 runs.append(run)
                 now, place = int(run.done_ns[-1]) + COMMAND_DELAY_NS, path.positions[

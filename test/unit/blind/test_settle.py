@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from stepdiag_ros.blind.settle import is_settled, longer_log
+from stepdiag_ros.blind.settle import AT_ONCE_S, is_settled, longer_log
 from stepdiag_ros.blind.world import Order, make
 from stepdiag_ros.estimate.reduce import reduce_log
 
@@ -12,7 +12,7 @@ from stepdiag_ros.estimate.reduce import reduce_log
 def test_the_run_comes_at_the_end_and_nothing_before_it_changes(kind):
     made = make(Order('develop', 5, 1, 'single', (kind,), 'field', small=True))
     run = {'setup': 'ppp.2', 'standoff_m': 0.9, 'psd_offset_m': [0.02, 0.0], 'mirror_turn_rad': [1e-4, -1e-4],
-           'at_once': True, 'light': 0.5, 'again_after_s': 300.0, 'watch_s': 60.0}
+           'at_once': True, 'light': 0.5, 'again_after_s': 300.0, 'watch_s': 60.0, 'wait_s': 900.0}
     longer = longer_log(made, run)
     for now, before in ((longer.displacement, made.log.displacement), (longer.spot, made.log.spot)):
         np.testing.assert_array_equal(now.values[:len(before)], before.values)
@@ -20,6 +20,7 @@ def test_the_run_comes_at_the_end_and_nothing_before_it_changes(kind):
     new = table.setup == len(table.setup_names) - 1
     assert table.setup_names[-1] == 'ppp.2' and table.setup[-1] == len(table.setup_names) - 1
     assert set(table.repeat[new]) == set(range(2 * made.cell.description.plan.repeats))
+    assert 900.0 < (table.dwell_ns[new].min() - table.done_ns[~new].max()) * 1e-9 < 900.0 + 2.0 * AT_ONCE_S
     first, second = (table.repeat[new] < made.cell.description.plan.repeats), table.repeat[new] >= 2
     assert 300.0 < (table.dwell_ns[new][second].min() - table.done_ns[new][first].max()) * 1e-9 < 310.0
     taken = (table.done_ns - table.dwell_ns)[new] * 1e-9
@@ -39,12 +40,20 @@ def test_a_further_line_has_stops_of_its_own():
     assert sorted(set(table.index[new])) == [0, 1, 2, 3] and table.commanded[new].max() == pytest.approx(length)
 
 
-def test_settled_is_one_sure_and_true_effect():
+def test_settled_is_what_truly_acts_and_nothing_else():
     assert is_settled({'a': 0.97, 'b': 0.02}, ('a', 'b'), ['a'])
     assert not is_settled({'a': 0.97, 'b': 0.02}, ('a', 'b'), ['b'])
     assert not is_settled({'a': 0.9, 'b': 0.1}, ('a', 'b'), ['a'])
     assert not is_settled({'a': 0.97, 'b': 0.6}, ('a', 'b'), ['a'])
     assert not is_settled({}, ('a', 'b'), ['a'])
+    assert is_settled({'a': 0.97, 'b': 0.02, 'c': 0.8}, ('a', 'b'), ['a', 'c'])  # what is not asked does not count
+
+
+def test_settled_are_both_where_both_act_and_neither_where_neither_does():
+    assert is_settled({'a': 0.97, 'b': 0.99}, ('a', 'b'), ['a', 'b'])
+    assert not is_settled({'a': 0.97, 'b': 0.02}, ('a', 'b'), ['a', 'b'])
+    assert is_settled({'a': 0.1, 'c': 0.98}, ('a', 'b'), ['c'])
+    assert not is_settled({'a': 0.6, 'c': 0.98}, ('a', 'b'), ['c'])
 
 
 def test_background_stays_when_the_beam_is_dimmed():

@@ -12,7 +12,7 @@ from stepdiag_ros.gap.beyond import Beyond
 from stepdiag_ros.gap.forecast import apart, distance, evidence_of, expected_evidence, foretold
 from stepdiag_ros.gap.joint import fit_jointly
 from stepdiag_ros.gap.longer import Known, Longer, Run, with_run
-from stepdiag_ros.gap.next_run import GREY, recommend
+from stepdiag_ros.gap.next_run import GREY, PATIENT_S, recommend
 from stepdiag_ros.gap.observe import observe
 from stepdiag_ros.gap.turns import noise_of
 from stepdiag_ros.model.log import NONE, STOOD
@@ -94,6 +94,16 @@ def test_waiting_tells_creep_from_a_turning_beam(case, more):
     assert _worth(joint, sets, replace(run, **more)) > _worth(joint, sets, run) + 1.0
 
 
+def test_what_only_time_can_tell_is_measured_after_a_wait(case):
+    joint, sets = _explained_by(case, effect_class('mirror_mount_creep')(amp=[2e-5, -1e-5], tau=40.0), [
+        ('mirror_mount_creep', 'each mounting nearly the same amount, many time constants'),
+        ('beam_pointing_drift', 'smooth')])
+    found = recommend(joint, [[(1.0, members)] for members in sets])
+    span = np.ptp(joint.observation.table.time_s)
+    assert span <= found.run.wait < span + 60.0 and found.run.watch >= PATIENT_S
+    assert found.to_json_dict()['wait_s'] == found.run.wait and found.text.startswith('Leave the cell as it is for')
+
+
 def test_less_light_tells_background_from_a_gain(case):
     joint, sets = _explained_by(case, effect_class('psd_gain')(x=-0.2, y=-0.2), [
         ('psd_gain', 'alike in x and y'), ('ambient_light', 'linear')])
@@ -112,6 +122,8 @@ def test_a_run_left_standing_is_measured_twice(small_offset):
     assert sorted(set(longer.repeat[new])) == [0, 1, 2, 3] and len(set(longer.run_ids)) == len(longer.run_ids)
     first, second = np.split(np.flatnonzero(new), 2)
     assert longer.dwell_ns[second[0]] - longer.done_ns[first[-1]] == 600_000_000_000
+    later, _ = with_run(table, Run(setup, wait=900.0), joint.observation.log.description, 0)
+    assert later.dwell_ns[len(table)] - longer.dwell_ns[len(table)] == 900_000_000_000
     np.testing.assert_allclose(longer.intensity[new], GREY * np.tile(table.intensity[rows], 2))
 
 
