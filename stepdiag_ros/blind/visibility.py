@@ -2,10 +2,16 @@
 
 Let δ be the change of the stops' means that the effect brings, the same noise acting with and
 without it.  Whitened with the true noise and freed of all that the 21 errors, the set-up and the
-resets can imitate (the Jacobian of the enhanced method at the undisturbed log), its norm is the
-root of the non-central χ² by which the best possible test sees the effect:
+resets can imitate, its norm is the root of the non-central χ² by which the best possible test sees the effect:
 
-    visibility² = δᵀWᵀWδ − δᵀWᵀWJ (JᵀWᵀWJ + P)⁻¹ JᵀWᵀWδ.
+    visibility² = min over θ of |W(f(θ₀) + δ − f(θ))|² + (θ − θ₀)ᵀP(θ − θ₀),
+
+f the enhanced method's model, θ₀ the truth, P the widths of its unknowns.  Where the model is straight this is
+
+    δᵀWᵀWδ − δᵀWᵀWJ (JᵀWᵀWJ + P)⁻¹ JᵀWᵀWδ.
+
+It is not always: turns of beams and mirror act to second order along flat valleys, and a few microradians of them
+may let a machine's errors imitate what at the truth they could not.
 
 An effect that strikes at random (other phases in each dwell, now and then a stop) has no fixed
 pattern to look for, only power: of a sum λ of squares over k degrees of freedom the best test sees
@@ -44,6 +50,10 @@ from stepdiag_ros.model.machine import AXES
 from stepdiag_ros.virtual.cell import Cell
 
 BINS = 8
+MOST_STEPS = 30
+LEAST_STEP = 1e-3
+SETTLED = 1e-3
+"""Steps of the fit at most, the least share of one, and the share of χ² below which a step is the last."""
 JITTER_S = 1e-4
 """What a control's equal moves repeat to in time."""
 
@@ -71,22 +81,24 @@ class Yardstick:
         self.log, self.still, self.noise = log, still, cell.description.noise
         self.table = table = reduce_log(log)
         parameters = parameters_of(log.description, table)
-        _, self._jacobian, self._arrival = ForwardModel(log.description, table, parameters).jacobian(
-            true_parameters(cell, parameters))
-        self._model = NoiseModel(self.noise.position_repeatability, self.noise.angle_repeatability,
+        self._model, self._theta = ForwardModel(log.description, table, parameters), true_parameters(cell, parameters)
+        self._predicted, self._jacobian, self._arrival = self._model.jacobian(self._theta)
+        self._noise = NoiseModel(self.noise.position_repeatability, self.noise.angle_repeatability,
                                  sensor_noise(table, self.noise), 'belief')
         self._readings = readings_of(table)
         self._present = np.isfinite(self._readings)
-        self._whiteners = whiteners(table, self._model, self._arrival, self._present)
-        dense = self._jacobian.toarray()
-        self._whitened = [w(dense) for w in self._whiteners]
-        data = sum(block.T @ block for block in self._whitened)
-        normal = data + prior_precision(parameters)
-        self._scale = 1.0 / np.sqrt(np.diag(normal))
-        self._factor = linalg.cho_factor(normal * self._scale[:, None] * self._scale, lower=True)
+        self._whiteners = whiteners(table, self._noise, self._arrival, self._present)
+        self._widths = prior_precision(parameters)
+        data, _ = self._normal(self._jacobian.toarray(), np.zeros(self._readings.shape))
+        scale = 1.0 / np.sqrt(np.diag(data + self._widths))
         self.parameters = parameters
         self._dof = int(self._present.sum()) - np.linalg.matrix_rank(
-            data * self._scale[:, None] * self._scale, tol=1e-9, hermitian=True)
+            data * scale[:, None] * scale, tol=1e-9, hermitian=True)
+
+    def _normal(self, jacobian: np.ndarray, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """``JᵀWᵀWJ`` and ``JᵀWᵀWr`` of a residual (n, c)."""
+        white = [(w(jacobian), w(residual.ravel())) for w in self._whiteners]
+        return sum(block.T @ block for block, _ in white), sum(block.T @ values for block, values in white)
 
     def change(self, log: CalibrationLog, before: CalibrationLog | None = None) -> np.ndarray:
         """Change of the stops' means (n, c) [m] against the undisturbed log or ``before``, 0 where absent."""
@@ -99,15 +111,36 @@ class Yardstick:
             _means(log.displacement, _rows(log.displacement, self.table), beams),
             _means(log.spot, _rows(log.spot, self.table), 2)], axis=1)
 
-    def absorbed(self, delta: np.ndarray) -> np.ndarray:
-        """The parameters (size,) by which the fit imitates the change ``delta`` (n, c)."""
-        right = sum(block.T @ w(delta.ravel())
-                    for block, w in zip(self._whitened, self._whiteners, strict=True))
-        return self._scale * linalg.cho_solve(self._factor, self._scale * right)
-
     def left(self, delta: np.ndarray) -> np.ndarray:
         """What of ``delta`` (n, c) [m] the fit leaves: (n, c) [m]."""
-        return delta - (self._jacobian @ self.absorbed(delta)).reshape(delta.shape)
+        return self._fitted(delta)[0]
+
+    def _fitted(self, delta: np.ndarray) -> tuple[np.ndarray, float]:
+        """What of ``delta`` the fit leaves, and the least value of what it minimises."""
+        left, step, jacobian = delta, np.zeros(len(self._theta)), self._jacobian
+        value = self._value(left, step)
+        for _ in range(MOST_STEPS):
+            normal, right = self._normal(jacobian.toarray(), left)
+            change = _solved(normal + self._widths, right - self._widths @ step)
+            part, best = 1.0, value
+            while part >= LEAST_STEP:
+                trial = step + part * change
+                rest = np.where(self._present, delta + self._predicted - self._model.predict(self._theta + trial), 0.0)
+                value = self._value(rest, trial)
+                if value < best:
+                    break
+                part /= 2.0
+            else:
+                return left, best
+            left, step = rest, trial
+            if best - value < SETTLED * max(value, 1.0):
+                break
+            _, jacobian, _ = self._model.jacobian(self._theta + step)
+        return left, value
+
+    def _value(self, left: np.ndarray, step: np.ndarray) -> float:
+        """What is minimised: χ² of what is left, and how far the unknowns have gone from the truth."""
+        return float(np.sum(self.white(left)**2) + step @ self._widths @ step)
 
     def white(self, left: np.ndarray) -> np.ndarray:
         """Whitened readings, run after run."""
@@ -121,8 +154,7 @@ class Yardstick:
         inside the dwells, ``'stamps'`` for wrong stamps, of which ``log`` is without the sensors' noise.
         """
         before = self.still if inside == 'stamps' else self.log
-        white = self.white(self.left(self.change(log, self.still if inside == 'stamps' else None)))
-        power = float(white @ white)
+        _, power = self._fitted(self.change(log, self.still if inside == 'stamps' else None))
         seen = power / np.sqrt(2.0 * self._dof) if random else float(np.sqrt(power))
         within = self._spectral(log) if inside == 'random' else self._patterns(log, before)
         if inside == 'stamps':
@@ -157,7 +189,7 @@ class Yardstick:
 
     def _sigma(self) -> np.ndarray:
         """Standard deviation (n, c) [m] of each reading by itself."""
-        arrival, noise = self._arrival, self._model
+        arrival, noise = self._arrival, self._noise
         variance = noise.sensor ** 2 + noise.angle ** 2 * np.sum(arrival[:2] ** 2, axis=0) \
             + noise.position ** 2 * np.sum(arrival[2:] ** 2, axis=0)
         return np.sqrt(variance)
@@ -214,6 +246,12 @@ class Yardstick:
         kind = kind.ravel()
         middle = (np.bincount(kind, sharp * length) / np.bincount(kind, sharp))[kind]
         return float(np.sqrt(np.sum(sharp * (length - middle) ** 2) + np.sum(dull * (spot - length) ** 2)))
+
+
+def _solved(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Of a positive definite matrix whose unknowns have units many decades apart."""
+    scale = 1.0 / np.sqrt(np.diag(matrix))
+    return scale * linalg.cho_solve(linalg.cho_factor(matrix * scale[:, None] * scale, lower=True), scale * right)
 
 
 def true_parameters(cell: Cell, parameters: Parameters) -> np.ndarray:

@@ -7,6 +7,7 @@ from stepdiag_ros.blind.cells import draw_cell, without_sensor_noise
 from stepdiag_ros.blind.forms_machine import Backlash, ClockSkew
 from stepdiag_ros.blind.logs import measure, stage_of
 from stepdiag_ros.blind.visibility import Yardstick, true_parameters
+from stepdiag_ros.blind.world import Order, make
 from stepdiag_ros.estimate.enhanced import fit, readings_of
 from stepdiag_ros.estimate.forward import ForwardModel
 from stepdiag_ros.estimate.noise import NoiseModel, sensor_noise
@@ -64,6 +65,23 @@ def test_what_the_fit_can_imitate_is_not_seen(scene) -> None:
     assert left < 0.02 * plain
 
 
+def test_what_is_left_is_what_a_fit_without_noise_leaves() -> None:
+    """Also where turns of beam and mirror act to second order, and the Jacobian at the truth misleads tenfold."""
+    made = make(Order('sealed', 20261129, 617, 'single', ('scale_thermal_expansion',)))
+    yardstick, description = made.yardstick, made.cell.description
+    delta, theta = yardstick.change(made.log), true_parameters(made.cell, yardstick.parameters)
+    model = ForwardModel(description, yardstick.table, yardstick.parameters)
+    present = np.isfinite(readings_of(yardstick.table))
+    noise = NoiseModel(description.noise.position_repeatability, description.noise.angle_repeatability,
+                       sensor_noise(yardstick.table, description.noise), 'belief')
+    whole = fit(description, yardstick.table, noise, np.where(present, model.predict(theta) + delta, np.nan), theta)
+    left = np.linalg.norm(yardstick.white(yardstick.left(delta)))
+    assert left == pytest.approx(np.sqrt(whole.chi2), rel=0.02)
+    _, jacobian, _ = model.jacobian(theta)
+    straight = delta.ravel() - jacobian @ (whole.theta - theta)
+    assert np.linalg.norm(yardstick.white(straight)) > 5.0 * left
+
+
 def test_visibility_grows_with_size(scene) -> None:
     cell, conditions, yardstick, effect = scene
     values = []
@@ -72,6 +90,7 @@ def test_visibility_grows_with_size(scene) -> None:
         values.append(yardstick.visibility(measure(cell, conditions, [effect])).total)
     effect.size = 1.5e-6
     assert values[1] == pytest.approx(3.0 * values[0], rel=0.05)
+
 
 def test_wrong_stamps_are_no_exchange_of_noise(scene) -> None:
     """Stamps off by so little that no dwell shows a move: nothing is seen inside the dwells, and in motion only
