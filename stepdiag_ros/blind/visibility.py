@@ -38,9 +38,15 @@ summed over the moves, j what equal moves of a control repeat to.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import linalg
 
-from stepdiag_ros.estimate.enhanced import prior_precision, readings_of
+from stepdiag_ros.estimate.enhanced import (
+    factored,
+    normal_equations,
+    prior_precision,
+    readings_of,
+    solved,
+    weighted,
+)
 from stepdiag_ros.estimate.forward import ForwardModel
 from stepdiag_ros.estimate.noise import NoiseModel, sensor_noise, whiteners
 from stepdiag_ros.estimate.parameters import Parameters, parameters_of
@@ -89,16 +95,11 @@ class Yardstick:
         self._present = np.isfinite(self._readings)
         self._whiteners = whiteners(table, self._noise, self._arrival, self._present)
         self._widths = prior_precision(parameters)
-        data, _ = self._normal(self._jacobian.toarray(), np.zeros(self._readings.shape))
+        data = normal_equations(self._jacobian, self._whiteners)
         scale = 1.0 / np.sqrt(np.diag(data + self._widths))
         self.parameters = parameters
         self._dof = int(self._present.sum()) - np.linalg.matrix_rank(
             data * scale[:, None] * scale, tol=1e-9, hermitian=True)
-
-    def _normal(self, jacobian: np.ndarray, residual: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """``JᵀWᵀWJ`` and ``JᵀWᵀWr`` of a residual (n, c)."""
-        white = [(w(jacobian), w(residual.ravel())) for w in self._whiteners]
-        return sum(block.T @ block for block, _ in white), sum(block.T @ values for block, values in white)
 
     def change(self, log: CalibrationLog, before: CalibrationLog | None = None) -> np.ndarray:
         """Change of the stops' means (n, c) [m] against the undisturbed log or ``before``, 0 where absent."""
@@ -120,8 +121,8 @@ class Yardstick:
         left, step, jacobian = delta, np.zeros(len(self._theta)), self._jacobian
         value = self._value(left, step)
         for _ in range(MOST_STEPS):
-            normal, right = self._normal(jacobian.toarray(), left)
-            change = _solved(normal + self._widths, right - self._widths @ step)
+            right = jacobian.T @ weighted(left.ravel(), self._whiteners) - self._widths @ step
+            change = solved(*factored(normal_equations(jacobian, self._whiteners) + self._widths), right)
             part, best = 1.0, value
             while part >= LEAST_STEP:
                 trial = step + part * change
@@ -246,12 +247,6 @@ class Yardstick:
         kind = kind.ravel()
         middle = (np.bincount(kind, sharp * length) / np.bincount(kind, sharp))[kind]
         return float(np.sqrt(np.sum(sharp * (length - middle) ** 2) + np.sum(dull * (spot - length) ** 2)))
-
-
-def _solved(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Of a positive definite matrix whose unknowns have units many decades apart."""
-    scale = 1.0 / np.sqrt(np.diag(matrix))
-    return scale * linalg.cho_solve(linalg.cho_factor(matrix * scale[:, None] * scale, lower=True), scale * right)
 
 
 def true_parameters(cell: Cell, parameters: Parameters) -> np.ndarray:

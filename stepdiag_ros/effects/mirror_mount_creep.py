@@ -70,7 +70,7 @@ class MirrorMountCreep(Effect):
             # A mount that stays on the tool while base unit and mirror's face are turned, but for a further run.
             since = np.where(_further(view), view.mount_time, view.elapsed)
             forms += [follow(view, course, view.by_mirror, ('u', 'v'), 1e-5, 'rad', 'mounted once')
-                      for course in relaxations(since, FASTEST_S) if len(course.values) == 1]
+                      for course in relaxations(since, FASTEST_S)]
         return forms
 
 

@@ -170,8 +170,8 @@ def fit(description: Description, table: StopTable, noise: NoiseModel | None = N
                 banded = None
         if banded is None:
             normal = normal_equations(jacobian, white)
-            factor, scale = _factor(normal + precision)
-            step = _solve(factor, scale, right)
+            factor, scale = factored(normal + precision)
+            step = solved(factor, scale, right)
         promised = float(step @ right)
         # Misalignments act to second order along flat valleys: a whole step may overshoot.
         part = 1.0
@@ -197,7 +197,7 @@ def fit(description: Description, table: StopTable, noise: NoiseModel | None = N
     residual = readings - predicted
     if not converged:
         normal = normal_equations(jacobian, white)
-        factor, scale = _factor(normal + precision)
+        factor, scale = factored(normal + precision)
     covariance = _inverse(factor, scale)
     filled = np.where(present, residual, 0.0).ravel()
     chi2 = float(sum(np.sum(w(filled)**2) for w in white))
@@ -230,7 +230,7 @@ def normal_equations(jacobian: sparse.csr_array, white: list[Whitener]) -> np.nd
     return normal
 
 
-def _factor(matrix: np.ndarray):
+def factored(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Cholesky factor of the matrix scaled to a unit diagonal (units differ by many decades)."""
     scale = 1.0 / np.sqrt(np.diag(matrix))
     scaled = matrix * scale[:, None] * scale
@@ -248,7 +248,8 @@ def _factor(matrix: np.ndarray):
             scaled[np.diag_indices(len(scaled))] = 1.0 + loading
 
 
-def _solve(factor: np.ndarray, scale: np.ndarray, right: np.ndarray) -> np.ndarray:
+def solved(factor: np.ndarray, scale: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Unknowns (size,) of the equations that :func:`factored` took, for a right side (size,)."""
     return scale * linalg.cho_solve((factor, True), scale * right, check_finite=False)
 
 
@@ -258,4 +259,5 @@ def _inverse(factor: np.ndarray, scale: np.ndarray) -> np.ndarray:
     return inverse * scale[:, None] * scale
 
 
-__all__ = ['GAUGE', 'Fit', 'fit', 'normal_equations', 'prior_precision', 'readings_of']
+__all__ = ['GAUGE', 'Fit', 'factored', 'fit', 'normal_equations', 'prior_precision', 'readings_of', 'solved',
+           'weighted']

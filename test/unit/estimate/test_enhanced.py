@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from stepdiag_ros.errors import StepdiagError
-from stepdiag_ros.estimate.enhanced import _factor, fit, prior_precision
+from stepdiag_ros.estimate.enhanced import factored, fit, prior_precision
 from stepdiag_ros.estimate.evaluate import solution_of
 from stepdiag_ros.estimate.forward import ForwardModel
 from stepdiag_ros.estimate.gauge import to_reference_lines
@@ -161,8 +161,8 @@ def test_no_reading_at_all(plan_of):
 def test_factor_survives_rounding_and_refuses_nonsense():
     rng = np.random.default_rng(0)
     basis = rng.normal(size=(6, 3))
-    factor, scale = _factor(basis @ basis.T)       # singular, and a little negative by rounding
+    factor, scale = factored(basis @ basis.T)       # singular, and a little negative by rounding
     back = factor @ factor.T / scale[:, None] / scale
     np.testing.assert_allclose(back, basis @ basis.T, atol=1e-6)
     with pytest.raises(StepdiagError, match='cannot be solved'):
-        _factor(np.array([[1.0, 2.0], [2.0, 1.0]]))
+        factored(np.array([[1.0, 2.0], [2.0, 1.0]]))
