@@ -1,11 +1,11 @@
 """From a log to its diagnosis: where the gap lies, which effect causes it, how far it closes.
 
 The steps, each in a file of its own: :mod:`observe` (reduce, fit), :mod:`inside` and :mod:`clocks` (stamps),
-:mod:`disturbances` with :mod:`unrest`, :mod:`dwells`, :mod:`lines`, :mod:`steady` and :mod:`hops` (what shakes, boils
-or hops), :mod:`gross` (where to begin), :mod:`turns` with :mod:`parity`, :mod:`screen`, :mod:`search` and :mod:`joint`
-(evidence for sets of effects, machine and effects together), :mod:`scatter` (what has no pattern), :mod:`closing` (the
-part held out), :mod:`where` (shares), :mod:`rivals`, :mod:`next_measurement` and :mod:`next_run` (what the log leaves
-open), :mod:`averaged` (the 21 errors).
+:mod:`folded` (spots beyond reach), :mod:`disturbances` with :mod:`unrest`, :mod:`dwells`, :mod:`lines`, :mod:`steady`
+and :mod:`hops` (what shakes, boils or hops), :mod:`gross` (where to begin), :mod:`turns` with :mod:`parity`,
+:mod:`screen`, :mod:`search` and :mod:`joint` (evidence for sets of effects, machine and effects together),
+:mod:`scatter` (what has no pattern), :mod:`closing` (the part held out), :mod:`where` (shares), :mod:`rivals`,
+:mod:`next_measurement` and :mod:`next_run` (what the log leaves open), :mod:`averaged` (the 21 errors).
 """
 
 from collections.abc import Iterable, Mapping
@@ -18,6 +18,7 @@ from stepdiag_ros.gap.closing import Closing, closing, excess_forecast
 from stepdiag_ros.gap.diagnosis import Diagnosis, Found
 from stepdiag_ros.gap.disturbances import disturbed
 from stepdiag_ros.gap.evidence import width_of
+from stepdiag_ros.gap.folded import within_range
 from stepdiag_ros.gap.gross import GROSS
 from stepdiag_ros.gap.joint import Joint, fit_jointly, unexplained
 from stepdiag_ros.gap.lines import Vibration
@@ -48,6 +49,7 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
     """Diagnose one log against ``effects`` (one instance of each class)."""
     effects = {effect.name: effect for effect in effects}
     log, observation, clocks, late = set_clocks(log, observe(log))
+    observation, beyond_range = within_range(observation)
     observation, disturbances = disturbed(log, observation)
     joint, sets, screen = settle(observation, effects)
     best = sets[0] if sets[0].log_bayes > ALARM else EffectSet((), 0.0)
@@ -80,7 +82,7 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
         {**names, **outside, 'nothing': nothing * float(np.prod([1.0 - p for p in outside.values()]))},
         tuple((tuple(sorted((*s.names, *outside))), w) for s, w in zip(sets, weights, strict=True))[:20],
         groups, observation, joint, clocks, disturbances.unrest.displacement, leftover,
-        log.warnings + observation.table.warnings, sets, screen, words, run)
+        log.warnings + observation.table.warnings + ((beyond_range,) if beyond_range else ()), sets, screen, words, run)
 
 
 def _without_pattern(joint: Joint, best: EffectSet, how_far: Closing, found: bool) -> str:

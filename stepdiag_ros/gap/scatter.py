@@ -55,7 +55,8 @@ def stray_arrivals(joint: Joint, rest: np.ndarray | None = None) -> tuple[float,
             view.by_shift[axis][mine] * view.approach[mine, axis, None]
         white = space.white_part(columns)
         norm = np.linalg.norm(white, axis=0)
-        white = white / norm
+        seen = norm > 0.0  # at a stop where nothing was read no arrival shows
+        white = white[:, seen] / norm[seen]
         lost = space.absorbed(white)
         value, vector = np.linalg.eigh(white.T @ white - lost.T @ lost)
         kept = value > 0.1

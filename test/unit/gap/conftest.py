@@ -32,6 +32,8 @@ sampling: {interferometer: 50, psd: 50, in_motion: true}
 class Case:
     """Logs of the small cell with effects, their observation and diagnosis."""
 
+    text = TEXT
+
     def __init__(self):
         self.cell: Cell = parse_cell(TEXT)
         self._logs: dict[str, CalibrationLog] = {}
