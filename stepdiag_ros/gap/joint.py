@@ -11,6 +11,7 @@ from functools import cached_property
 from itertools import product
 
 import numpy as np
+from scipy import linalg
 
 from stepdiag_ros.effects.base import Effect, Form
 from stepdiag_ros.effects.tuning import same_form, tune
@@ -263,7 +264,12 @@ def inverse_root(normal: np.ndarray) -> np.ndarray:
     is held at the rounding's size instead of getting a negative variance.
     """
     scale = 1.0 / np.sqrt(np.diag(normal))
-    value, vector = np.linalg.eigh(normal * np.outer(scale, scale))
+    even = normal * np.outer(scale, scale)
+    try:
+        value, vector = np.linalg.eigh(even)
+    except np.linalg.LinAlgError:
+        # Divide and conquer fails once in some thousand logs; the slower QR iteration does not.
+        value, vector = linalg.eigh(even, driver='ev')
     value = np.maximum(value, np.finfo(float).eps * len(value) * value[-1])
     return scale[:, None] * vector / np.sqrt(value)
 
