@@ -1,6 +1,7 @@
 """What the sealed worlds themselves say of their logs, for the score: what noise alone leaves, which rivals there are.
 
-Both are kept in ``worlds.json`` beside the answers; a cut run is resumed.
+Both are kept in ``worlds.json`` beside the answers; a cut run is resumed.  Nothing is judged before the set is
+answered and both hashes are right.
 """
 
 import json
@@ -11,10 +12,10 @@ from typing import Any
 
 from stepdiag_ros.blind.apart import apart
 from stepdiag_ros.blind.floor import floor
-from stepdiag_ros.blind.opened import WORLDS
+from stepdiag_ros.blind.opened import WORLDS, load
 from stepdiag_ros.blind.pool import side_by_side
 from stepdiag_ros.blind.score import COUNTS_FROM
-from stepdiag_ros.blind.seal import SEALED, kind_order, write_json
+from stepdiag_ros.blind.seal import kind_order, write_json
 from stepdiag_ros.blind.world import make
 from stepdiag_ros.gap.observe import observe
 
@@ -45,13 +46,12 @@ def _apart(purpose: str, seed: int, entry: Entry) -> Entry:
 
 def _judge(folder: Path, categories: tuple[str, ...], key: str, judged: Callable[[str, int, Entry], Entry],
            processes: int, progress: bool) -> None:
-    truth = json.loads((folder / SEALED).read_text())
+    cases, head = load(folder)
     done = json.loads((folder / WORLDS).read_text()) if (folder / WORLDS).exists() else {}
-    missing = [name for name, entry in truth['logs'].items()
-               if key not in done.get(name, {}) and entry['category'] in categories
-               and all(e['visibility']['total'] >= COUNTS_FROM for e in entry['effects'])]
     os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
-    jobs = {name: (truth['purpose'], truth['seed'], truth['logs'][name]) for name in missing}
+    jobs = {case.name: (head['purpose'], head['seed'], case.truth) for case in cases
+            if key not in case.truth and case.category in categories
+            and all(e['visibility']['total'] >= COUNTS_FROM for e in case.truth['effects'])}
     said = side_by_side(judged, jobs, processes, 'judged' if progress else '')
     for count, (name, result) in enumerate(said, 1):
         done[name] = {**done.get(name, {}), **result}
