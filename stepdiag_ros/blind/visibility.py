@@ -6,12 +6,10 @@ resets can imitate, its norm is the root of the non-central χ² by which the be
 
     visibility² = min over θ of |W(f(θ₀) + δ − f(θ))|² + (θ − θ₀)ᵀP(θ − θ₀),
 
-f the enhanced method's model, θ₀ the truth, P the widths of its unknowns.  Where the model is straight this is
+f the enhanced method's model, θ₀ the truth, P the widths of its unknowns (:mod:`stepdiag_ros.estimate.imitation`).
+Where the model is straight this is
 
     δᵀWᵀWδ − δᵀWᵀWJ (JᵀWᵀWJ + P)⁻¹ JᵀWᵀWδ.
-
-It is not always: turns of beams and mirror act to second order along flat valleys, and a few microradians of them
-may let a machine's errors imitate what at the truth they could not.
 
 An effect that strikes at random (other phases in each dwell, now and then a stop) has no fixed
 pattern to look for, only power: of a sum λ of squares over k degrees of freedom the best test sees
@@ -39,15 +37,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stepdiag_ros.estimate.enhanced import (
-    factored,
-    normal_equations,
-    prior_precision,
-    readings_of,
-    solved,
-    weighted,
-)
+from stepdiag_ros.estimate.dense import normal_equations
+from stepdiag_ros.estimate.enhanced import prior_precision, readings_of
 from stepdiag_ros.estimate.forward import ForwardModel
+from stepdiag_ros.estimate.imitation import what_is_left
 from stepdiag_ros.estimate.noise import NoiseModel, sensor_noise, whiteners
 from stepdiag_ros.estimate.parameters import Parameters, parameters_of
 from stepdiag_ros.estimate.reduce import StopTable, reduce_log
@@ -56,10 +49,6 @@ from stepdiag_ros.model.machine import AXES
 from stepdiag_ros.virtual.cell import Cell
 
 BINS = 8
-MOST_STEPS = 30
-LEAST_STEP = 1e-3
-SETTLED = 1e-3
-"""Steps of the fit at most, the least share of one, and the share of χ² below which a step is the last."""
 JITTER_S = 1e-4
 """What a control's equal moves repeat to in time."""
 
@@ -87,16 +76,15 @@ class Yardstick:
         self.log, self.still, self.noise = log, still, cell.description.noise
         self.table = table = reduce_log(log)
         parameters = parameters_of(log.description, table)
-        self._model, self._theta = ForwardModel(log.description, table, parameters), true_parameters(cell, parameters)
-        self._predicted, self._jacobian, self._arrival = self._model.jacobian(self._theta)
+        self._theta = true_parameters(cell, parameters)
+        _, jacobian, self._arrival = ForwardModel(log.description, table, parameters).jacobian(self._theta)
         self._noise = NoiseModel(self.noise.position_repeatability, self.noise.angle_repeatability,
                                  sensor_noise(table, self.noise), 'belief')
         self._readings = readings_of(table)
         self._present = np.isfinite(self._readings)
-        self._whiteners = whiteners(table, self._noise, self._arrival, self._present)
-        self._widths = prior_precision(parameters)
-        data = normal_equations(self._jacobian, self._whiteners)
-        scale = 1.0 / np.sqrt(np.diag(data + self._widths))
+        self.white = whiteners(table, self._noise, self._arrival, self._present)
+        data = normal_equations(jacobian, self.white)
+        scale = 1.0 / np.sqrt(np.diag(data + prior_precision(parameters)))
         self.parameters = parameters
         self._dof = int(self._present.sum()) - np.linalg.matrix_rank(
             data * scale[:, None] * scale, tol=1e-9, hermitian=True)
@@ -112,40 +100,9 @@ class Yardstick:
             _means(log.displacement, _rows(log.displacement, self.table), beams),
             _means(log.spot, _rows(log.spot, self.table), 2)], axis=1)
 
-    def left(self, delta: np.ndarray) -> np.ndarray:
-        """What of ``delta`` (n, c) [m] the fit leaves: (n, c) [m]."""
-        return self._fitted(delta)[0]
-
-    def _fitted(self, delta: np.ndarray) -> tuple[np.ndarray, float]:
-        """What of ``delta`` the fit leaves, and the least value of what it minimises."""
-        left, step, jacobian = delta, np.zeros(len(self._theta)), self._jacobian
-        value = self._value(left, step)
-        for _ in range(MOST_STEPS):
-            right = jacobian.T @ weighted(left.ravel(), self._whiteners) - self._widths @ step
-            change = solved(*factored(normal_equations(jacobian, self._whiteners) + self._widths), right)
-            part, best = 1.0, value
-            while part >= LEAST_STEP:
-                trial = step + part * change
-                rest = np.where(self._present, delta + self._predicted - self._model.predict(self._theta + trial), 0.0)
-                value = self._value(rest, trial)
-                if value < best:
-                    break
-                part /= 2.0
-            else:
-                return left, best
-            left, step = rest, trial
-            if best - value < SETTLED * max(value, 1.0):
-                break
-            _, jacobian, _ = self._model.jacobian(self._theta + step)
-        return left, value
-
-    def _value(self, left: np.ndarray, step: np.ndarray) -> float:
-        """What is minimised: χ² of what is left, and how far the unknowns have gone from the truth."""
-        return float(np.sum(self.white(left)**2) + step @ self._widths @ step)
-
-    def white(self, left: np.ndarray) -> np.ndarray:
-        """Whitened readings, run after run."""
-        return np.concatenate([w(left.ravel()) for w in self._whiteners])
+    def left(self, delta: np.ndarray) -> tuple[np.ndarray, float]:
+        """What of ``delta`` (n, c) [m] the fit leaves (n, c) [m], and its power."""
+        return what_is_left(self.log.description, self.table, self._noise, self._theta, delta)
 
     def visibility(self, log: CalibrationLog, random: bool = False,
                    inside: str | None = None) -> Visibility:
@@ -155,7 +112,7 @@ class Yardstick:
         inside the dwells, ``'stamps'`` for wrong stamps, of which ``log`` is without the sensors' noise.
         """
         before = self.still if inside == 'stamps' else self.log
-        _, power = self._fitted(self.change(log, self.still if inside == 'stamps' else None))
+        _, power = self.left(self.change(log, self.still if inside == 'stamps' else None))
         seen = power / np.sqrt(2.0 * self._dof) if random else float(np.sqrt(power))
         within = self._spectral(log) if inside == 'random' else self._patterns(log, before)
         if inside == 'stamps':
@@ -168,7 +125,7 @@ class Yardstick:
         ``share``: of the sum of squares in units of each reading's own standard deviation (noise of
         arrivals included); ``share_m2``: of the sum of squares in metres.
         """
-        left, table = self.left(delta), self.table
+        (left, _), table = self.left(delta), self.table
         sigma = self._sigma()
         in_sigma, in_metres = (left / sigma) ** 2, left ** 2
         beams = left.shape[1] - 2

@@ -55,8 +55,9 @@ class BandedNormal:
         share = (table.commanded - table.commanded.min(axis=0)) / np.where(travel > 0.0, travel, 1.0)
         self._level = np.repeat(np.minimum(share, 1.0 - share).mean(axis=1), channels)
 
-    def solve(self, jacobian: sparse.csr_array, residual: np.ndarray, pull: np.ndarray) -> np.ndarray:
-        """Step (size,): ``(JᵀC⁻¹J + P)⁻¹ (JᵀC⁻¹ r − pull)``; ``pull = P θ`` (size,).
+    def solve(self, jacobian: sparse.csr_array, residual: np.ndarray, pull: np.ndarray,
+              damping: float = 0.0) -> np.ndarray:
+        """Step (size,): ``(JᵀC⁻¹J + (1 + λ)P)⁻¹ (JᵀC⁻¹ r − pull)``; ``pull = P (θ − θ₀)`` (size,), λ the ``damping``.
 
         ``residual`` (n·c,) with zeros where absent.  Raises ``LinAlgError`` where rounding makes the
         matrix indefinite.
@@ -76,9 +77,9 @@ class BandedNormal:
         edge[place[:self.border], outer.shape[1]:] = self.frame[:, :self.border].T
         corner = np.zeros((edge.shape[1],) * 2)
         corner[:outer.shape[1], :outer.shape[1]] = (outer.T @ outer).toarray()
-        corner[np.diag_indices(outer.shape[1])] += self._border_prior
+        corner[np.diag_indices(outer.shape[1])] += (1.0 + damping) * self._border_prior
         for k in range(len(self.frame)):
-            corner[outer.shape[1] + k, outer.shape[1] + k] = -self.frame_width**2
+            corner[outer.shape[1] + k, outer.shape[1] + k] = -self.frame_width**2 / (1.0 + damping)
         down = np.zeros(edge.shape[1])
         down[:outer.shape[1]] = outer.T @ rest - pull[self.border:]
 
@@ -87,7 +88,9 @@ class BandedNormal:
         offset = (row - column)[keep]
         band = np.zeros((int(offset.max()) + 1, len(place)))
         band[offset, column[keep]] = matrix.data[keep]
-        band[0, place] += self._prior
+        prior = self._prior.copy()
+        prior[:self.border] *= 1.0 + damping
+        band[0, place] += prior
         scale = 1.0 / np.sqrt(band[0])
         self.bandwidth = len(band)
         for k in range(len(band)):

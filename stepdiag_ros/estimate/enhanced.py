@@ -12,6 +12,10 @@ lose digits of a step, not of the answer, for each residual is computed from the
 The last step and the covariance come from the dense equations.  Steps go on until they no
 longer matter against the standard deviations.
 
+Turns of beams and mirror act to second order along flat valleys, where a whole step overshoots a hundredfold and
+its parts go astray.  There the widths are narrowed, (1 + λ)P, until what a step brings is what it promises
+(Levenberg and Marquardt with the widths as their scale, λ as of Moré 1978); elsewhere λ is 0.
+
 A direction that the data do not narrow down against its width is unidentifiable and is
 reported by name (:mod:`stepdiag_ros.estimate.identifiability`).
 """
@@ -23,8 +27,9 @@ from scipy import linalg, sparse
 
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate.banded import BandedNormal
+from stepdiag_ros.estimate.dense import factored, inverse, normal_equations, solved, weighted
 from stepdiag_ros.estimate.forward import ForwardModel
-from stepdiag_ros.estimate.gauge import GAUGE, slope_weights
+from stepdiag_ros.estimate.gauge import slope_weights
 from stepdiag_ros.estimate.noise import NoiseModel, Whitener, estimate_noise, whiteners
 from stepdiag_ros.estimate.parameters import Parameters, parameters_of
 from stepdiag_ros.estimate.reduce import StopTable
@@ -38,16 +43,18 @@ WIDTH_MIRROR_RAD = 1e-2
 WIDTH_OFFSET_M = 10.0
 WIDTH_FRAME_RAD = 1e-4
 """Turning machine and setups together is seen only to second order: it is held to this width."""
-LOADING, LOADING_LIMIT = 1e-15, 1e-8
-"""What is added to the unit diagonal of normal equations that rounding made indefinite: first, last."""
 FRAME_SLOPES = ('EYX', 'EZX', 'EZY')
-MAX_ITERATIONS = 50
+MAX_ITERATIONS = 100
 SETTLED = 1e-8
 """The iteration ends where a step promises less than this fall of the objective (χ² units)."""
 STALLED, STALLED_OVER = 1e-3, 6
 """… or where that many steps together made it fall by less than this: a hundredth of a σ is left …"""
-SHORTEST = 2.0**-12
-"""… or where no part of a step down to this fraction makes it fall: rounding is reached."""
+MOST_DAMPING = 1e12
+"""… or where no step narrowed down to this makes it fall: rounding is reached."""
+GOOD, POOR = 0.75, 0.25
+"""Share of the promised fall above which widths are given back, and below which they are narrowed …"""
+NARROWER, WIDER = 4.0, 5.0
+"""… by these factors."""
 
 
 @dataclass(frozen=True)
@@ -127,12 +134,13 @@ def start(parameters: Parameters, model: ForwardModel, table: StopTable,
 def fit(description: Description, table: StopTable, noise: NoiseModel | None = None,
         readings: np.ndarray | None = None, theta: np.ndarray | None = None,
         parameters: Parameters | None = None, settled: float = SETTLED,
-        linear_laser: float = WIDTH_LASER_RAD) -> Fit:
+        linear_laser: float = WIDTH_LASER_RAD, centre: np.ndarray | None = None) -> Fit:
     """Solve for all unknowns of the stops in ``table``.
 
     ``noise`` is estimated from the table when not given; ``readings`` replaces the table's own
     (n, beams + 2); ``theta`` starts the iteration, ``settled`` [χ²] ends it.  ``linear_laser`` [rad]: how
-    well the beams of the linear setups are known to lie along their axes (their cosine error).
+    well the beams of the linear setups are known to lie along their axes (their cosine error).  ``centre``
+    (size,): what the widths hold to, an ideal machine when not given.
     """
     parameters = parameters or parameters_of(description, table)
     model = ForwardModel(description, table, parameters)
@@ -143,6 +151,8 @@ def fit(description: Description, table: StopTable, noise: NoiseModel | None = N
         raise StepdiagError('no readings at all; nothing to solve')
     if theta is None:
         theta = start(parameters, model, table, readings)
+    if centre is None:
+        centre = np.zeros(parameters.size)
     precision = prior_precision(parameters, linear_laser)
     predicted, jacobian, arrival = model.jacobian(theta)
     if noise is None:
@@ -151,54 +161,46 @@ def fit(description: Description, table: StopTable, noise: NoiseModel | None = N
 
     def objective(theta: np.ndarray, predicted: np.ndarray) -> float:
         residual = np.where(present, readings - predicted, 0.0).ravel()
-        return sum(np.sum(w(residual)**2) for w in white) + theta @ precision @ theta
+        return sum(np.sum(w(residual)**2) for w in white) + (theta - centre) @ precision @ (theta - centre)
 
-    banded: BandedNormal | None = BandedNormal(
-        table, noise, arrival, present, widths(parameters, linear_laser), frame_rows(parameters),
-        WIDTH_FRAME_RAD, min(parameters.setup_first.values()))
+    banded = BandedNormal(table, noise, arrival, present, widths(parameters, linear_laser), frame_rows(parameters),
+                          WIDTH_FRAME_RAD, min(parameters.setup_first.values()))
+    steps = _Steps(banded, white, precision)
     value = objective(theta, predicted)
-    converged, iterations, course = False, 0, [value]
+    converged, iterations, course, damping = False, 0, [value], 0.0
     while iterations < MAX_ITERATIONS:
         iterations += 1
-        residual = np.where(present, readings - predicted, 0.0).ravel()
-        pull = precision @ theta
-        right = jacobian.T @ weighted(residual, white) - pull
-        if banded is not None:
-            try:
-                step = banded.solve(jacobian, residual, pull)
-            except linalg.LinAlgError:
-                banded = None
-        if banded is None:
-            normal = normal_equations(jacobian, white)
-            factor, scale = factored(normal + precision)
-            step = solved(factor, scale, right)
-        promised = float(step @ right)
-        # Misalignments act to second order along flat valleys: a whole step may overshoot.
-        part = 1.0
-        while part >= SHORTEST:
-            trial = theta + part * step
+        steps.at(jacobian, np.where(present, readings - predicted, 0.0).ravel(), precision @ (theta - centre))
+        enough = settled * max(1.0, 1e-6 * value)
+        while True:
+            step, promised = steps.step(damping)
+            trial = theta + step
             trial_predicted = model.predict(trial)
             trial_value = objective(trial, trial_predicted)
-            if trial_value <= value:
-                theta, value, predicted = trial, trial_value, trial_predicted
+            if trial_value <= value or promised < enough or damping > MOST_DAMPING:
                 break
-            part /= 2.0
+            damping = max(1.0, NARROWER * damping)
+        whole, nowhere, fell = damping == 0.0, trial_value > value, value - trial_value
+        if not nowhere:
+            theta, value, predicted = trial, trial_value, trial_predicted
+        if fell > GOOD * promised:
+            damping = damping / WIDER if damping > 1.0 else 0.0
+        elif fell < POOR * promised:
+            damping = max(1.0, NARROWER * damping)
         course.append(value)
-        unit = max(1.0, 1e-6 * value)
-        stalled = len(course) > STALLED_OVER and course[-1 - STALLED_OVER] - value < STALLED * unit
-        if promised < settled * unit or part < SHORTEST or stalled:
-            if banded is None:
+        stalled = len(course) > STALLED_OVER \
+            and course[-1 - STALLED_OVER] - value < max(STALLED * max(1.0, 1e-6 * value), enough)
+        if (whole and promised < enough) or nowhere or stalled:
+            if steps.dense:
                 converged = True
                 break
             # The band loses more digits on nearly noise-free data: the dense equations have the last word.
-            banded = None
+            steps.without_band()
+            damping = damping if stalled else 0.0
         predicted, jacobian, arrival = model.jacobian(theta)
     predicted, jacobian, arrival = model.jacobian(theta)
     residual = readings - predicted
-    if not converged:
-        normal = normal_equations(jacobian, white)
-        factor, scale = factored(normal + precision)
-    covariance = _inverse(factor, scale)
+    normal, covariance = steps.solution(jacobian, converged)
     filled = np.where(present, residual, 0.0).ravel()
     chi2 = float(sum(np.sum(w(filled)**2) for w in white))
     # Each direction counts as fitted by the share in which data and not the width decide it.
@@ -207,57 +209,45 @@ def fit(description: Description, table: StopTable, noise: NoiseModel | None = N
                precision, noise, chi2, dof, iterations, converged)
 
 
-def weighted(residual: np.ndarray, white: list[Whitener]) -> np.ndarray:
-    """``WᵀW r`` (n·c,)."""
-    out = np.zeros_like(residual)
-    for whitener in white:
-        out[whitener.rows] = linalg.cho_solve((whitener.factor, True), residual[whitener.rows],
-                                              check_finite=False)
-    return out
+class _Steps:
+    """Steps of one fit: by the band until it has served or rounding breaks it, then by the dense equations."""
 
+    def __init__(self, banded: BandedNormal, white: list[Whitener], precision: np.ndarray):
+        self._banded: BandedNormal | None = banded
+        self._white, self._precision = white, precision
+        self._normal, self._factored, self._damping = None, None, 0.0
 
-def normal_equations(jacobian: sparse.csr_array, white: list[Whitener]) -> np.ndarray:
-    """``JᵀWᵀWJ`` (size, size), one run after the other, only on the columns a run meets."""
-    size = jacobian.shape[1]
-    normal = np.zeros((size, size))
-    for whitener in white:
-        block = jacobian[whitener.rows]
-        columns = np.unique(block.indices)
-        dense = np.asfortranarray(block[:, columns].toarray())
-        part = linalg.solve_triangular(whitener.factor, dense, lower=True, overwrite_b=True,
-                                       check_finite=False)
-        normal[np.ix_(columns, columns)] += part.T @ part
-    return normal
+    @property
+    def dense(self) -> bool:
+        return self._banded is None
 
+    def without_band(self) -> None:
+        self._banded = None
 
-def factored(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Cholesky factor of the matrix scaled to a unit diagonal (units differ by many decades)."""
-    scale = 1.0 / np.sqrt(np.diag(matrix))
-    scaled = matrix * scale[:, None] * scale
-    loading = 0.0
-    while True:
-        try:
-            return linalg.cholesky(scaled, lower=True, check_finite=False), scale
-        except linalg.LinAlgError:
-            # Nearly noise-free data narrow some directions 1e16 times more than others are left
-            # open: rounding may hide the open ones' width.  The steps only get shorter by this.
-            if loading > LOADING_LIMIT:
-                raise StepdiagError('the normal equations cannot be solved; check the cell '
-                                    'description against the readings') from None
-            loading = 16.0 * loading or LOADING
-            scaled[np.diag_indices(len(scaled))] = 1.0 + loading
+    def at(self, jacobian: sparse.csr_array, residual: np.ndarray, pull: np.ndarray) -> None:
+        """Where the next steps start; ``residual`` (n·c,) with zeros where absent, ``pull`` (size,) of the widths."""
+        self._place = jacobian, residual, pull
+        self._right = jacobian.T @ weighted(residual, self._white) - pull
+        self._normal = normal_equations(jacobian, self._white) if self.dense else None
 
+    def step(self, damping: float) -> tuple[np.ndarray, float]:
+        """Step (size,) with widths narrowed by ``damping``, and the fall of the objective that it promises."""
+        if self._banded is not None:
+            try:
+                step = self._banded.solve(*self._place, damping)
+            except linalg.LinAlgError:
+                self.without_band()
+                self._normal = normal_equations(self._place[0], self._white)
+        if self.dense:
+            self._factored, self._damping = factored(self._normal + (1.0 + damping) * self._precision), damping
+            step = solved(*self._factored, self._right)
+        # Of the objective, whose widths are not narrowed.
+        return step, float(step @ self._right + damping * (step @ self._precision @ step))
 
-def solved(factor: np.ndarray, scale: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Unknowns (size,) of the equations that :func:`factored` took, for a right side (size,)."""
-    return scale * linalg.cho_solve((factor, True), scale * right, check_finite=False)
+    def solution(self, jacobian: sparse.csr_array, converged: bool) -> tuple[np.ndarray, np.ndarray]:
+        """Normal equations of the data and covariance, two (size, size); at ``jacobian`` unless ``converged``."""
+        if not converged or self._damping > 0.0:
+            self._normal = normal_equations(jacobian, self._white)
+            self._factored = factored(self._normal + self._precision)
+        return self._normal, inverse(*self._factored)
 
-
-def _inverse(factor: np.ndarray, scale: np.ndarray) -> np.ndarray:
-    inverse, _ = linalg.lapack.dpotri(factor, lower=1)
-    inverse = np.tril(inverse) + np.tril(inverse, -1).T
-    return inverse * scale[:, None] * scale
-
-
-__all__ = ['GAUGE', 'Fit', 'factored', 'fit', 'normal_equations', 'prior_precision', 'readings_of', 'solved',
-           'weighted']

@@ -11,7 +11,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from stepdiag_ros.estimate.enhanced import Fit, weighted
+from stepdiag_ros.estimate.dense import weighted
+from stepdiag_ros.estimate.enhanced import Fit
 from stepdiag_ros.estimate.gauge import reporting_matrix
 from stepdiag_ros.estimate.noise import arrivals
 from stepdiag_ros.estimate.reduce import StopTable

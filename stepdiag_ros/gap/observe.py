@@ -60,7 +60,7 @@ def sane_fit(log: CalibrationLog, table: StopTable, theta: np.ndarray | None = N
     noise, scale = result.noise, 1.0
     for _ in range(6):
         reduced = result.chi2 / max(result.dof, 1)
-        if np.isfinite(reduced) and reduced < BADLY_FITTED and result.converged:
+        if np.isfinite(reduced) and reduced < BADLY_FITTED:
             break
         scale *= np.sqrt(max(reduced, BADLY_FITTED)) if np.isfinite(reduced) else 100.0
         result = fit(log.description, table, noise=noise.scaled(scale), theta=theta, settled=SETTLED)

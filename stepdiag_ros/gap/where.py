@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from stepdiag_ros.estimate.imitation import what_is_left
 from stepdiag_ros.estimate.noise import as_noise
 from stepdiag_ros.gap.joint import Joint, inverse_root, unexplained, widths
 from stepdiag_ros.gap.thresholds import CELL_SIGMAS, LEAST_SHARE, NAMED_CELL_SIGMAS
@@ -86,23 +87,33 @@ def _of_effects(joint: Joint) -> np.ndarray:
     """What the effects add and the fit leaves, squared, less the part that their uncertainty makes."""
     space, result, shape = joint.parity, joint.fit, joint.fit.residual.shape
     columns = np.concatenate([a.form.columns * a.form.scale[:, None, None] for a in joint.active])
-    size = np.concatenate([a.coefficients / a.form.scale for a in joint.active])
     seen = np.concatenate([space.project(a.form) for a in joint.active], axis=1)
     factor = inverse_root(seen.T @ seen + np.diag(widths(a.form for a in joint.active) ** -2.0))
-    spread = factor @ factor.T
-    # The unknowns follow a change of the coefficients by (JᵀJ + P)⁻¹ JᵀB; what they cannot follow is left.
+    # The unknowns follow a change of the coefficients by (JᵀJ + P)⁻¹ JᵀB; what they cannot follow is left.  Small as
+    # the coefficients' own uncertainty is, that is straight; what all effects add need not be.
     follow = joint.followed(space.white_part(columns)[:len(joint.jacobian)])
-    left = columns.reshape(len(size), -1).T - result.jacobian @ follow
-    left = np.where(result.present.ravel(), 1.0, 0.0)[:, None] * left / _sigma(joint).ravel()[:, None]
-    excess = ((left @ size)**2 - np.einsum('rk,kl,rl->r', left, spread, left, optimize=True)).reshape(shape)
+    unit = np.where(result.present, 1.0 / _sigma(joint), 0.0).ravel()
+    spread = unit[:, None] * (columns.reshape(len(columns), -1).T - result.jacobian @ follow) @ factor
+    left = _left(joint) * unit.reshape(shape)
+    excess = left**2 - np.sum(spread**2, axis=1).reshape(shape)
 
     def scatter(rows: np.ndarray) -> float:
         # Of a sum of squares of what is noise alone: twice the sum of its squared eigenvalues.
-        cell = left[rows] @ factor
+        cell = spread[rows]
         return float(np.sqrt(2.0 * np.sum((cell.T @ cell)**2)))
 
     named = all(a.effect.name for a in joint.active)
-    return _significant(joint, excess, scatter, NAMED_CELL_SIGMAS if named else CELL_SIGMAS)
+    kept = _significant(joint, excess, scatter, NAMED_CELL_SIGMAS if named else CELL_SIGMAS)
+    # Of a process with a phase of its own in every dwell no single cell may be sure, and yet it is named.
+    # A swing with a phase of its own in every run may be sure as a whole and in no single cell.
+    return left**2 if named and not kept.any() and all(a.form.inside is None for a in joint.active) else kept
+
+
+def _left(joint: Joint) -> np.ndarray:
+    """What the nominal fit leaves of all that the effects add (n, c) [m]."""
+    table, result = joint.observation.table, joint.fit
+    added = np.where(result.present, sum(a.contribution for a in joint.active), 0.0)
+    return what_is_left(joint.observation.log.description, table, joint.noise, result.theta, added)[0]
 
 
 def _of_residuals(joint: Joint) -> np.ndarray:

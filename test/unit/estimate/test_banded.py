@@ -4,14 +4,8 @@ import numpy as np
 import pytest
 
 from stepdiag_ros.estimate.banded import BandedNormal
-from stepdiag_ros.estimate.enhanced import (
-    WIDTH_FRAME_RAD,
-    frame_rows,
-    normal_equations,
-    prior_precision,
-    weighted,
-    widths,
-)
+from stepdiag_ros.estimate.dense import normal_equations, weighted
+from stepdiag_ros.estimate.enhanced import WIDTH_FRAME_RAD, frame_rows, prior_precision, widths
 from stepdiag_ros.estimate.forward import ForwardModel
 from stepdiag_ros.estimate.noise import NoiseModel, whiteners
 from stepdiag_ros.estimate.parameters import parameters_of
@@ -20,7 +14,7 @@ from stepdiag_ros.estimate.planned import planned_table
 THREE = ((0.0, 0.0), (0.03, 0.0), (0.0, 0.03))
 
 
-def both(description, holes=0.0, seed=1):
+def both(description, holes=0.0, seed=1, damping=0.0):
     """Steps by the dense equations and by the band, and the dense standard deviations; bandwidth."""
     rng = np.random.default_rng(seed)
     table = planned_table(description)
@@ -35,13 +29,13 @@ def both(description, holes=0.0, seed=1):
     residual = np.where(present, rng.normal(0.0, 1e-6, present.shape), 0.0).ravel()
     precision = prior_precision(parameters)
     pull = precision @ theta
-    normal = normal_equations(jacobian, white) + precision
+    normal = normal_equations(jacobian, white) + (1.0 + damping) * precision
     scale = 1.0 / np.sqrt(np.diag(normal))
     inverse = np.linalg.inv(normal * scale[:, None] * scale) * scale[:, None] * scale
     dense = inverse @ (jacobian.T @ weighted(residual, white) - pull)
     band = BandedNormal(table, noise, arrival, present, widths(parameters), frame_rows(parameters), WIDTH_FRAME_RAD,
                         min(parameters.setup_first.values()))
-    return dense, band.solve(jacobian, residual, pull), np.sqrt(np.diag(inverse)), band
+    return dense, band.solve(jacobian, residual, pull, damping), np.sqrt(np.diag(inverse)), band
 
 
 @pytest.mark.parametrize('chain', ['FXYZ', 'XYFZ'])
@@ -61,6 +55,12 @@ def test_few_setups(plan_of, names):
 
 def test_readings_may_be_missing(plan_of):
     dense, banded, sigma, _ = both(plan_of(4, 2), holes=0.3)
+    assert np.abs((dense - banded) / sigma).max() < 1e-2
+
+
+@pytest.mark.parametrize('damping', [4.0, 1e4])
+def test_narrowed_widths(plan_of, damping):
+    dense, banded, sigma, _ = both(plan_of(4, 2), damping=damping)
     assert np.abs((dense - banded) / sigma).max() < 1e-2
 
 

@@ -5,14 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from stepdiag_ros.blind.visibility import true_parameters
+from stepdiag_ros.blind.world import Order, make
 from stepdiag_ros.errors import StepdiagError
-from stepdiag_ros.estimate.enhanced import factored, fit, prior_precision
+from stepdiag_ros.estimate.dense import factored
+from stepdiag_ros.estimate.enhanced import fit, prior_precision
 from stepdiag_ros.estimate.evaluate import solution_of
 from stepdiag_ros.estimate.forward import ForwardModel
 from stepdiag_ros.estimate.gauge import to_reference_lines
 from stepdiag_ros.estimate.noise import NoiseModel, whiteners
 from stepdiag_ros.estimate.parameters import parameters_of
 from stepdiag_ros.estimate.planned import filled, observe, planned_table
+from stepdiag_ros.estimate.reduce import reduce_log
 from stepdiag_ros.model.machine import CURVES, SQUARENESS
 
 THREE = ((0.0, 0.0), (0.03, 0.0), (0.0, 0.03))
@@ -156,6 +160,31 @@ def test_no_reading_at_all(plan_of):
     description = plan_of(2, 1)
     with pytest.raises(StepdiagError, match='no readings'):
         fit(description, planned_table(description))
+
+
+def test_a_bent_valley_is_followed_to_its_end():
+    """Turns of beams and mirror act to second order: from an ideal machine the same is found as from the truth."""
+    made = make(Order('sealed', 20261131, 93, 'null'))
+    table = reduce_log(made.log)
+    truth = true_parameters(made.cell, parameters_of(made.log.description, table))
+    far, near = (fit(made.log.description, table, theta=start, settled=1e-2) for start in (None, truth))
+    least = [f.chi2 + f.theta @ f.precision @ f.theta for f in (far, near)]
+    assert far.converged and near.converged
+    assert least[0] == pytest.approx(least[1], abs=0.2)
+
+
+def test_widths_hold_to_the_centre(plan_of, draw_errors, misaligned):
+    """What the data leave open stays where it was."""
+    description = plan_of(2, 1, names=('lin_x',))
+    table = planned_table(description)
+    readings = observe(description, table, draw_errors(description.machine, 2), misaligned(description, 3e-4))
+    parameters = parameters_of(description, table)
+    centre = np.zeros(parameters.size)
+    centre[parameters.slice('EZZ')] = 3e-6          # Z does not move here
+    found = fit(description, filled(table, readings), theta=centre, centre=centre)
+    np.testing.assert_allclose(found.theta[parameters.slice('EZZ')], 3e-6, rtol=1e-6)
+    found = fit(description, filled(table, readings), theta=centre)
+    np.testing.assert_allclose(found.theta[parameters.slice('EZZ')], 0.0, atol=1e-9)
 
 
 def test_factor_survives_rounding_and_refuses_nonsense():

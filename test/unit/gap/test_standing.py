@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from stepdiag_ros.estimate.enhanced import weighted
+from stepdiag_ros.estimate.dense import weighted
 from stepdiag_ros.estimate.evaluate import solution_of
 from stepdiag_ros.estimate.gauge import reporting_matrix
 from stepdiag_ros.estimate.noise import arrivals, run_covariance

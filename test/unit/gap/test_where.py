@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from stepdiag_ros.blind.visibility import Yardstick
+from stepdiag_ros.blind.world import Order, make
 from stepdiag_ros.effects import effect_class
+from stepdiag_ros.gap.diagnose import diagnose
 from stepdiag_ros.gap.where import shares
 from stepdiag_ros.report.series import share_map
 
@@ -27,6 +29,20 @@ def test_shares_are_those_of_the_difference_without_noise(case, name, values):
     assert sum(said.values()) == pytest.approx(1.0, abs=0.05)
     for key in {*true, *said}:
         assert said.get(key, 0.0) == pytest.approx(true.get(key, 0.0), abs=0.05), key
+
+
+def test_shares_are_those_that_a_fit_leaves_where_the_model_bends():
+    """The cosine of a beam takes a change of scale in a linear run: by the Jacobian half of the gap would lie there."""
+    made = make(Order('sealed', 20261131, 531, 'single', ('scale_thermal_expansion',)))
+    true: dict = {}
+    for entry in made.truth['shares']:
+        key = entry['channel'], entry['setup']
+        true[key] = true.get(key, 0.0) + entry['share']
+    found = diagnose(made.log, [effect_class('scale_thermal_expansion')()])
+    said = {(s.channel, s.setup): s.share for s in found.shares}
+    assert {key for key, share in true.items() if share > 0.1} == set(said)
+    for key, share in said.items():
+        assert share == pytest.approx(true[key], abs=0.1), key
 
 
 def test_cells_that_hold_only_noise_are_left_out(case):
