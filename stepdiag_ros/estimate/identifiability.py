@@ -9,6 +9,7 @@ directions are brought to echelon form, so that each names as few things as it c
 
 import numpy as np
 
+from stepdiag_ros.estimate.eigen import eigen
 from stepdiag_ros.estimate.parameters import MISALIGNMENTS, Parameters
 from stepdiag_ros.estimate.solution import Unidentifiable
 from stepdiag_ros.model.machine import CURVES, SQUARENESS
@@ -37,7 +38,7 @@ def unidentifiable(parameters: Parameters, names: list[tuple[str, int]], reporti
     labels = [label for label, is_blind in zip(labels, blind, strict=True) if not is_blind]
     if len(labels):
         scaled = rows / width[:, None]
-        share, vectors = np.linalg.eigh(scaled @ covariance @ scaled.T)
+        share, vectors = eigen(scaled @ covariance @ scaled.T)
         for direction in _echelon(vectors[:, share > OPEN].T):
             weight = np.abs(direction)
             members = tuple(dict.fromkeys(

@@ -34,6 +34,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.estimate.eigen import eigen
 from stepdiag_ros.estimate.gauge import GAUGE
 from stepdiag_ros.estimate.solution import Solution, Unidentifiable
 from stepdiag_ros.estimate.stepwise import solution
@@ -306,7 +307,7 @@ def report(method: str, motions: Motions, problem: Problem, answer: Answer,
     theta = answer.unknown[:motions.size]
     # The covariance is not diagonal: its root serves as independent unit readings.
     covariance = answer.covariance[:motions.size, :motions.size]
-    values, vectors = np.linalg.eigh(covariance)
+    values, vectors = eigen(covariance)
     root = vectors * np.sqrt(np.maximum(values, 0.0))
     curves, sensitivity = {}, {}
     for name in motions.knots:

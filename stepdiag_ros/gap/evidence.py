@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stepdiag_ros.effects.base import Form
+from stepdiag_ros.estimate.eigen import eigen
 
 SIZES = np.logspace(-1.5, 1.5, 9)
 
@@ -34,7 +35,7 @@ def judge(gram: np.ndarray, along: np.ndarray, total: float, dof: float,
           noise_dof: float) -> list[Judged]:
     """Evidence for F forms of k columns each, from the products ``ZᵀZ`` (F, k, k), ``Zᵀz`` (F, k) and
     ``zᵀz``, in data with ``dof`` free dimensions."""
-    value, vector = np.linalg.eigh(gram)
+    value, vector = eigen(gram)
     value = np.maximum(value, 0.0)
     turned = (vector.transpose(0, 2, 1) @ along[:, :, None])[:, :, 0]
     variance = SIZES[:, None, None] ** 2

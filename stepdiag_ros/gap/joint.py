@@ -11,10 +11,10 @@ from functools import cached_property
 from itertools import product
 
 import numpy as np
-from scipy import linalg
 
 from stepdiag_ros.effects.base import Effect, Form
 from stepdiag_ros.effects.tuning import same_form, tune
+from stepdiag_ros.estimate.eigen import eigen
 from stepdiag_ros.estimate.enhanced import Fit, readings_of
 from stepdiag_ros.estimate.noise import NoiseModel, estimate_noise
 from stepdiag_ros.estimate.reduce import StopTable
@@ -265,11 +265,7 @@ def inverse_root(normal: np.ndarray) -> np.ndarray:
     """
     scale = 1.0 / np.sqrt(np.diag(normal))
     even = normal * np.outer(scale, scale)
-    try:
-        value, vector = np.linalg.eigh(even)
-    except np.linalg.LinAlgError:
-        # Divide and conquer fails once in some thousand logs; the slower QR iteration does not.
-        value, vector = linalg.eigh(even, driver='ev')
+    value, vector = eigen(even)
     value = np.maximum(value, np.finfo(float).eps * len(value) * value[-1])
     return scale[:, None] * vector / np.sqrt(value)
 

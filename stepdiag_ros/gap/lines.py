@@ -17,6 +17,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from stepdiag_ros.estimate.eigen import eigen
 from stepdiag_ros.gap.dwells import Dwells
 
 LEAST_RANK = 3
@@ -153,7 +154,7 @@ def find_lines(dwells: Dwells) -> tuple[Vibration | None, float]:
 
 def _background(inner: np.ndarray, moment: np.ndarray, count: int) -> tuple[float, float]:
     """Size of a background against the white noise that suits best, and ln L with it."""
-    value, vector = np.linalg.eigh(inner)
+    value, vector = eigen(inner)
     power = np.einsum('ij,ik,kj->j', vector, moment, vector)
     growth = 1.0 + RATIOS[:, None] * np.maximum(value, 0.0)
     level = np.mean(power / growth, axis=1)

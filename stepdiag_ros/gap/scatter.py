@@ -11,6 +11,7 @@ import numpy as np
 from scipy import special, stats
 
 from stepdiag_ros.effects.base import Form
+from stepdiag_ros.estimate.eigen import eigen
 from stepdiag_ros.gap.evidence import judge, log_mean
 from stepdiag_ros.gap.joint import Joint, unexplained
 from stepdiag_ros.gap.thresholds import ALARM
@@ -58,7 +59,7 @@ def stray_arrivals(joint: Joint, rest: np.ndarray | None = None) -> tuple[float,
         seen = norm > 0.0  # at a stop where nothing was read no arrival shows
         white = white[:, seen] / norm[seen]
         lost = space.absorbed(white)
-        value, vector = np.linalg.eigh(white.T @ white - lost.T @ lost)
+        value, vector = eigen(white.T @ white - lost.T @ lost)
         kept = value > 0.1
         # Neighbours share a part of their patterns; the symmetric root keeps each score at its stop.
         root = vector[:, kept] / np.sqrt(value[kept])

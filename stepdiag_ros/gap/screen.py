@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from stepdiag_ros.effects.base import Form
+from stepdiag_ros.estimate.eigen import eigen
 from stepdiag_ros.gap.evidence import SIZES, Judged, judge, log_mean, log_sum
 from stepdiag_ros.gap.parity import Parity
 from stepdiag_ros.gap.thresholds import DECOY_SHARE
@@ -261,7 +262,7 @@ class _Alike:
 def _explained(columns: np.ndarray) -> np.ndarray:
     """Directions ``B`` (N, r), ``1 − BBᵀ = (1 + ZZᵀ)⁻¹``, for columns ``Z`` (N, k) in units of the sizes
     that are allowed for: what is as large as allowed is taken away, what is far below the noise left."""
-    value, vector = np.linalg.eigh(columns.T @ columns)
+    value, vector = eigen(columns.T @ columns)
     keep = value > LEAST_EXPLAINED
     return columns @ (vector[:, keep] / np.sqrt(1.0 + value[keep]))
 
