@@ -171,26 +171,26 @@ def fit(description: Description, table: StopTable, noise: NoiseModel | None = N
     while iterations < MAX_ITERATIONS:
         iterations += 1
         steps.at(jacobian, np.where(present, readings - predicted, 0.0).ravel(), precision @ (theta - centre))
-        enough = settled * max(1.0, 1e-6 * value)
+        unit = max(1.0, 1e-6 * value)
         while True:
             step, promised = steps.step(damping)
             trial = theta + step
             trial_predicted = model.predict(trial)
             trial_value = objective(trial, trial_predicted)
-            if trial_value <= value or promised < enough or damping > MOST_DAMPING:
+            fell = value - trial_value
+            if fell >= 0.0 or promised < settled * unit or damping > MOST_DAMPING:
                 break
             damping = max(1.0, NARROWER * damping)
-        whole, nowhere, fell = damping == 0.0, trial_value > value, value - trial_value
-        if not nowhere:
+        whole, moved = damping == 0.0, fell >= 0.0
+        if moved:
             theta, value, predicted = trial, trial_value, trial_predicted
         if fell > GOOD * promised:
             damping = damping / WIDER if damping > 1.0 else 0.0
         elif fell < POOR * promised:
             damping = max(1.0, NARROWER * damping)
         course.append(value)
-        stalled = len(course) > STALLED_OVER \
-            and course[-1 - STALLED_OVER] - value < max(STALLED * max(1.0, 1e-6 * value), enough)
-        if (whole and promised < enough) or nowhere or stalled:
+        stalled = len(course) > STALLED_OVER and course[-1 - STALLED_OVER] - value < max(STALLED, settled) * unit
+        if (whole and promised < settled * unit) or not moved or stalled:
             if steps.dense:
                 converged = True
                 break
@@ -200,7 +200,7 @@ def fit(description: Description, table: StopTable, noise: NoiseModel | None = N
         predicted, jacobian, arrival = model.jacobian(theta)
     predicted, jacobian, arrival = model.jacobian(theta)
     residual = readings - predicted
-    normal, covariance = steps.solution(jacobian, converged)
+    normal, covariance = steps.solution(jacobian, converged and whole)
     filled = np.where(present, residual, 0.0).ravel()
     chi2 = float(sum(np.sum(w(filled)**2) for w in white))
     # Each direction counts as fitted by the share in which data and not the width decide it.
@@ -215,7 +215,7 @@ class _Steps:
     def __init__(self, banded: BandedNormal, white: list[Whitener], precision: np.ndarray):
         self._banded: BandedNormal | None = banded
         self._white, self._precision = white, precision
-        self._normal, self._factored, self._damping = None, None, 0.0
+        self._normal, self._factored = None, None
 
     @property
     def dense(self) -> bool:
@@ -239,15 +239,15 @@ class _Steps:
                 self.without_band()
                 self._normal = normal_equations(self._place[0], self._white)
         if self.dense:
-            self._factored, self._damping = factored(self._normal + (1.0 + damping) * self._precision), damping
+            self._factored = factored(self._normal + (1.0 + damping) * self._precision)
             step = solved(*self._factored, self._right)
         # Of the objective, whose widths are not narrowed.
         return step, float(step @ self._right + damping * (step @ self._precision @ step))
 
-    def solution(self, jacobian: sparse.csr_array, converged: bool) -> tuple[np.ndarray, np.ndarray]:
-        """Normal equations of the data and covariance, two (size, size); at ``jacobian`` unless ``converged``."""
-        if not converged or self._damping > 0.0:
+    def solution(self, jacobian: sparse.csr_array, solved_last: bool) -> tuple[np.ndarray, np.ndarray]:
+        """Normal equations of the data and covariance, two (size, size): those that the last step solved, dense and
+        with plain widths, or new ones at ``jacobian``."""
+        if not solved_last:
             self._normal = normal_equations(jacobian, self._white)
             self._factored = factored(self._normal + self._precision)
         return self._normal, inverse(*self._factored)
-

@@ -16,6 +16,7 @@ from stepdiag_ros.effects.base import Effect, Form
 from stepdiag_ros.effects.tuning import same_form, tune
 from stepdiag_ros.estimate.eigen import eigen
 from stepdiag_ros.estimate.enhanced import Fit, readings_of
+from stepdiag_ros.estimate.imitation import what_is_left
 from stepdiag_ros.estimate.noise import NoiseModel, estimate_noise
 from stepdiag_ros.estimate.reduce import StopTable
 from stepdiag_ros.gap.evidence import SIZES, Judged, judge, width_of
@@ -84,6 +85,13 @@ class Joint:
     def normal(self) -> np.ndarray:
         """``JᵀJ + P`` (size, size) of the unknowns and their widths."""
         return self.jacobian.T @ self.jacobian + self.fit.precision
+
+    @cached_property
+    def left(self) -> np.ndarray:
+        """What a fit without noise leaves of all that the effects add (n, c) [m], 0 where there is no reading."""
+        observation, result = self.observation, self.fit
+        added = np.where(result.present, sum(a.contribution for a in self.active), 0.0)
+        return what_is_left(observation.log.description, observation.table, self.noise, result.theta, added)[0]
 
     def followed(self, white: np.ndarray) -> np.ndarray:
         """How the unknowns follow a change ``white`` (rows, k) of the readings: (JᵀJ + P)⁻¹ Jᵀ of it."""
@@ -264,8 +272,7 @@ def inverse_root(normal: np.ndarray) -> np.ndarray:
     is held at the rounding's size instead of getting a negative variance.
     """
     scale = 1.0 / np.sqrt(np.diag(normal))
-    even = normal * np.outer(scale, scale)
-    value, vector = eigen(even)
+    value, vector = eigen(normal * np.outer(scale, scale))
     value = np.maximum(value, np.finfo(float).eps * len(value) * value[-1])
     return scale[:, None] * vector / np.sqrt(value)
 

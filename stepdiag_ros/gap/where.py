@@ -14,7 +14,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stepdiag_ros.estimate.imitation import what_is_left
 from stepdiag_ros.estimate.noise import as_noise
 from stepdiag_ros.gap.joint import Joint, inverse_root, unexplained, widths
 from stepdiag_ros.gap.thresholds import CELL_SIGMAS, LEAST_SHARE, NAMED_CELL_SIGMAS
@@ -94,7 +93,7 @@ def _of_effects(joint: Joint) -> np.ndarray:
     follow = joint.followed(space.white_part(columns)[:len(joint.jacobian)])
     unit = np.where(result.present, 1.0 / _sigma(joint), 0.0).ravel()
     spread = unit[:, None] * (columns.reshape(len(columns), -1).T - result.jacobian @ follow) @ factor
-    left = _left(joint) * unit.reshape(shape)
+    left = joint.left * unit.reshape(shape)
     excess = left**2 - np.sum(spread**2, axis=1).reshape(shape)
 
     def scatter(rows: np.ndarray) -> float:
@@ -104,16 +103,8 @@ def _of_effects(joint: Joint) -> np.ndarray:
 
     named = all(a.effect.name for a in joint.active)
     kept = _significant(joint, excess, scatter, NAMED_CELL_SIGMAS if named else CELL_SIGMAS)
-    # Of a process with a phase of its own in every dwell no single cell may be sure, and yet it is named.
     # A swing with a phase of its own in every run may be sure as a whole and in no single cell.
     return left**2 if named and not kept.any() and all(a.form.inside is None for a in joint.active) else kept
-
-
-def _left(joint: Joint) -> np.ndarray:
-    """What the nominal fit leaves of all that the effects add (n, c) [m]."""
-    table, result = joint.observation.table, joint.fit
-    added = np.where(result.present, sum(a.contribution for a in joint.active), 0.0)
-    return what_is_left(joint.observation.log.description, table, joint.noise, result.theta, added)[0]
 
 
 def _of_residuals(joint: Joint) -> np.ndarray:

@@ -173,6 +173,16 @@ def test_a_bent_valley_is_followed_to_its_end():
     assert least[0] == pytest.approx(least[1], abs=0.2)
 
 
+def test_a_step_to_where_nothing_can_be_foretold_is_not_taken(plan_of, draw_errors, misaligned, monkeypatch):
+    description = plan_of(2, 1)
+    table = planned_table(description)
+    seen = observe(description, table, draw_errors(description.machine, 2), misaligned(description, 3e-4))
+    table = filled(table, seen)
+    begin = np.zeros(parameters_of(description, table).size)
+    monkeypatch.setattr(ForwardModel, 'predict', lambda self, theta: np.full((len(table), self.beams + 2), np.nan))
+    np.testing.assert_array_equal(fit(description, table, theta=begin).theta, begin)
+
+
 def test_widths_hold_to_the_centre(plan_of, draw_errors, misaligned):
     """What the data leave open stays where it was."""
     description = plan_of(2, 1, names=('lin_x',))

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from stepdiag_ros.blind.score import cells
 from stepdiag_ros.blind.visibility import Yardstick
 from stepdiag_ros.blind.world import Order, make
 from stepdiag_ros.effects import effect_class
@@ -20,10 +21,7 @@ from stepdiag_ros.report.series import share_map
 def test_shares_are_those_of_the_difference_without_noise(case, name, values):
     effect = effect_class(name)(**values)
     yardstick = Yardstick(case.cell, case.log())
-    true: dict = {}
-    for entry in yardstick.shares(yardstick.change(case.log(effect))):
-        key = entry['channel'], entry['setup']
-        true[key] = true.get(key, 0.0) + entry['share']
+    true = cells(yardstick.shares(yardstick.change(case.log(effect))), case.cell.setup_names)
     found = case.diagnose(effect)
     said = {(s.channel, s.setup): s.share for s in found.shares}
     assert sum(said.values()) == pytest.approx(1.0, abs=0.05)
@@ -34,10 +32,7 @@ def test_shares_are_those_of_the_difference_without_noise(case, name, values):
 def test_shares_are_those_that_a_fit_leaves_where_the_model_bends():
     """The cosine of a beam takes a change of scale in a linear run: by the Jacobian half of the gap would lie there."""
     made = make(Order('sealed', 20261131, 531, 'single', ('scale_thermal_expansion',)))
-    true: dict = {}
-    for entry in made.truth['shares']:
-        key = entry['channel'], entry['setup']
-        true[key] = true.get(key, 0.0) + entry['share']
+    true = cells(made.truth['shares'], made.cell.setup_names)
     found = diagnose(made.log, [effect_class('scale_thermal_expansion')()])
     said = {(s.channel, s.setup): s.share for s in found.shares}
     assert {key for key, share in true.items() if share > 0.1} == set(said)
