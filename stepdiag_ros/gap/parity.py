@@ -17,6 +17,7 @@ from stepdiag_ros.effects.base import Form
 from stepdiag_ros.estimate.enhanced import Fit
 from stepdiag_ros.estimate.noise import NoiseModel, whiteners
 from stepdiag_ros.gap.observe import Observation
+from stepdiag_ros.model.log import STOOD
 
 DISCREPANCY = 0.3
 """What happens inside the dwells is seen to nanometres; no form describes it to better than this share."""
@@ -169,13 +170,17 @@ def _typical(values: np.ndarray, observation: Observation) -> np.ndarray:
     """Sizes (n, h, c) typical of white contrasts in the dwells that one axis led to in one setup.
 
     What settles does so after moves of its axis, and seen by a setup's beam: a size typical of all dwells
-    would say that it hardly happens.
+    would say that it hardly happens.  The first piece of a watch is of the watch's kind: many times as long as a dwell
+    before a run, it shows as much more of a drift.
     """
     table, size = observation.table, np.abs(values) / 0.6745
+    kinds = table.axis.copy()
+    for watch in observation.view.watches:
+        kinds[watch] = STOOD
     typical = np.empty_like(size)
     for setup in np.unique(table.setup):
-        for axis in np.unique(table.axis):
-            mine = (table.setup == setup) & (table.axis == axis)
+        for kind in np.unique(kinds):
+            mine = (table.setup == setup) & (kinds == kind)
             few = np.isfinite(size[mine]).any(axis=(1, 2)).sum() < LEAST_ALIKE
             typical[mine] = _median(size if few else size[mine])
     return typical
