@@ -4,10 +4,13 @@ Read is ``(1 + g)`` times the spot.  The gain of a lateral-effect diode is set b
 the amplifiers' resistors; a wrong length in the driver makes both axes wrong alike.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
 from stepdiag_ros.effects.patterns import Drawn, drawn_size
+from stepdiag_ros.effects.timeforms import Course, drift_form
 
 SIZE = 0.02
 """Typical error of a gain."""
@@ -39,14 +42,20 @@ class PsdGain(Effect):
         columns = view.zeros(2)
         columns[0, :, first], columns[1, :, first + 1] = spot[:, 0], spot[:, 1]
         both = columns.sum(axis=0, keepdims=True)
-        # Amplifiers age and warm up: a small share of the gain changes in the course of the log.
-        late = (view.time - view.time.mean()) / max(float(np.ptp(view.time)), 1e-9)
         forms = []
         for label, names, parts in (('alike in x and y', ('both',), both),
                                     ('apart in x and y', ('x', 'y'), columns)):
-            count = len(names)
-            forms.append(Form(label, parts, names, np.full(count, SIZE), '1'))
-            forms.append(Form(f'{label}, ageing', np.concatenate([parts, parts * late[:, None]]),
-                              (*names, *(f'{name} ageing' for name in names)),
-                              SIZE * np.repeat([1.0, AGEING], count), '1', process=True))
+            scale = np.full(len(names), SIZE)
+            forms += [Form(label, parts, names, scale, '1'),
+                      replace(drift_form(view, _ageing(view.time), parts, names, scale, label, '1'),
+                              names=(*names, *(f'{name} ageing' for name in names)))]
         return forms
+
+
+def _ageing(time: np.ndarray) -> Course:
+    """One, and a straight line about the middle of the log: amplifiers age and warm up, so that a small share of the
+    gain changes in its course, in a long dwell too."""
+    span = max(float(np.ptp(time)), 1e-9)
+    one, late = np.ones(len(time)), (time - time.mean()) / span
+    return Course('ageing', np.stack([one, late]), np.stack([0.0 * one, one / span]), {},
+                  sizes=np.array([1.0, AGEING]))
