@@ -106,17 +106,20 @@ def search(screen: Screen) -> list[EffectSet]:
 
 
 def _repeated(screen: Screen, found: EffectSet) -> Iterator[EffectSet]:
-    """An effect that repeats, twice and more often.
+    """An effect twice and more often: one that repeats, or one of gross evidence in further forms of its own.
 
-    Each time it explains one run only: by the first alone it may look hopeless beside a rich form that explains a
-    part of all.
+    What repeats explains one run each time: by the first alone it may look hopeless beside a rich form that explains
+    a part of all.  And of an effect of gross evidence one form leaves so much that any other effect in its place looks
+    better than it alone: it is carried on with all its forms, or it would be laid aside before it has them.
     """
     effect = found.members[0].effect
-    if effect not in screen.repeatable or found.log_bayes < MEMBER_ALARM:
+    repeats = effect in screen.repeatable
+    if effect == UNKNOWN or found.log_bayes < (MEMBER_ALARM if repeats else GROSS_EVIDENCE):
         return
-    while len(found.members) < MOST_REPEATS:
-        member = screen.by_effect(found.members, lambda other: other == effect)[effect]
-        if member.log_bayes < least_growth(found):
+    while len(found.members) < (MOST_REPEATS if repeats else FORMS_OF_ONE):
+        member = screen.by_effect(found.members, lambda other: other == effect).get(effect)
+        if member is None or member.log_bayes < least_growth(found) \
+                or any(m.candidate == member.candidate for m in found.members):
             return
         found = EffectSet((*found.members, member), found.log_bayes + member.log_bayes)
         yield found
@@ -226,6 +229,9 @@ def _enough(screen: Screen, less: EffectSet, more: EffectSet) -> bool:
     # effect that made it takes most.
     freedom = sum(screen.parity.dof)
     explained, further = _reach(screen, less), _reach(screen, more)
+    if further - explained <= growth:
+        # A cause explains; what is better only by its leaner forms, explaining less, is none.
+        return False
     left = float(screen.parity.data @ screen.parity.data) - freedom - explained
     return left < 5.0 * np.sqrt(2.0 * freedom) or further - explained > TAKEN_OF_REST * left
 
