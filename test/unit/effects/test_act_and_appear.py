@@ -117,6 +117,20 @@ def test_psd_gain(bench):
     np.testing.assert_allclose(found, [0.01], rtol=0.05)
 
 
+def test_a_gain_that_ages_does_so_inside_the_dwells(bench):
+    """What the spot shows in a dwell is the rate of its course from stop to stop."""
+    view = bench.view
+    form = pick(effect_class('psd_gain')().appearance(view), 'apart', 'ageing')
+    gain, ageing = form.columns[:2], form.columns[2:]
+    assert form.names == ('x', 'y', 'x ageing', 'y ageing')
+    late = np.divide(ageing, gain, out=np.full_like(gain, np.nan), where=gain != 0.0)
+    rate, middle = np.polyfit(view.time, np.nanmean(late, axis=(0, 2)), 1)
+    assert rate * np.ptp(view.time) == pytest.approx(1.0) and rate * view.time.mean() == pytest.approx(-middle)
+    away = view.bin_time - view.bin_time.mean(axis=1, keepdims=True)
+    np.testing.assert_array_equal(form.inside[:2], 0.0)
+    np.testing.assert_allclose(form.inside[2:], rate * gain[:, :, None] * away[:, :, None], atol=1e-18)
+
+
 def test_psd_nonlinearity(bench):
     found = compare(bench, 'psd_nonlinearity', {'k3': 1000.0, 'cross': 0.4}, 'cubic with cross terms',
                     limit=0.01)

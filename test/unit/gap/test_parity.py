@@ -7,8 +7,10 @@ import pytest
 
 from stepdiag_ros.effects.base import Form
 from stepdiag_ros.estimate.enhanced import readings_of
+from stepdiag_ros.gap.observe import observe
 from stepdiag_ros.gap.parity import parity
 from stepdiag_ros.gap.turns import noise_of
+from stepdiag_ros.virtual.offline import Visit, simulate_log
 
 
 def _space(observation):
@@ -103,3 +105,16 @@ def test_what_one_axis_always_leaves_keeps_its_shape(case):
     bins = observation.bins.copy()
     bins[np.flatnonzero(mine)[3], :, 0] += 1e3 * observation.bin_sigma[0, 0] * shape
     assert np.abs(_space(replace(observation, bins=bins)).data[space.stops:]).max() < 20.0
+
+
+def test_the_first_piece_of_a_watch_shows_as_much_of_a_drift_as_the_next(case):
+    """It is as long as they are, not as short as the dwells before runs, and so no outlier among these."""
+    observation = observe(simulate_log(case.cell, visits={'nnp': Visit(watch=60.0)}))
+    (watch,) = observation.view.watches
+    time = observation.view.bin_time
+    bins = observation.bins.copy()
+    bins[:, :, 0] += 1e-7 * (time - time.mean(axis=1, keepdims=True))
+    space = _space(replace(observation, bins=bins))
+    own = (np.arange(len(space.data)) >= space.stops) & (space.channel == 0)
+    slopes = [np.abs(space.data[own & (space.row == stop)]).max() for stop in watch]
+    np.testing.assert_allclose(slopes, np.mean(slopes), rtol=0.2)

@@ -11,7 +11,8 @@ from stepdiag_ros.gap.evidence import SIZES
 from stepdiag_ros.gap.joint import solve, tuned
 from stepdiag_ros.gap.parity import Parity
 from stepdiag_ros.gap.screen import Candidate, Member, Screen
-from stepdiag_ros.gap.search import HOPELESS, EffectSet, search
+from stepdiag_ros.gap.search import HOPELESS, EffectSet, least_growth, search
+from stepdiag_ros.gap.thresholds import GROSS_EVIDENCE
 from stepdiag_ros.gap.unknown import NAME as UNKNOWN
 
 N = 400
@@ -102,6 +103,41 @@ def test_what_happens_twice_is_found_though_each_time_it_explains_less_than_a_ri
     assert alone['rich'].log_bayes > alone['slip'].log_bayes + HOPELESS
     best = search(screen)[0]
     assert best.names == ('slip', 'slip')
+
+
+def test_an_effect_of_gross_evidence_is_carried_on_in_further_forms_of_its_own():
+    """By its first form alone it is hopeless beside another that imitates nearly all that its two do."""
+    rng = np.random.default_rng(7)
+    one, two, slip = np.linalg.qr(rng.normal(size=(N, 3)))[0].T
+    whole = one + 0.3 * two
+    like = whole + 0.08 * slip
+    data = 80.0 * whole + rng.normal(size=N)
+    screen = Screen(space(data), [Candidate('true', '', form('one', one[None], np.ones(1))),
+                                  Candidate('true', '', form('two', two[None], np.ones(1))),
+                                  Candidate('like', '', form('like', like[None], np.ones(1)))], 1e9)
+    alone = screen.by_effect()
+    assert alone['true'].log_bayes > GROSS_EVIDENCE
+    assert alone['like'].log_bayes > alone['true'].log_bayes + HOPELESS
+    best = search(screen)[0]
+    assert best.names == ('true', 'true')
+
+
+def test_beside_gross_evidence_leaner_forms_are_no_cause(wide):
+    """A rich form explains all; a lean one with another effect explains no more, only at less cost."""
+    rng = np.random.default_rng(8)
+    course = np.tensordot(wide.columns[:, :, 0].T, wide.scale * rng.normal(size=40) * 1000.0, axes=1)
+    first = wide.columns[0, :, 0]
+    parts = np.stack([first * (first @ course), course - first * (first @ course)])
+    candidates = [Candidate('true', '', wide), Candidate('true', '', form('lean', parts[:1], np.ones(1))),
+                  Candidate('other', '', form('rest', parts[1:], np.ones(1)))]
+    screen = Screen(space(course + rng.normal(size=N)), candidates, 1e9)
+    rich = screen.as_first(Member('true', 0, 0.0))
+    lean = screen.as_first(Member('true', 1, 0.0))
+    other = screen.by_effect([lean])['other']
+    less, more = EffectSet((rich,), rich.log_bayes), EffectSet((lean, other), lean.log_bayes + other.log_bayes)
+    assert rich.log_bayes > GROSS_EVIDENCE
+    assert more.log_bayes > less.log_bayes + least_growth(less)
+    assert not search_module._enough(screen, less, more)
 
 
 @pytest.mark.parametrize('at, named', [(3 * N // 4, True), (0, False)])
