@@ -80,8 +80,7 @@ def search(screen: Screen) -> list[EffectSet]:
                 larger = EffectSet((*found.members, member), found.log_bayes + member.log_bayes)
                 again = member.effect in found.names
                 in_reach = larger.log_bayes > alone
-                if again and (member.log_bayes < least_growth(found)
-                              or any(m.candidate == member.candidate for m in found.members)):
+                if again and not _adds_a_form(found, member):
                     continue
                 if not again and member.log_bayes > GAIN and not _supported(screen, found, member):
                     member = replace(member, log_bayes=0.0)
@@ -113,16 +112,19 @@ def _repeated(screen: Screen, found: EffectSet) -> Iterator[EffectSet]:
     better than it alone: it is carried on with all its forms, or it would be laid aside before it has them.
     """
     effect = found.members[0].effect
-    repeats = effect in screen.repeatable
-    if effect == UNKNOWN or found.log_bayes < (MEMBER_ALARM if repeats else GROSS_EVIDENCE):
+    if effect == UNKNOWN or found.log_bayes < (MEMBER_ALARM if effect in screen.repeatable else GROSS_EVIDENCE):
         return
-    while len(found.members) < (MOST_REPEATS if repeats else FORMS_OF_ONE):
+    while _may_join(screen, found, effect):
         member = screen.by_effect(found.members, lambda other: other == effect).get(effect)
-        if member is None or member.log_bayes < least_growth(found) \
-                or any(m.candidate == member.candidate for m in found.members):
+        if member is None or not _adds_a_form(found, member):
             return
         found = EffectSet((*found.members, member), found.log_bayes + member.log_bayes)
         yield found
+
+
+def _adds_a_form(found: EffectSet, member: Member) -> bool:
+    """Whether one more form of an effect of the set brings enough, and is not one that it has."""
+    return member.log_bayes >= least_growth(found) and all(m.candidate != member.candidate for m in found.members)
 
 
 def _recomposed(screen: Screen, pair: EffectSet) -> EffectSet:
@@ -228,12 +230,13 @@ def _enough(screen: Screen, less: EffectSet, more: EffectSet) -> bool:
     # Of what a gross effect's form leaves any other takes some part, however large in log evidence; the
     # effect that made it takes most.
     freedom = sum(screen.parity.dof)
-    explained, further = _reach(screen, less), _reach(screen, more)
-    if further - explained <= growth:
-        # A cause explains; what is better only by its leaner forms, explaining less, is none.
+    explained = _reach(screen, less)
+    taken = _reach(screen, more) - explained
+    if taken <= growth < MISFIT * less.log_bayes:
+        # A cause explains; what is better only by leaner forms must be so by more than a form may leave over.
         return False
     left = float(screen.parity.data @ screen.parity.data) - freedom - explained
-    return left < 5.0 * np.sqrt(2.0 * freedom) or further - explained > TAKEN_OF_REST * left
+    return left < 5.0 * np.sqrt(2.0 * freedom) or taken > TAKEN_OF_REST * left
 
 
 def _may_join(screen: Screen, found: EffectSet, effect: str) -> bool:

@@ -140,6 +140,19 @@ def test_beside_gross_evidence_leaner_forms_are_no_cause(wide):
     assert not search_module._enough(screen, less, more)
 
 
+def test_much_leaner_forms_are_a_cause_beside_gross_evidence_too():
+    """Forty coefficients that imitate two effects of one each, which save more than a form may leave over."""
+    rng = np.random.default_rng(9)
+    rich = np.linalg.qr(rng.normal(size=(N, 40)))[0].T
+    one, two = rich[:4].sum(axis=0, keepdims=True), rich[4:].sum(axis=0, keepdims=True)
+    candidates = [Candidate('true', '', form('rich', rich, np.ones(40))),
+                  Candidate('true', '', form('lean', one, np.ones(1))),
+                  Candidate('other', '', form('rest', two, np.ones(1)))]
+    best = search(Screen(space(10.0 * (one[0] + two[0]) + rng.normal(size=N)), candidates, 1e9))[0]
+    assert best.log_bayes > GROSS_EVIDENCE
+    assert best.names == ('other', 'true')
+
+
 @pytest.mark.parametrize('at, named', [(3 * N // 4, True), (0, False)])
 def test_a_form_leaves_nothing_over_in_channels_where_it_explains_nothing(at, named):
     """A gross effect of the lengths and a faint one: beside it if of the spot, perhaps its own if of the lengths."""
