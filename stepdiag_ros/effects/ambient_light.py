@@ -11,7 +11,7 @@ import numpy as np
 
 from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
 from stepdiag_ros.effects.patterns import Drawn, follow, recorded
-from stepdiag_ros.effects.timeforms import Course, courses, drift_form
+from stepdiag_ros.effects.timeforms import courses, drift_form, with_constant
 
 DIMMED = 0.7
 """A setup whose sum signal is a smaller share of the brightest's than this had less light in its beam: no
@@ -47,16 +47,9 @@ class AmbientLight(Effect):
         pull[0, :, view.beams:] = -view.spot_model
         beam = _beam(view)
         pull_of_light = pull / beam[:, None]
-        forms = [follow(view, self._with_constant(course), pull_of_light, ('share',), 0.02, '1')
+        forms = [follow(view, with_constant(course), pull_of_light, ('share',), 0.02, '1')
                  for course in courses(view.elapsed, view.watches)]
         return self._from_intensity(view, pull, beam) + forms
-
-    def _with_constant(self, course: Course) -> Course:
-        one = np.ones((1, course.values.shape[1]))
-        retune = None if course.retune is None else lambda shape: self._with_constant(course.retune(shape))
-        return Course(course.label, np.concatenate([one, course.values]),
-                      np.concatenate([0.0 * one, course.rates]), course.shape, retune,
-                      None if course.sizes is None else np.concatenate([[1.0], course.sizes]))
 
     @staticmethod
     def _from_intensity(view: StopView, pull: np.ndarray, beam: np.ndarray) -> list[Form]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
 from stepdiag_ros.effects.patterns import Drawn, drawn_size
-from stepdiag_ros.effects.timeforms import Course, drift_form
+from stepdiag_ros.effects.timeforms import Course, drift_form, with_constant
 
 SIZE = 0.02
 """Typical error of a gain."""
@@ -53,9 +53,9 @@ class PsdGain(Effect):
 
 
 def _ageing(time: np.ndarray) -> Course:
-    """One, and a straight line about the middle of the log: amplifiers age and warm up, so that a small share of the
-    gain changes in its course, in a long dwell too."""
+    """A gain and a straight line about the middle of the log: amplifiers age and warm up, so that a small share of it
+    changes in the log's course, in a long dwell too."""
     span = max(float(np.ptp(time)), 1e-9)
-    one, late = np.ones(len(time)), (time - time.mean()) / span
-    return Course('ageing', np.stack([one, late]), np.stack([0.0 * one, one / span]), {},
-                  sizes=np.array([1.0, AGEING]))
+    late = (time - time.mean()) / span
+    return with_constant(Course('ageing', late[None], np.full((1, len(time)), 1.0 / span), {},
+                                sizes=np.array([AGEING])))

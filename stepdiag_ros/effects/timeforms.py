@@ -97,6 +97,14 @@ def courses(time: np.ndarray, watches: Sequence[np.ndarray] = ()) -> list[Course
     return result + unknown(time, watches)
 
 
+def with_constant(course: Course) -> Course:
+    """The course and, before it, a constant of typical size one: what is there always, and how it changes."""
+    one = np.ones((1, course.values.shape[1]))
+    retune = None if course.retune is None else lambda shape: with_constant(course.retune(shape))
+    return Course(course.label, np.concatenate([one, course.values]), np.concatenate([0.0 * one, course.rates]),
+                  course.shape, retune, None if course.sizes is None else np.concatenate([[1.0], course.sizes]))
+
+
 def drift_form(view: StopView, course: Course, signature: np.ndarray, names: tuple[str, ...],
                scale: np.ndarray, label: str = '', units: str = 'm') -> Form:
     """A signature (m, n, c) that follows a course: columns at the stops and the slope inside the dwells.
