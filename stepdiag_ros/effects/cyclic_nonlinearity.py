@@ -5,7 +5,8 @@ Stray reflections and mixed polarisations add to the beam that is counted; the r
 signals are not round.  The phase of each stop is in the reading itself, to nanometres; the phase at a
 run's reset is not, because every arrival errs.  All stops that the runs of a setup have in common tell how
 far apart their resets were, better than any arrival repeats: where that is a fraction of a fringe, one phase
-holds for the setup; where arrivals err by fringes, each run has its own.
+holds for the setup; where arrivals err by fringes, each run has its own.  Beams side by side have phases of
+their own: no set-up makes their paths alike to a fringe.
 """
 
 from collections.abc import Sequence
@@ -87,14 +88,15 @@ class CyclicNonlinearity(Effect):
         once, by_once = self._swing(view, 4.0 * np.pi * length / wavelength, slope)
         twice, by_twice = self._swing(view, 8.0 * np.pi * length / wavelength, 2.0 * slope)
         both, by_both = np.concatenate([once, twice]), np.concatenate([by_once, by_twice])
-        forms = [form('one phase', both, by_both, PARTS)]
+        forms, alike = [], np.zeros(len(length), int)
         for kind, group, own, columns, slopes in (
+                ('one phase', alike, ('',), both, by_both),
                 ('phase by setup', view.setup, view.setup_names, once, by_once),
                 ('phase by setup, twice a fringe too', view.setup, view.setup_names, both, by_both),
                 ('phase by run', view.run, view.run_ids, once, by_once)):
-            split, names = self._by_group(columns, group, own)
+            split, names = self._by_group(columns, group, own, view.beams)
             if names:
-                forms.append(form(kind, split, self._by_group(slopes, group, own)[0], names))
+                forms.append(form(kind, split, self._by_group(slopes, group, own, view.beams)[0], names))
         return forms
 
     @staticmethod
@@ -107,13 +109,17 @@ class CyclicNonlinearity(Effect):
         return columns, derivatives
 
     @staticmethod
-    def _by_group(swings: np.ndarray, group: np.ndarray,
-                  labels: Sequence[str]) -> tuple[np.ndarray, tuple[str, ...]]:
-        """Columns (k, n, c) split by ``group`` (n,), one of the ``labels`` each, and their names."""
+    def _by_group(swings: np.ndarray, group: np.ndarray, labels: Sequence[str],
+                  beams: int) -> tuple[np.ndarray, tuple[str, ...]]:
+        """Columns (k, n, c) split by ``group`` (n,), one of the ``labels`` each, and by beam, and their names."""
         parts, names = [np.zeros((0, *swings.shape[1:]))], []
+        channel = np.arange(swings.shape[2])
         for number in np.unique(group):
             mine = group == number
-            if np.sum(mine) >= MIN_STOPS:
-                parts.append(swings * mine[:, None])
-                names += [f'{labels[number]} {part}' for part in PARTS[:len(swings)]]
+            if np.sum(mine) < MIN_STOPS:
+                continue
+            for beam in range(beams):
+                parts.append(swings * (mine[:, None] & (channel == beam)))
+                own = f'{labels[number]} beam {beam}' if beams > 1 else labels[number]
+                names += [f'{own} {part}'.strip() for part in PARTS[:len(swings)]]
         return np.concatenate(parts), tuple(names)

@@ -204,23 +204,19 @@ def solve(space: Parity, chosen: list[tuple[Effect, Form]]) -> tuple[Active, ...
     """Coefficients of all chosen forms together, each held to its form's size."""
     if not chosen:
         return ()
-    blocks = [space.project(form) for _, form in chosen]
-    columns = np.concatenate(blocks, axis=1)
+    columns = np.concatenate([space.project(form) for _, form in chosen], axis=1)
     normal = columns.T @ columns + np.diag(widths([form for _, form in chosen]) ** -2.0)
     along = columns.T @ space.data
-    start = 0
-    for (_, form), block in zip(chosen, blocks, strict=True):
-        part = slice(start, start + block.shape[1])
-        start = part.stop
-        if form.by_reading is not None:
-            owed, width = space.own_noise(form)
-            along[part] -= owed
-            normal[part, part] += width
+    if any(form.by_reading is not None for _, form in chosen):
+        own = np.concatenate([np.zeros((len(space.own_data), len(form.columns))) if form.by_reading is None
+                              else space.own_rows(form) for _, form in chosen], axis=1)
+        normal += own.T @ own
+        along += own.T @ space.own_data
     covariance = inverse(normal)
     values = covariance @ along
     result, start = [], 0
-    for (effect, form), block in zip(chosen, blocks, strict=True):
-        part = slice(start, start + block.shape[1])
+    for effect, form in chosen:
+        part = slice(start, start + len(form.columns))
         start = part.stop
         result.append(Active(effect, form, values[part] * form.scale,
                              covariance[part, part] * np.outer(form.scale, form.scale)))

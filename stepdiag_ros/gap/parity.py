@@ -86,26 +86,43 @@ class Parity:
 
     @cached_property
     def own_share(self) -> np.ndarray:
-        """Share (n·c,) of each reading's own noise that is left here after the fit; 0 for what is absent."""
+        """Share (n·c,) of each reading's own noise that is left here after the fit; 0 for what is absent.
+
+        Where beams side by side share their noise it is the diagonal of an oblique projection, which need be no share.
+        """
         channels = self._bin_present.shape[2]
         share, start = np.zeros(len(self._bin_present) * channels), 0
         for white in self._white:
             basis = self._basis[start:start + len(white.rows)]
             start += len(white.rows)
             back = linalg.solve_triangular(white.factor, basis, lower=True, trans='T', check_finite=False)
-            share[white.rows] = 1.0 - np.sum((white.factor @ basis) * back, axis=1)
+            share[white.rows] = np.clip(1.0 - np.sum((white.factor @ basis) * back, axis=1), 0.0, 1.0)
         return share
 
-    def own_noise(self, form: Form) -> tuple[np.ndarray, np.ndarray]:
-        """What columns made of readings owe to the readings' noise: what to take off their products with
-        the data (k,) and to add to those with themselves (k, k), per unit of the form's ``scale``.
+    def own_rows(self, form: Form) -> np.ndarray:
+        """What columns made of readings owe to the readings' noise, as rows (m, k) beside those of the data, against
+        ``own_data`` (m,), per unit of the form's ``scale``.
 
         Data z = r − model − a·c(r) have the density of the noise times |∂z/∂r| = Π(1 − a·c′(r)); the
-        logarithm of that, −a Σc′ − ½ a² Σc′², is part of the likelihood.  Against data with less noise than was
-        taken for granted (where air boils or a laser hops it is an upper bound) it counts by that much less.
+        logarithm of that, −Σ a·c′ − ½ Σ (a·c′)², is, but for a constant, −½ Σ (a·c′ + 1)²: as if each reading had been
+        read once more, as −1.  So two forms made of the same readings owe it once, not each for itself.  Against data
+        with less noise than was taken for granted (where air boils or a laser hops it is an upper bound) it
+        counts by that much less.
         """
-        slopes = form.by_reading.reshape(len(form.columns), -1) * form.scale[:, None]
-        return self.level * (slopes @ self.own_share), self.level * (slopes * self.own_share) @ slopes.T
+        reading, root = self._own
+        slopes = form.by_reading.reshape(len(form.columns), -1)[:, reading] * form.scale[:, None]
+        return (slopes * root).T
+
+    @property
+    def own_data(self) -> np.ndarray:
+        """The data (m,) of :meth:`own_rows`."""
+        return -self._own[1]
+
+    @cached_property
+    def _own(self) -> tuple[np.ndarray, np.ndarray]:
+        """Readings (m,) of all n·c that are there, and the root of what their own noise counts (m,)."""
+        reading = np.flatnonzero(self.own_share > 0.0)
+        return reading, np.sqrt(self.level * self.own_share[reading])
 
     @cached_property
     def level(self) -> float:

@@ -13,7 +13,7 @@ from stepdiag_ros.effects.base import Form
 from stepdiag_ros.estimate.eigen import eigen
 from stepdiag_ros.gap.evidence import SIZES, Judged, judge, log_mean, log_sum
 from stepdiag_ros.gap.parity import Parity
-from stepdiag_ros.gap.thresholds import DECOY_SHARE
+from stepdiag_ros.gap.thresholds import CONFUSED, DECOY_SHARE, MEMBER_ALARM
 
 LEAST_EXPLAINED = 0.02
 """Directions of a set with less variance than this against the noise's are left out."""
@@ -58,7 +58,8 @@ class Screen:
     """All candidates of a log in one parity space, ready to be judged given a set.
 
     ``repeatable``: effects that may enter a set more than once; ``in_dwells``: those that only the
-    dwells' insides tell from their neighbours.
+    dwells' insides tell from their neighbours.  ``data`` (M,): those of the parity space, and below them those of
+    what columns made of readings owe (:meth:`Parity.own_rows`).
     """
 
     parity: Parity
@@ -66,9 +67,12 @@ class Screen:
     noise_dof: float
     repeatable: frozenset = frozenset()
     in_dwells: frozenset = frozenset()
+    data: np.ndarray = field(init=False)
     _white: np.ndarray = field(init=False)
     _inside: np.ndarray = field(init=False)
     _with_inside: np.ndarray = field(init=False)
+    _own: np.ndarray = field(init=False)
+    _with_own: np.ndarray = field(init=False)
     _along: np.ndarray = field(init=False)
     _slices: list = field(init=False)
     _ratios: list = field(init=False)
@@ -96,12 +100,20 @@ class Screen:
         self._with_inside = _indices([parts[i] for i in inside])
         self._inside = np.concatenate([np.zeros((self.parity.size - stops, 0)), *inside.values()], axis=1)
         self._along[self._with_inside] += self._inside.T @ data[stops:]
+        own = {i: self.parity.own_rows(forms[i]) for i in owns if forms[i].by_reading is not None}
+        own_data = self.parity.own_data
+        self.data = np.concatenate([data, own_data])
+        self._with_own = _indices([parts[i] for i in own])
+        self._own = np.concatenate([np.zeros((len(own_data), 0)), *own.values()], axis=1)
+        self._along[self._with_own] += self._own.T @ own_data
         grams = {}
         for i, part in parts.items():
             columns, lost = self._white[:, part], absorbed[:, part]
             grams[i] = columns.T @ columns - lost.T @ lost
             if i in inside:
                 grams[i] += inside[i].T @ inside[i]
+            if i in own:
+                grams[i] += own[i].T @ own[i]
         by_width: dict[int, list[int]] = {}
         for number, part in enumerate(self._slices):
             by_width.setdefault(part.stop - part.start, []).append(number)
@@ -111,11 +123,6 @@ class Screen:
             ratios = np.stack([self._ratios[n] for n in numbers])
             gram = np.stack([grams[first[n]] for n in numbers]) * ratios[:, :, None] * ratios[:, None, :]
             along = self._along[places] * ratios
-            for place, n in enumerate(numbers):
-                if forms[n].by_reading is not None:
-                    owed, width = self.parity.own_noise(forms[n])
-                    gram[place] += width
-                    along[place] -= owed
             self._alike.append(_Alike(np.array(numbers), places, ratios, gram, along))
 
     def extended(self, more: Sequence[Candidate]) -> 'Screen':
@@ -126,6 +133,8 @@ class Screen:
         self._white = np.concatenate([self._white.T, other._white.T]).T
         self._inside = np.concatenate([self._inside, other._inside], axis=1)
         self._with_inside = np.concatenate([self._with_inside, other._with_inside + width])
+        self._own = np.concatenate([self._own, other._own], axis=1)
+        self._with_own = np.concatenate([self._with_own, other._with_own + width])
         self._along = np.concatenate([self._along, other._along])
         self._ratios += other._ratios
         self._slices += [slice(s.start + width, s.stop + width) for s in other._slices]
@@ -134,20 +143,23 @@ class Screen:
         return self
 
     def columns_of(self, number: int) -> np.ndarray:
-        """Columns (N, k) of one candidate, per unit of its scale."""
-        part = self._slices[number]
-        full = np.zeros((self.parity.size, part.stop - part.start))
+        """Columns (M, k) of one candidate, per unit of its scale."""
+        part, size = self._slices[number], self.parity.size
+        full = np.zeros((len(self.data), part.stop - part.start))
         white = self._white[:, part]
         full[:self.parity.stops] = white - self.parity._basis @ self.parity.absorbed(white)
         mine = np.flatnonzero((self._with_inside >= part.start) & (self._with_inside < part.stop))
         if len(mine):
-            full[self.parity.stops:] = self._inside[:, mine]
+            full[self.parity.stops:size] = self._inside[:, mine]
+        mine = np.flatnonzero((self._with_own >= part.start) & (self._with_own < part.stop))
+        if len(mine):
+            full[size:] = self._own[:, mine]
         return full * self._ratios[number]
 
     def basis(self, members: Sequence[Member]) -> np.ndarray:
-        """Directions ``B`` (N, r) that several members explain: given them, products are taken with 1 − BBᵀ."""
+        """Directions ``B`` (M, r) that several members explain: given them, products are taken with 1 − BBᵀ."""
         if not members:
-            return np.zeros((self.parity.size, 0))
+            return np.zeros((len(self.data), 0))
         return _explained(np.concatenate([self.columns_of(m.candidate) * m.size for m in members], axis=1))
 
     def judge_all(self, members: Sequence[Member], wanted: Sequence[int]) -> dict[int, Judged]:
@@ -157,12 +169,13 @@ class Screen:
         open_[[i for i in wanted if i not in known]] = True
         if not open_.any():
             return known
-        basis, data, stops = self.basis(members), self.parity.data, self.parity.stops
-        taken = basis.T @ data
-        total = float(data @ data - taken @ taken)
+        basis, stops, size = self.basis(members), self.parity.stops, self.parity.size
+        taken = basis.T @ self.data
+        total = float(self.parity.data @ self.parity.data - taken @ taken)
         dof = sum(self.parity.dof) - float(np.sum(basis**2))
         overlap = basis[:stops].T @ self._white
-        overlap[:, self._with_inside] += basis[stops:].T @ self._inside
+        overlap[:, self._with_inside] += basis[stops:size].T @ self._inside
+        overlap[:, self._with_own] += basis[size:].T @ self._own
         for alike in self._alike:
             chosen = open_[alike.numbers]
             cross = (overlap[:, alike.places[chosen]] * alike.ratios[chosen]).transpose(1, 2, 0)
@@ -197,8 +210,9 @@ class Screen:
     def shared(self, less: Sequence[Member], more: Sequence[Member]) -> float:
         """Overlap (0 … 1) of the channels, lengths or spot, in which ``less`` explains the data with those in
         which ``more`` explains what it adds."""
-        data, spot = self.parity.data, self.parity.of_spot
-        first, both = (basis @ (basis.T @ data) for basis in (self.basis(less), self.basis(more)))
+        spot = self.parity.of_spot
+        first, both = ((basis @ (basis.T @ self.data))[:self.parity.size]
+                       for basis in (self.basis(less), self.basis(more)))
         shares = [np.array([part[~spot] @ part[~spot], part[spot] @ part[spot]]) for part in (first, both - first)]
         return float(np.minimum(*(power / max(power.sum(), 1e-300) for power in shares)).sum())
 
@@ -232,9 +246,27 @@ class Screen:
             # The doubt is that against the family which carries the sum: another's would be paid back unpaid.
             family = max(logs, key=logs.__getitem__)
             best = max(families[family], key=lambda i: judged[i].log_bayes)
-            result[effect] = Member(effect, best, log_sum(list(logs.values())) + doubts[family],
-                                    allowed(self.candidates[best].form, judged[best]), doubts[family])
+            member = Member(effect, best, log_sum(list(logs.values())) + doubts[family],
+                            allowed(self.candidates[best].form, judged[best]), doubts[family])
+            result[effect] = self._beyond_decoys(members, member)
         return result
+
+    def _beyond_decoys(self, members: Sequence[Member], member: Member) -> Member:
+        """A member; with less evidence where decoys show nearly as much beside it still.
+
+        What a name explains its decoys do not show any more.  What they show beside it is of another cause, and of
+        that the name's own forms, as rich, have shown as much; and once more what that is beyond chance,
+        for decoys are few.
+        """
+        width = len(self.candidates[member.candidate].form.columns)
+        decoys = [i for i, c in enumerate(self.candidates)
+                  if c.decoy and c.family == member.effect and len(c.form.columns) == width]
+        if not decoys or member.log_bayes < 0.0:
+            return member
+        judged = self.judge_all((*members, member), decoys)
+        shown = max(0.0, *(judged[i].log_bayes for i in decoys))
+        owed = shown + max(0.0, shown - CONFUSED)
+        return member if member.log_bayes - owed > MEMBER_ALARM else replace(member, log_bayes=member.log_bayes - owed)
 
     def _doubt(self, numbers: Sequence[int], judged: Mapping[int, Judged]) -> float:
         """Log odds against a family where a name explains as much.

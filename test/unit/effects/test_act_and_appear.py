@@ -64,6 +64,12 @@ def test_cyclic_nonlinearity(bench, kind):
     assert np.median(swing) == pytest.approx(2e-8, rel=0.2)
 
 
+def test_beams_side_by_side_have_phases_of_their_own(other_bench):
+    """By how much their paths differ is not known to a fringe; runs of two stops have none to spare for a phase."""
+    given = {'amp': 1e-8, 'amp2': 0.0, 'phase': 0.4, 'wavelength': 1530e-9}
+    compare(other_bench, 'cyclic_nonlinearity', given, '1530', 'optical', 'phase by setup', limit=0.3)
+
+
 def test_count_slip(bench):
     view = bench.view
     acting = bench.with_effect(effect_class('count_slip')(jump=3.8e-7, arrival=22))

@@ -9,6 +9,7 @@ from stepdiag_ros.effects.base import Form
 from stepdiag_ros.estimate.enhanced import readings_of
 from stepdiag_ros.gap.observe import observe
 from stepdiag_ros.gap.parity import parity
+from stepdiag_ros.gap.screen import Candidate, Screen
 from stepdiag_ros.gap.turns import noise_of
 from stepdiag_ros.virtual.offline import Visit, simulate_log
 
@@ -74,10 +75,22 @@ def test_what_columns_of_readings_owe_to_noise(case):
         form = Form('swing', np.sin(phase).reshape(1, n, c), ('a',), np.ones(1),
                     by_reading=(turn * np.cos(phase)).reshape(1, n, c))
         found.append(float(space.stop_part(noise.reshape(1, n, c))[:, 0] @ space.project(form)[:space.stops, 0]))
-        owed.append(float(space.own_noise(form)[0][0]) / space.level)
+        owed.append(-float(space.own_rows(form)[:, 0] @ space.own_data) / space.level)
     error = np.std(found) / np.sqrt(len(found))
     assert np.mean(owed) > 20.0 * error
     assert abs(np.mean(found) - np.mean(owed)) < 5.0 * error
+
+
+def test_what_is_owed_once_is_not_owed_again(case):
+    """Given a form made of readings, the same form once more says nothing, as for any other form."""
+    space = _space(case.observe())
+    n, c = case.observe().view.reading.shape
+    phase, length = np.random.default_rng(3).uniform(-1.0, 1.0, (1, n, c)), np.arange(c) == 0
+    swing = Form('swing', np.sin(phase) * length, ('a',), np.full(1, 3e-8), by_reading=4e6 * np.cos(phase) * length)
+    screen = Screen(space, [Candidate('swing', '', swing), Candidate('again', '', swing)], 1e9)
+    first = screen.by_effect()['swing']
+    assert first.log_bayes > 6.0, 'what is owed alone speaks for the form'
+    assert screen.by_effect((first,))['again'].log_bayes < 0.5
 
 
 def test_a_fringe_owes_less_to_less_noise(case):

@@ -12,17 +12,26 @@ from stepdiag_ros.gap.joint import solve, tuned
 from stepdiag_ros.gap.parity import Parity
 from stepdiag_ros.gap.screen import Candidate, Member, Screen
 from stepdiag_ros.gap.search import HOPELESS, EffectSet, least_growth, search
-from stepdiag_ros.gap.thresholds import GROSS_EVIDENCE
+from stepdiag_ros.gap.thresholds import GROSS_EVIDENCE, MEMBER_ALARM
 from stepdiag_ros.gap.unknown import NAME as UNKNOWN
 
 N = 400
 
 
+class White:
+    """Readings that are white as they come."""
+
+    rows, factor = np.arange(N), np.eye(N)
+
+    def __call__(self, flat: np.ndarray) -> np.ndarray:
+        return flat
+
+
 def space(data: np.ndarray) -> Parity:
     """White data that no machine absorbs anything of; the last quarter is of the spot."""
     nothing = np.zeros((1, 1))
-    return Parity(data, N, (N, 0), np.repeat([0, 1], [3 * N // 4, N // 4]), np.arange(N), 1.0, [lambda flat: flat],
-                  np.zeros((N, 1)), nothing, nothing, np.zeros((1, 1, 3)))
+    return Parity(data, N, (N, 0), np.repeat([0, 1], [3 * N // 4, N // 4]), np.arange(N), 1.0, [White()],
+                  np.zeros((N, 1)), nothing, nothing, np.zeros((N, 1, 3)))
 
 
 def form(label: str, columns: np.ndarray, scale: np.ndarray, process: bool = False) -> Form:
@@ -41,8 +50,8 @@ def wide() -> Form:
 
 def test_members_explain_as_much_as_their_size_allows(wide):
     screen = Screen(space(np.zeros(N)), [Candidate('wide', '', wide)], 1e9)
-    columns = screen.columns_of(0) * 5.0
-    basis = screen.basis([Member('wide', 0, 10.0, 5.0)])
+    columns = screen.columns_of(0)[:N] * 5.0
+    basis = screen.basis([Member('wide', 0, 10.0, 5.0)])[:N]
     np.testing.assert_allclose(np.eye(N) - basis @ basis.T,
                                np.linalg.inv(np.eye(N) + columns @ columns.T), atol=0.02)
 
@@ -151,6 +160,21 @@ def test_much_leaner_forms_are_a_cause_beside_gross_evidence_too():
     best = search(Screen(space(10.0 * (one[0] + two[0]) + rng.normal(size=N)), candidates, 1e9))[0]
     assert best.log_bayes > GROSS_EVIDENCE
     assert best.names == ('other', 'true')
+
+
+@pytest.mark.parametrize('size, named', [(3.0, True), (0.0, False)])
+def test_a_name_is_held_to_what_its_decoys_show_beside_it(size, named):
+    """Of readings that scatter more than thought any rich form explains some; of a swing only its own does."""
+    rng = np.random.default_rng(11)
+    rich = np.linalg.qr(rng.normal(size=(N, 11 * 20)))[0].T.reshape(11, 20, N)
+    data = rng.normal(size=N) * (1.0 if named else 2.0) + size * rich[0].sum(axis=0)
+    candidates = [Candidate('swing', '', form('swing', rich[0], np.ones(20)))]
+    decoys = [Candidate(UNKNOWN, 'swing', form(f'decoy {k}', rich[k], np.ones(20)), decoy=True) for k in range(1, 11)]
+    alone = Screen(space(data), candidates, 1e9).by_effect()['swing']
+    beside = Screen(space(data), [*candidates, *decoys], 1e9).by_effect()['swing']
+    assert alone.log_bayes > MEMBER_ALARM
+    assert (beside.log_bayes == alone.log_bayes) is named
+    assert (beside.log_bayes > MEMBER_ALARM) is named
 
 
 @pytest.mark.parametrize('at, named', [(3 * N // 4, True), (0, False)])
