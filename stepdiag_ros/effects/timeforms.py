@@ -21,7 +21,10 @@ ROUGHNESS = {'winding': 1.0, 'smooth': 2.0}
 """An unknown course's half waves fall with this power of their number: a walk at random, and one whose rate
 walks at random."""
 TAU_FRACTIONS = (0.03, 0.06, 0.12, 0.25, 0.5, 1.0)
-PERIOD_FRACTIONS = (1.0, 0.7, 0.5, 0.35, 0.25)
+PERIOD_FRACTIONS = (1.0, 0.7, 0.5, 0.35)
+EARLY = 0.02
+"""Share of the log's length before which a course that slows down has nothing to slow down from."""
+SLOWING_WAVES = 8
 
 
 @dataclass(frozen=True)
@@ -79,6 +82,22 @@ def unknown(time: np.ndarray, watches: Sequence[np.ndarray] = ()) -> list[Course
         for label, power in ROUGHNESS.items()]
 
 
+def slowing(time: np.ndarray) -> Course:
+    """A course of no known formula that slows down as it goes on, over ``time`` (n,) [s] since the log began.
+
+    What relaxes, warms up or ages does so on many time constants at once, each as likely as any ten times as
+    long: it is smooth in the logarithm of time, ``u = ln(1 + t/t₀)``, and the straight line in u is the plainest case.
+    """
+    early = EARLY * max(float(time.max()), 1e-9)
+    late, rate = np.log1p(time / early), 1.0 / (early + time)
+    span = max(float(late.max()), 1e-9)
+    number = np.arange(1, SLOWING_WAVES + 1)
+    phase = np.pi * number[:, None] * late / span
+    values = np.concatenate([late[None] / span, np.cos(phase) - 1.0])
+    rates = np.concatenate([np.ones((1, len(time))), -np.pi * number[:, None] * np.sin(phase)]) * rate / span
+    return Course('slowing', values, rates, {}, sizes=np.concatenate([[1.0], number**-ROUGHNESS['smooth']]))
+
+
 def _bridge(time: np.ndarray, watch: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
     """Half waves (k, n) between the ends of a watch, zero elsewhere, their rates, and its length [s]."""
     begin, length = time[watch[0]], time[watch[-1]] - time[watch[0]]
@@ -89,12 +108,12 @@ def _bridge(time: np.ndarray, watch: np.ndarray) -> tuple[np.ndarray, np.ndarray
 
 def courses(time: np.ndarray, watches: Sequence[np.ndarray] = ()) -> list[Course]:
     """Courses over ``time`` (n,) [s] since the log began: linear, exponentials of several time constants,
-    cycles, unknown ones; ``watches`` as :func:`unknown` takes them."""
+    cycles, unknown ones and one that slows down; ``watches`` as :func:`unknown` takes them."""
     span = max(float(np.ptp(time)), 1e-9)
     result = [Course('linear', (time / span)[None], np.full((1, len(time)), 1.0 / span), {})]
     result += [exponential(time, fraction * span) for fraction in TAU_FRACTIONS]
     result += [cycle(time, fraction * span) for fraction in PERIOD_FRACTIONS]
-    return result + unknown(time, watches)
+    return [*result, *unknown(time, watches), slowing(time)]
 
 
 def with_constant(course: Course) -> Course:

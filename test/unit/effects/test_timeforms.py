@@ -5,7 +5,7 @@ import pytest
 
 from stepdiag_ros.effects import effect_class
 from stepdiag_ros.effects.patterns import each_alone, power_law, relaxations, relaxing
-from stepdiag_ros.effects.timeforms import WATCH_WAVES, courses, unknown
+from stepdiag_ros.effects.timeforms import WATCH_WAVES, courses, slowing, unknown
 
 SPAN = 1500.0
 
@@ -38,6 +38,19 @@ def test_many_time_constants_hold_a_logarithm_and_a_power():
         wanted = wanted - wanted[0]
         size, *_ = np.linalg.lstsq(course.values.T, wanted, rcond=None)
         assert np.abs(course.values.T @ size - wanted).max() < 0.02 * np.ptp(wanted)
+
+
+def test_a_course_that_slows_down_holds_what_fades():
+    """A logarithm, a root and two time constants, in few of its functions; late in the log it is quiet."""
+    time = np.linspace(0.0, SPAN, 500)
+    course = slowing(time)
+    two = -0.6 * np.exp(-time / 80.0) - 0.4 * np.exp(-time / 900.0)
+    for wanted in (np.log1p(time / 60.0), np.sqrt(time), two):
+        wanted = wanted - wanted[0]
+        size, *_ = np.linalg.lstsq(course.values.T, wanted, rcond=None)
+        assert np.abs(course.values.T @ size - wanted).max() < 0.02 * np.ptp(wanted)
+    spread = np.linalg.norm(course.rates * course.sizes[:, None], axis=0)
+    assert spread[-1] < 0.05 * spread[1]
 
 
 def test_courses_begin_with_the_log():
