@@ -70,9 +70,8 @@ def unknown(time: np.ndarray, watches: Sequence[np.ndarray] = ()) -> list[Course
     span = max(float(time.max()), 1e-9)
     share = time / span
     number = np.arange(1, int(np.clip(len(time) // STOPS_A_WAVE, 5, MOST_WAVES)) + 1)
-    phase = np.pi * number[:, None] * share
-    values = np.concatenate([share[None], np.cos(phase) - 1.0])
-    rates = np.concatenate([np.ones((1, len(time))), -np.pi * number[:, None] * np.sin(phase)]) / span
+    values, slopes = _half_waves(share, number)
+    rates = slopes / span
     bridges = [_bridge(time, watch) for watch in watches]
     values = np.concatenate([values, *(bridge for bridge, _, _ in bridges)])
     rates = np.concatenate([rates, *(rate for _, rate, _ in bridges)])
@@ -80,6 +79,14 @@ def unknown(time: np.ndarray, watches: Sequence[np.ndarray] = ()) -> list[Course
     return [Course(label, values, rates, {}, sizes=np.concatenate(
         [[1.0], number**-power, *((length / span)**(power - 0.5) * closer**-power for _, _, length in bridges)]))
         for label, power in ROUGHNESS.items()]
+
+
+def _half_waves(share: np.ndarray, number: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A straight line and ``number`` (k,) half waves over ``share`` (n,), 0 … 1, all zero at 0: (1 + k, n), and their
+    slopes."""
+    phase = np.pi * number[:, None] * share
+    return (np.concatenate([share[None], np.cos(phase) - 1.0]),
+            np.concatenate([np.ones((1, len(share))), -np.pi * number[:, None] * np.sin(phase)]))
 
 
 def slowing(time: np.ndarray) -> Course:
@@ -92,10 +99,9 @@ def slowing(time: np.ndarray) -> Course:
     late, rate = np.log1p(time / early), 1.0 / (early + time)
     span = max(float(late.max()), 1e-9)
     number = np.arange(1, SLOWING_WAVES + 1)
-    phase = np.pi * number[:, None] * late / span
-    values = np.concatenate([late[None] / span, np.cos(phase) - 1.0])
-    rates = np.concatenate([np.ones((1, len(time))), -np.pi * number[:, None] * np.sin(phase)]) * rate / span
-    return Course('slowing', values, rates, {}, sizes=np.concatenate([[1.0], number**-ROUGHNESS['smooth']]))
+    values, slopes = _half_waves(late / span, number)
+    return Course('slowing', values, slopes * rate / span, {},
+                  sizes=np.concatenate([[1.0], number**-ROUGHNESS['smooth']]))
 
 
 def _bridge(time: np.ndarray, watch: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:

@@ -69,10 +69,7 @@ class Screen:
     in_dwells: frozenset = frozenset()
     data: np.ndarray = field(init=False)
     _white: np.ndarray = field(init=False)
-    _inside: np.ndarray = field(init=False)
-    _with_inside: np.ndarray = field(init=False)
-    _own: np.ndarray = field(init=False)
-    _with_own: np.ndarray = field(init=False)
+    _below: list = field(init=False)
     _along: np.ndarray = field(init=False)
     _slices: list = field(init=False)
     _ratios: list = field(init=False)
@@ -97,23 +94,21 @@ class Screen:
         self._along = self._white.T @ data[:stops]
         inside = {i: self.parity.bin_part(forms[i].inside) * forms[i].scale
                   for i in owns if forms[i].inside is not None}
-        self._with_inside = _indices([parts[i] for i in inside])
-        self._inside = np.concatenate([np.zeros((self.parity.size - stops, 0)), *inside.values()], axis=1)
-        self._along[self._with_inside] += self._inside.T @ data[stops:]
         own = {i: self.parity.own_rows(forms[i]) for i in owns if forms[i].by_reading is not None}
-        own_data = self.parity.own_data
-        self.data = np.concatenate([data, own_data])
-        self._with_own = _indices([parts[i] for i in own])
-        self._own = np.concatenate([np.zeros((len(own_data), 0)), *own.values()], axis=1)
-        self._along[self._with_own] += self._own.T @ own_data
+        self.data = np.concatenate([data, self.parity.own_data])
+        size, self._below = self.parity.size, []
+        for rows, blocks in ((slice(stops, size), inside), (slice(size, len(self.data)), own)):
+            below = _Below(rows, _indices([parts[i] for i in blocks]),
+                           np.concatenate([np.zeros((rows.stop - rows.start, 0)), *blocks.values()], axis=1))
+            self._along[below.places] += below.columns.T @ self.data[rows]
+            self._below.append(below)
         grams = {}
         for i, part in parts.items():
             columns, lost = self._white[:, part], absorbed[:, part]
             grams[i] = columns.T @ columns - lost.T @ lost
-            if i in inside:
-                grams[i] += inside[i].T @ inside[i]
-            if i in own:
-                grams[i] += own[i].T @ own[i]
+            for blocks in (inside, own):
+                if i in blocks:
+                    grams[i] += blocks[i].T @ blocks[i]
         by_width: dict[int, list[int]] = {}
         for number, part in enumerate(self._slices):
             by_width.setdefault(part.stop - part.start, []).append(number)
@@ -131,10 +126,9 @@ class Screen:
         count, width = len(self.candidates), self._white.shape[1]
         self.candidates = [*self.candidates, *more]
         self._white = np.concatenate([self._white.T, other._white.T]).T
-        self._inside = np.concatenate([self._inside, other._inside], axis=1)
-        self._with_inside = np.concatenate([self._with_inside, other._with_inside + width])
-        self._own = np.concatenate([self._own, other._own], axis=1)
-        self._with_own = np.concatenate([self._with_own, other._with_own + width])
+        self._below = [replace(mine, places=np.concatenate([mine.places, theirs.places + width]),
+                               columns=np.concatenate([mine.columns, theirs.columns], axis=1))
+                       for mine, theirs in zip(self._below, other._below, strict=True)]
         self._along = np.concatenate([self._along, other._along])
         self._ratios += other._ratios
         self._slices += [slice(s.start + width, s.stop + width) for s in other._slices]
@@ -144,16 +138,14 @@ class Screen:
 
     def columns_of(self, number: int) -> np.ndarray:
         """Columns (M, k) of one candidate, per unit of its scale."""
-        part, size = self._slices[number], self.parity.size
+        part = self._slices[number]
         full = np.zeros((len(self.data), part.stop - part.start))
         white = self._white[:, part]
         full[:self.parity.stops] = white - self.parity._basis @ self.parity.absorbed(white)
-        mine = np.flatnonzero((self._with_inside >= part.start) & (self._with_inside < part.stop))
-        if len(mine):
-            full[self.parity.stops:size] = self._inside[:, mine]
-        mine = np.flatnonzero((self._with_own >= part.start) & (self._with_own < part.stop))
-        if len(mine):
-            full[size:] = self._own[:, mine]
+        for below in self._below:
+            mine = np.flatnonzero((below.places >= part.start) & (below.places < part.stop))
+            if len(mine):
+                full[below.rows] = below.columns[:, mine]
         return full * self._ratios[number]
 
     def basis(self, members: Sequence[Member]) -> np.ndarray:
@@ -169,13 +161,13 @@ class Screen:
         open_[[i for i in wanted if i not in known]] = True
         if not open_.any():
             return known
-        basis, stops, size = self.basis(members), self.parity.stops, self.parity.size
+        basis = self.basis(members)
         taken = basis.T @ self.data
         total = float(self.parity.data @ self.parity.data - taken @ taken)
         dof = sum(self.parity.dof) - float(np.sum(basis**2))
-        overlap = basis[:stops].T @ self._white
-        overlap[:, self._with_inside] += basis[stops:size].T @ self._inside
-        overlap[:, self._with_own] += basis[size:].T @ self._own
+        overlap = basis[:self.parity.stops].T @ self._white
+        for below in self._below:
+            overlap[:, below.places] += basis[below.rows].T @ below.columns
         for alike in self._alike:
             chosen = open_[alike.numbers]
             cross = (overlap[:, alike.places[chosen]] * alike.ratios[chosen]).transpose(1, 2, 0)
@@ -225,7 +217,10 @@ class Screen:
         sources = {(m.effect, self.candidates[m.candidate].form.source) for m in members
                    if self.candidates[m.candidate].form.source}
         settled = {effect for effect, _ in sources}
+        decoys: dict[tuple[str, int], list[int]] = {}
         for number, candidate in enumerate(self.candidates):
+            if candidate.decoy:
+                decoys.setdefault((candidate.family, len(candidate.form.columns)), []).append(number)
             if not asked(candidate.effect):
                 continue
             if candidate.decoy and candidate.family in present:
@@ -248,20 +243,18 @@ class Screen:
             best = max(families[family], key=lambda i: judged[i].log_bayes)
             member = Member(effect, best, log_sum(list(logs.values())) + doubts[family],
                             allowed(self.candidates[best].form, judged[best]), doubts[family])
-            result[effect] = self._beyond_decoys(members, member)
+            as_rich = decoys.get((effect, len(self.candidates[best].form.columns)))
+            result[effect] = self._beyond_decoys(members, member, as_rich) if as_rich else member
         return result
 
-    def _beyond_decoys(self, members: Sequence[Member], member: Member) -> Member:
-        """A member; with less evidence where decoys show nearly as much beside it still.
+    def _beyond_decoys(self, members: Sequence[Member], member: Member, decoys: Sequence[int]) -> Member:
+        """A member; with less evidence where ``decoys`` as rich show nearly as much beside it still.
 
         What a name explains its decoys do not show any more.  What they show beside it is of another cause, and of
         that the name's own forms, as rich, have shown as much; and once more what that is beyond chance,
         for decoys are few.
         """
-        width = len(self.candidates[member.candidate].form.columns)
-        decoys = [i for i, c in enumerate(self.candidates)
-                  if c.decoy and c.family == member.effect and len(c.form.columns) == width]
-        if not decoys or member.log_bayes < 0.0:
+        if member.log_bayes < 0.0:
             return member
         judged = self.judge_all((*members, member), decoys)
         shown = max(0.0, *(judged[i].log_bayes for i in decoys))
@@ -276,6 +269,15 @@ class Screen:
         """
         first = self.candidates[numbers[0]]
         return -DECOY_SHARE * max(0.0, *(judged[i].log_bayes for i in numbers)) if first.decoy else first.doubt
+
+
+@dataclass(frozen=True)
+class _Below:
+    """``rows`` of the data that only some columns reach: ``places`` (k,) of these among all, and ``columns`` there."""
+
+    rows: slice
+    places: np.ndarray
+    columns: np.ndarray
 
 
 @dataclass(frozen=True)
