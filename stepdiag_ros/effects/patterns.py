@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from stepdiag_ros.effects.base import Form, StopView
-from stepdiag_ros.effects.timeforms import Course, drift_form, exponential
+from stepdiag_ros.effects.timeforms import SLOWING, Course, drift_form, exponential
 
 BETWEEN_SETUPS = 0.1
 """Standard deviation from setup to setup of what is nearly the same in all, as a share of it."""
@@ -22,11 +22,11 @@ def each_alone(view: StopView, pace: Iterable[Course], signature: np.ndarray, na
                scale: float, units: str = 'm', label: str = '') -> list[Form]:
     """Forms for each row of ``signature`` (m, n, c) by itself: often one axis warms and the others hardly.
 
-    Rows that this log cannot show, an axis that never moved, have none; nor have cycles, which an unknown
-    course follows as well.
+    Rows that this log cannot show, an axis that never moved, have none; nor have cycles and what slows down, which
+    an unknown course follows as well and which all rows together have.
     """
     return [follow(view, course, row[None], (name,), scale, units, f'{name} alone{label}')
-            for course in pace if 'period_s' not in course.shape
+            for course in pace if 'period_s' not in course.shape and course.label != SLOWING
             for row, name in zip(signature, names, strict=True) if np.any(row)]
 
 

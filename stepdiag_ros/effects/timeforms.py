@@ -24,7 +24,7 @@ TAU_FRACTIONS = (0.03, 0.06, 0.12, 0.25, 0.5, 1.0)
 PERIOD_FRACTIONS = (1.0, 0.7, 0.5, 0.35)
 EARLY = 0.02
 """Share of the log's length before which a course that slows down has nothing to slow down from."""
-SLOWING_WAVES = 8
+SLOWING, SLOWING_WAVES = 'slowing', 8
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,7 @@ def slowing(time: np.ndarray) -> Course:
     span = max(float(late.max()), 1e-9)
     number = np.arange(1, SLOWING_WAVES + 1)
     values, slopes = _half_waves(late / span, number)
-    return Course('slowing', values, slopes * rate / span, {},
+    return Course(SLOWING, values, slopes * rate / span, {},
                   sizes=np.concatenate([[1.0], number**-ROUGHNESS['smooth']]))
 
 
