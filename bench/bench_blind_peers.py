@@ -37,6 +37,9 @@ from stepdiag_ros.gap.parity import parity
 ROOT = Path(__file__).resolve().parents[1]
 PEERS = ROOT / 'build' / 'blind_peers'
 NAMES = tuple(all_effects())
+HEAD = """On the first {count} logs of the set, {outside} with effects from outside; vibration and clock skew, which have no
+columns in parity space, are left out.  Detected means here that something was named: of effects from outside nothing
+should be."""
 
 
 def pose(log_folder: str, target: str) -> None:
@@ -123,7 +126,8 @@ def main() -> None:
             some = missing[start:start + 8]
             list(pool.map(pose, [str(args.folder / LOGS / n) for n in some],
                           [str(problems / f'{n}.npz') for n in some]))
-            subprocess.run([str(python), str(ROOT / 'bench' / 'peers_blind.py'), str(problems)], check=True)
+            subprocess.run([str(python), str(ROOT / 'bench' / 'peers_blind.py'), str(problems), str(args.processes)],
+                           check=True)
             for name in some:
                 (problems / f'{name}.npz').unlink()
             print(f'\r{start + len(some)} of {len(missing)}', end='', file=sys.stderr, flush=True)
@@ -133,7 +137,8 @@ def main() -> None:
     answers = {c.name: {'stepdiag': ours(c), **answers[c.name]} for c in cases}
     methods = ['stepdiag', *methods]
     results = {m: figures(cases, {n: a[m] for n, a in answers.items()}) for m in methods}
-    lines = ['| | ' + ' | '.join(methods) + ' |', '|---|' + '---|' * len(methods)]
+    lines = [HEAD.format(count=len(cases), outside=sum(c.category == 'outside' for c in cases)), '',
+             '| | ' + ' | '.join(methods) + ' |', '|---|' + '---|' * len(methods)]
     for name in results[methods[0]]:
         cells = [shown(results[m][name], 'interval' in results[m][name]) for m in methods]
         lines.append(f'| {name} | ' + ' | '.join(cells) + ' |')

@@ -1,6 +1,6 @@
 """Run by bench/bench_blind_peers.py in the peers' environment: three selection methods on one problem each.
 
-    python peers_blind.py FOLDER
+    python peers_blind.py FOLDER PROCESSES
 
 FOLDER holds NAME.npz: y (N,), X (N, p) of unit columns, effect (p,) number of each column's effect,
 form (p,) number of its form.  Writes NAME.json beside each: for every method what it names, the
@@ -13,6 +13,7 @@ import os
 import sys
 import time
 import warnings
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 os.environ.update({'OMP_NUM_THREADS': '1', 'OPENBLAS_NUM_THREADS': '1'})
@@ -95,23 +96,26 @@ def by_exhaustive(y, X, effect, form):
 METHODS = {'pysusie': by_susie, 'abess, EBIC': by_abess, 'exhaustive EBIC': by_exhaustive}
 
 
-def main(folder: Path) -> None:
+def answer(file: Path) -> None:
+    """One problem, by every method."""
     warnings.simplefilter('ignore')
-    for file in sorted(folder.glob('*.npz')):
-        target = file.with_suffix('.json')
-        if target.exists():
-            continue
-        problem = np.load(file)
-        data = problem['y'], problem['X'].astype(float), problem['effect'], problem['form']
-        answers = {}
-        for name, method in METHODS.items():
-            begin = time.process_time()
-            named, probability, sets = method(*data)
-            answers[name] = {'named': [int(n) for n in named], 'seconds': time.process_time() - begin,
-                             'probability': {int(n): float(p) for n, p in probability.items()},
-                             'sets': sets}
-        target.write_text(json.dumps(answers))
+    problem = np.load(file)
+    data = problem['y'], problem['X'].astype(float), problem['effect'], problem['form']
+    answers = {}
+    for name, method in METHODS.items():
+        begin = time.process_time()
+        named, probability, sets = method(*data)
+        answers[name] = {'named': [int(n) for n in named], 'seconds': time.process_time() - begin,
+                         'probability': {int(n): float(p) for n, p in probability.items()},
+                         'sets': sets}
+    file.with_suffix('.json').write_text(json.dumps(answers))
+
+
+def main(folder: Path, processes: int) -> None:
+    files = [file for file in sorted(folder.glob('*.npz')) if not file.with_suffix('.json').exists()]
+    with ProcessPoolExecutor(processes) as pool:
+        list(pool.map(answer, files))
 
 
 if __name__ == '__main__':
-    main(Path(sys.argv[1]))
+    main(Path(sys.argv[1]), int(sys.argv[2]))
