@@ -23,6 +23,10 @@ DISCREPANCY = 0.3
 """What happens inside the dwells is seen to nanometres; no form describes it to better than this share."""
 CLIP = 6.0
 """Robust standard deviations to which contrasts of bins are held."""
+ALONE = 10.0
+"""A dwell whose contrasts exceed those of the dwells before and after it so many times, and what they are held to
+``BY_FAR`` times, is one in which something happened once: a slip, a knock."""
+BY_FAR = 3.0
 LEAST_ALIKE = 3
 """Fewest dwells of one kind from which a size typical of them is told: the median of three stands one that errs."""
 
@@ -166,7 +170,8 @@ def parity(observation: Observation, result: Fit, noise: NoiseModel,
     rough = np.hypot(rough, DISCREPANCY * typical)
     # One dwell in which something happened must not speak for all of its kind.
     limit = CLIP * np.maximum(typical.max(axis=1, keepdims=True) / rough, 1.0)
-    values = np.clip(values / rough, -limit, limit)
+    happened = _once(np.abs(values / rough / limit).max(axis=1), observation.table.run)
+    values = np.where(happened[:, None, :], np.nan, np.clip(values / rough, -limit, limit))
     bin_present = np.isfinite(values)
     inside = values[bin_present]
     if bin_scale is None:
@@ -201,6 +206,17 @@ def _typical(values: np.ndarray, observation: Observation) -> np.ndarray:
             few = np.isfinite(size[mine]).any(axis=(1, 2)).sum() < LEAST_ALIKE
             typical[mine] = _median(size if few else size[mine])
     return typical
+
+
+def _once(excess: np.ndarray, run: np.ndarray) -> np.ndarray:
+    """Dwells (n, c) in which something happened that neither a drift nor what each move leaves can do: their contrasts,
+    ``excess`` (n, c) in units of what they are held to, stand alone among those of a ``run`` (n,)."""
+    size = np.nan_to_num(excess)
+    beside = np.zeros_like(size)
+    follows = (run[1:] == run[:-1])[:, None]
+    beside[1:] = np.where(follows, size[:-1], 0.0)
+    beside[:-1] = np.maximum(beside[:-1], np.where(follows, size[1:], 0.0))
+    return size > np.maximum(BY_FAR, ALONE * beside)
 
 
 def _median(values: np.ndarray) -> np.ndarray:

@@ -114,10 +114,27 @@ def test_what_one_axis_always_leaves_keeps_its_shape(case):
     rows = column != 0.0
     rest = data - column * (column @ data) / (column @ column)
     assert np.sum(rest[rows] ** 2) < 0.01 * np.sum(data[rows] ** 2)
-    # A single dwell in which something happened is held down.
-    bins = observation.bins.copy()
-    bins[np.flatnonzero(mine)[3], :, 0] += 1e3 * observation.bin_sigma[0, 0] * shape
-    assert np.abs(_space(replace(observation, bins=bins)).data[space.stops:]).max() < 20.0
+
+
+def test_a_dwell_in_which_something_happened_once_says_nothing_of_drifts(case):
+    """A slip inside a dwell is no slope; what only begins fast, as creep does, stays, held to a limit."""
+    observation = case.observe()
+    shape = np.array([-2.0, -1.0, 0.0, 1.0, 2.0]) * observation.bin_sigma[0, 0]
+    table, quiet = observation.table, _space(observation)
+
+    def changed(stops, sizes):
+        bins = observation.bins.copy()
+        bins[stops, :, 0] += np.multiply.outer(sizes, shape)
+        space = _space(replace(observation, bins=bins))
+        inside = space.data[space.stops:]
+        assert np.abs(inside).max() < 20.0
+        return quiet.size - space.size, np.abs(inside).max()
+
+    run = np.flatnonzero(table.run == table.run[0])
+    gone, most = changed(run[7:8], np.array([1e3]))
+    assert gone == len(shape) - 1 and most < 6.0
+    gone, most = changed(run, 1e3 / (1.0 + 2.0 * np.arange(len(run))))
+    assert gone == 0 and most > 5.9
 
 
 def test_the_first_piece_of_a_watch_shows_as_much_of_a_drift_as_the_next(case):
