@@ -34,6 +34,8 @@ FORMS_OF_ONE = 3
 MOST_REPEATS = 4
 MOST_FORMS = 6
 """Most forms of one effect, of one that repeats, and of a set."""
+LEAN_COLUMNS = 6
+"""Columns up to which nameless patterns take no shape that they like: three jumps of a mirror about two axes."""
 HOPELESS = 60.0
 """Sets this far behind in log evidence are not carried on."""
 GAIN = 3.0
@@ -166,7 +168,7 @@ def _held_to_names(screen: Screen, sets: list[EffectSet]) -> list[EffectSet]:
     No form is quite right; where an effect is gross, what its form leaves is far above the noise and
     nameless patterns, which can take any shape, explain that too.  A name holds as long as it explains all
     but ``FORM_ERROR`` of what they do.  Lean patterns from physics may err as little as a name, and nameless ones
-    with fewer columns than the name's forms explain no more by taking any shape: a jump is no drift.
+    with few columns, and fewer than the name's forms, explain no more by taking any shape: a jump is no drift.
     """
     named = max((s for s in sets if s.members and UNKNOWN not in s.key), key=lambda s: s.log_bayes,
                 default=None)
@@ -176,7 +178,8 @@ def _held_to_names(screen: Screen, sets: list[EffectSet]) -> list[EffectSet]:
     return [replace(s, log_bayes=named.log_bayes)
             if any(m.effect == UNKNOWN and m.doubt > BEYOND_DOUBT for m in s.members)
             and s.log_bayes > named.log_bayes and _reach(screen, s) < most
-            and not (s.key == {UNKNOWN} and _columns(screen, s) < _columns(screen, named)) else s
+            and not (s.key == {UNKNOWN}
+                     and _columns(screen, s) < min(_columns(screen, named), LEAN_COLUMNS + 1)) else s
             for s in sets]
 
 

@@ -248,9 +248,9 @@ def test_a_family_of_its_own_is_not_thinned_by_others():
     assert evidence(own=False) == pytest.approx(-np.log(13.0), abs=1e-6)
 
 
-@pytest.mark.parametrize('count, named', [(1, False), (40, True)])
+@pytest.mark.parametrize('count, named', [(1, False), (24, True), (40, True)])
 def test_a_name_yields_to_a_leaner_pattern_and_holds_against_a_shapeless_one(wide, count, named):
-    """A course leaves a twentieth of a gross disturbance, which one column or forty without a name explain wholly."""
+    """A course leaves a twentieth of a gross disturbance, which one column without a name explains wholly, or many."""
     rng = np.random.default_rng(6)
     extra = np.linalg.qr(np.concatenate([wide.columns[:, :, 0], rng.normal(size=(count, N))]).T)[0].T[40:]
     course = np.tensordot(wide.columns[:, :, 0].T, wide.scale * rng.normal(size=40), axes=1)
