@@ -45,8 +45,9 @@ def open_set(folder: Path) -> dict[str, Any]:
     result = {**head, 'opened': datetime.date.today().isoformat(),
               'categories': {category: sum(c.category == category for c in cases) for category in CATEGORIES},
               **score(cases)}
-    if (folder / SETTLED).exists():
-        rows = json.loads((folder / SETTLED).read_text())['logs']
+    settled = json.loads((folder / SETTLED).read_text()) if (folder / SETTLED).exists() else {}
+    rows = settled.get('logs', [])
+    if settled and len(rows) == settled.get('of', len(rows)):  # a cut run of them says nothing of the set
         weakest = {case.name: case.weakest for case in cases}
         for figure, least in (('settled', COUNTS_FROM), ('settled_all', 0.0)):
             counted = [row['settled'] for row in rows if weakest[row['log']] >= least]

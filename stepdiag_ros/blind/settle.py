@@ -8,6 +8,7 @@ must be seen, and what acts instead have at least 95 %.
 """
 
 import copy
+import json
 import os
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
@@ -108,19 +109,29 @@ def is_settled(ranking: Mapping[str, float], between: Iterable[str], true: Itera
 
 def settle(folder: Path, progress: Callable[[dict[str, Any]], None] | None = None,
            processes: int = 2) -> list[dict[str, Any]]:
-    """Do the recommended runs of an answered set, its hashes checked; writes and returns what became of each."""
+    """Do the recommended runs of an answered set, its hashes checked; writes and returns what became of each.
+
+    A cut call is resumed: runs of the same answers are not done again.
+    """
     cases, head = load(folder)
     open_ones = [case for case in cases if case.category in ('single', 'pair') and case.gap['indistinguishable']]
     os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
-    rows = []
-    jobs = {case.name: (case, head['purpose'], head['seed']) for case in open_ones}
+    file = folder / SETTLED
+    before = json.loads(file.read_text()) if file.exists() else {}
+    known = before['logs'] if before.get('answers_sha256') == head['answers_sha256'] else []
+    rows = {row['log']: row for row in known}
+    jobs = {case.name: (case, head['purpose'], head['seed']) for case in open_ones if case.name not in rows}
+
+    def write() -> list[dict[str, Any]]:
+        ordered = [rows[name] for name in sorted(rows)]
+        write_json(file, {'answers_sha256': head['answers_sha256'], 'of': len(open_ones), 'logs': ordered})
+        return ordered
     for _, row in side_by_side(_settled, jobs, processes):
-        rows.append(row)
+        rows[row['log']] = row
+        write()
         if progress:
             progress(row)
-    rows.sort(key=lambda row: row['log'])
-    write_json(folder / SETTLED, {'logs': rows})
-    return rows
+    return write()
 
 
 def _settled(case: Case, purpose: str, seed: int) -> dict[str, Any]:

@@ -12,6 +12,7 @@ from stepdiag_ros.blind.answer import answer
 from stepdiag_ros.blind.judge import judge_floors
 from stepdiag_ros.blind.opened import into_page, load, open_set
 from stepdiag_ros.blind.seal import LOGS, MANIFEST, SEALED, orders, seal
+from stepdiag_ros.blind.settle import settle
 from stepdiag_ros.blind.vocabulary import NAMES
 from stepdiag_ros.cli.main import main
 from stepdiag_ros.errors import StepdiagError
@@ -147,3 +148,19 @@ def test_open_asks_the_sealed_worlds(copy: Path, monkeypatch: pytest.MonkeyPatch
     (copy / 'worlds.json').write_text(json.dumps({name: {'noise_chi2': 7.0} for name in judged}))
     judge_floors(copy, processes=1, progress=False)
     assert all(entry == {'noise_chi2': 7.0} for entry in json.loads((copy / 'worlds.json').read_text()).values())
+
+
+def test_a_cut_run_of_further_runs_is_not_scored(copy: Path) -> None:
+    (copy / 'settled.json').write_text(json.dumps({'of': 2, 'logs': []}))
+    assert 'settled' not in open_set(copy)['figures']
+    (copy / 'settled.json').write_text(json.dumps({'of': 0, 'logs': []}))
+    assert 'settled' in open_set(copy)['figures']
+
+
+def test_further_runs_of_the_same_answers_are_not_done_again(copy: Path) -> None:
+    settle(copy, processes=1)
+    first = json.loads((copy / 'settled.json').read_text())
+    assert len(first['logs']) == first['of']
+    kept = {**first, 'logs': [{**row, 'settled': 'kept'} for row in first['logs']]}
+    (copy / 'settled.json').write_text(json.dumps(kept))
+    assert settle(copy, processes=1) == kept['logs']
