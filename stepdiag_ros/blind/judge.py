@@ -4,7 +4,6 @@ Both are kept in ``worlds.json`` beside the answers; a cut run is resumed.  Noth
 answered and both hashes are right.
 """
 
-import json
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -15,7 +14,7 @@ from stepdiag_ros.blind.floor import floor
 from stepdiag_ros.blind.opened import WORLDS, load
 from stepdiag_ros.blind.pool import side_by_side
 from stepdiag_ros.blind.score import COUNTS_FROM
-from stepdiag_ros.blind.seal import kind_order, write_json
+from stepdiag_ros.blind.seal import kind_order, read_json, write_json
 from stepdiag_ros.blind.world import make
 from stepdiag_ros.gap.observe import observe
 
@@ -47,7 +46,7 @@ def _apart(purpose: str, seed: int, entry: Entry) -> Entry:
 def _judge(folder: Path, categories: tuple[str, ...], key: str, judged: Callable[[str, int, Entry], Entry],
            processes: int, progress: bool) -> None:
     cases, head = load(folder)
-    done = json.loads((folder / WORLDS).read_text()) if (folder / WORLDS).exists() else {}
+    done = read_json(folder / WORLDS)
     os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
     jobs = {case.name: (head['purpose'], head['seed'], case.truth) for case in cases
             if key not in case.truth and case.category in categories

@@ -8,7 +8,7 @@ from typing import Any
 
 from stepdiag_ros.blind.answer import ANSWER_HASHES, ANSWERS, answer_hashes, log_names
 from stepdiag_ros.blind.score import COUNTS_FROM, Case, proportion, score
-from stepdiag_ros.blind.seal import MANIFEST, SEALED, write_json
+from stepdiag_ros.blind.seal import MANIFEST, SEALED, read_json, write_json
 from stepdiag_ros.blind.world import CATEGORIES
 from stepdiag_ros.errors import StepdiagError
 
@@ -45,7 +45,7 @@ def open_set(folder: Path) -> dict[str, Any]:
     result = {**head, 'opened': datetime.date.today().isoformat(),
               'categories': {category: sum(c.category == category for c in cases) for category in CATEGORIES},
               **score(cases)}
-    settled = json.loads((folder / SETTLED).read_text()) if (folder / SETTLED).exists() else {}
+    settled = read_json(folder / SETTLED)
     rows = settled.get('logs', [])
     if settled and len(rows) == settled.get('of', len(rows)):  # a cut run of them says nothing of the set
         weakest = {case.name: case.weakest for case in cases}
@@ -94,7 +94,7 @@ def load(folder: Path) -> tuple[list[Case], dict[str, Any]]:
             raise StepdiagError(f'{folder / ANSWERS / file}: its SHA-256 is not the one published in '
                                 f'{ANSWER_HASHES}; the answer was changed after answering')
     truth = json.loads(text)
-    judged = json.loads((folder / WORLDS).read_text()) if (folder / WORLDS).exists() else {}
+    judged = read_json(folder / WORLDS)
     cases = []
     for name in names:
         place = folder / ANSWERS / name

@@ -104,6 +104,11 @@ def _one(order: Order, path: str, truth_path: str) -> None:
     write_json(Path(truth_path), made.truth)
 
 
+def read_json(path: Path) -> dict[str, Any]:
+    """What :func:`write_json` has written; nothing where it has not yet."""
+    return json.loads(path.read_text()) if path.exists() else {}
+
+
 def write_json(path: Path, data: dict[str, Any]) -> None:
     """Write at once or not at all."""
     temporary = path.with_name(f'.{path.name}.{os.getpid()}')

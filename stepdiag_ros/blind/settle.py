@@ -8,7 +8,6 @@ must be seen, and what acts instead have at least 95 %.
 """
 
 import copy
-import json
 import os
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
@@ -24,7 +23,7 @@ from stepdiag_ros.blind.logs import measure
 from stepdiag_ros.blind.opened import SETTLED, load
 from stepdiag_ros.blind.pool import side_by_side
 from stepdiag_ros.blind.score import Case
-from stepdiag_ros.blind.seal import kind_order, write_json
+from stepdiag_ros.blind.seal import kind_order, read_json, write_json
 from stepdiag_ros.blind.world import SealedWorld, make
 from stepdiag_ros.effects import all_effects
 from stepdiag_ros.effects.base import Moment
@@ -117,21 +116,18 @@ def settle(folder: Path, progress: Callable[[dict[str, Any]], None] | None = Non
     open_ones = [case for case in cases if case.category in ('single', 'pair') and case.gap['indistinguishable']]
     os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
     file = folder / SETTLED
-    before = json.loads(file.read_text()) if file.exists() else {}
-    known = before['logs'] if before.get('answers_sha256') == head['answers_sha256'] else []
-    rows = {row['log']: row for row in known}
-    jobs = {case.name: (case, head['purpose'], head['seed']) for case in open_ones if case.name not in rows}
-
-    def write() -> list[dict[str, Any]]:
-        ordered = [rows[name] for name in sorted(rows)]
-        write_json(file, {'answers_sha256': head['answers_sha256'], 'of': len(open_ones), 'logs': ordered})
-        return ordered
+    before = read_json(file)
+    same = before.get('answers_sha256') == head['answers_sha256']
+    result = {'answers_sha256': head['answers_sha256'], 'of': len(open_ones), 'logs': before['logs'] if same else []}
+    write_json(file, result)
+    done = {row['log'] for row in result['logs']}
+    jobs = {case.name: (case, head['purpose'], head['seed']) for case in open_ones if case.name not in done}
     for _, row in side_by_side(_settled, jobs, processes):
-        rows[row['log']] = row
-        write()
+        result['logs'] = sorted([*result['logs'], row], key=lambda one: one['log'])
+        write_json(file, result)
         if progress:
             progress(row)
-    return write()
+    return result['logs']
 
 
 def _settled(case: Case, purpose: str, seed: int) -> dict[str, Any]:

@@ -170,8 +170,9 @@ def parity(observation: Observation, result: Fit, noise: NoiseModel,
     rough = np.hypot(rough, DISCREPANCY * typical)
     # One dwell in which something happened must not speak for all of its kind.
     limit = CLIP * np.maximum(typical.max(axis=1, keepdims=True) / rough, 1.0)
-    happened = _once(np.abs(values / rough / limit).max(axis=1), observation.table.run)
-    values = np.where(happened[:, None, :], np.nan, np.clip(values / rough, -limit, limit))
+    values = values / rough
+    happened = _once(np.abs(values / limit).max(axis=1), observation.table.run)
+    values = np.where(happened[:, None, :], np.nan, np.clip(values, -limit, limit))
     bin_present = np.isfinite(values)
     inside = values[bin_present]
     if bin_scale is None:

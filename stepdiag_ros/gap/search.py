@@ -178,9 +178,14 @@ def _held_to_names(screen: Screen, sets: list[EffectSet]) -> list[EffectSet]:
     return [replace(s, log_bayes=named.log_bayes)
             if any(m.effect == UNKNOWN and m.doubt > BEYOND_DOUBT for m in s.members)
             and s.log_bayes > named.log_bayes and _reach(screen, s) < most
-            and not (s.key == {UNKNOWN}
-                     and _columns(screen, s) < min(_columns(screen, named), LEAN_COLUMNS + 1)) else s
+            and not _leaner(screen, s, named) else s
             for s in sets]
+
+
+def _leaner(screen: Screen, found: EffectSet, named: EffectSet) -> bool:
+    """Whether a set without names has few columns, and fewer than a named one."""
+    columns = _columns(screen, found)
+    return found.key == {UNKNOWN} and columns <= LEAN_COLUMNS and columns < _columns(screen, named)
 
 
 def _columns(screen: Screen, found: EffectSet) -> int:

@@ -114,6 +114,10 @@ def test_what_one_axis_always_leaves_keeps_its_shape(case):
     rows = column != 0.0
     rest = data - column * (column @ data) / (column @ column)
     assert np.sum(rest[rows] ** 2) < 0.01 * np.sum(data[rows] ** 2)
+    # A single dwell in which something happened is held down.
+    bins = observation.bins.copy()
+    bins[np.flatnonzero(mine)[3], :, 0] += 1e3 * observation.bin_sigma[0, 0] * shape
+    assert np.abs(_space(replace(observation, bins=bins)).data[space.stops:]).max() < 20.0
 
 
 def test_a_dwell_in_which_something_happened_once_says_nothing_of_drifts(case):
