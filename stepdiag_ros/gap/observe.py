@@ -204,9 +204,13 @@ def _bins(log: CalibrationLog, table: StopTable) -> tuple[np.ndarray, np.ndarray
                 time[i] = np.bincount(place, since * 1e-9, BINS) / count
             differences.append((i, np.median(np.abs(np.diff(values, axis=0)), axis=0),
                                 1.0 / np.mean(1.0 / count)))
-        if differences:
-            # The noise of one sample from neighbours in time, which creep and slow motion leave alone.
-            middle = np.median([d for _, d, _ in differences], axis=0) / (0.6745 * np.sqrt(2.0))
-            for i, _, count in differences:
+        # The noise of one sample from neighbours in time, which creep and slow motion leave alone; by setup, for
+        # each has its own distance and its own light.
+        by_setup: dict[int, list[tuple[int, np.ndarray, float]]] = {}
+        for one in differences:
+            by_setup.setdefault(int(table.setup[one[0]]), []).append(one)
+        for alike in by_setup.values():
+            middle = np.median([d for _, d, _ in alike], axis=0) / (0.6745 * np.sqrt(2.0))
+            for i, _, count in alike:
                 sigma[i, columns] = np.maximum(middle, 1e-12) / np.sqrt(count)
     return bins, sigma, time

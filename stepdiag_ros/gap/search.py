@@ -37,7 +37,7 @@ MOST_FORMS = 6
 LEAN_COLUMNS = 6
 """Columns up to which nameless patterns take no shape that they like: three jumps of a mirror about two axes."""
 HOPELESS = 60.0
-"""Sets this far behind in log evidence are not carried on."""
+"""Sets this far behind in log evidence, and by more than what forms may err (``FORM_ERROR``), are not carried on."""
 GAIN = 3.0
 """Least growth of log evidence for which a set is carried on with a further member."""
 
@@ -158,8 +158,13 @@ def _each_earned(screen: Screen, best: Mapping[frozenset, EffectSet]) -> list[Ef
 
 
 def _leading(sets: list[EffectSet], most: int) -> list[EffectSet]:
-    sets = sorted(sets, key=lambda s: -s.log_bayes)[:most]
-    return [s for s in sets if s.log_bayes > max(GAIN, sets[0].log_bayes - HOPELESS)]
+    """The best sets, each set of names in its best composition: the further forms of one must not crowd out others."""
+    best: dict[frozenset, EffectSet] = {}
+    for found in sorted(sets, key=lambda s: -s.log_bayes):
+        best.setdefault(found.key, found)
+    leading = list(best.values())[:most]
+    behind = max(HOPELESS, FORM_ERROR * leading[0].log_bayes) if leading else 0.0
+    return [s for s in leading if s.log_bayes > max(GAIN, leading[0].log_bayes - behind)]
 
 
 def _held_to_names(screen: Screen, sets: list[EffectSet]) -> list[EffectSet]:
