@@ -50,6 +50,24 @@ def test_null_data_are_white(case):
     assert 0.8 < np.sum(space.data[space.stops:]**2) / space.dof[1] < 1.25
 
 
+def test_each_setup_has_its_own_noise_inside_the_dwells(case):
+    """One setup with less light: its noisier spot is noise there, and no scatter beyond it."""
+    log = case.log()
+    quiet = observe(log)
+    dim = quiet.table.setup == quiet.table.setup_names.index('pnp')
+    values = log.spot.values.copy()
+    rng = np.random.default_rng(3)
+    for lo, hi in quiet.table.spot_rows[dim]:
+        values[lo:hi] += 4e-7 * rng.standard_normal((hi - lo, 2))
+    observation = observe(replace(log, spot=replace(log.spot, values=values)))
+    ratio = observation.bin_sigma / quiet.bin_sigma
+    np.testing.assert_allclose(ratio[dim, 1:], np.sqrt(5.0), rtol=0.1)
+    np.testing.assert_allclose(ratio[~dim], 1.0)
+    space = _space(observation)
+    mine = np.flatnonzero(dim[space.row] & space.of_spot & (np.arange(space.size) >= space.stops))
+    assert 0.8 < np.mean(space.data[mine]**2) < 1.25
+
+
 def test_data_are_not_changed_by_an_error_of_the_machine(case):
     """Adding what a change of the errors would add moves nothing in parity space."""
     observation = case.observe()

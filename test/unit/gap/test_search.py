@@ -131,6 +131,21 @@ def test_an_effect_of_gross_evidence_is_carried_on_in_further_forms_of_its_own()
     assert best.names == ('true', 'true')
 
 
+def test_gross_effects_behind_others_meet_their_partners_although_those_take_further_forms():
+    """Two imitators lead, one of them in three compositions; the true pair begins two hundred behind."""
+    rng = np.random.default_rng(12)
+    one, two, aside, askew, *more = np.linalg.qr(rng.normal(size=(N, 6)))[0].T
+    truth = 80.0 * one + 30.0 * two
+    like = [one + 0.35 * two + 0.29 * aside, one + 0.35 * two + 0.29 * askew]
+    forms = {'like': [like[0], *more], 'alike': like[1:], 'first': [one], 'second': [two]}
+    candidates = [Candidate(name, '', form(f'{name} {k}', (column / np.linalg.norm(column))[None], np.ones(1)))
+                  for name, columns in forms.items() for k, column in enumerate(columns)]
+    screen = Screen(space(truth + 5.0 * sum(more) + rng.normal(size=N)), candidates, 1e9)
+    alone = screen.by_effect()
+    assert min(alone['like'].log_bayes, alone['alike'].log_bayes) > alone['first'].log_bayes + 2.0 * HOPELESS
+    assert search(screen)[0].key == {'first', 'second'}
+
+
 def test_beside_gross_evidence_leaner_forms_are_no_cause(wide):
     """A rich form explains all; a lean one with another effect explains no more, only at less cost."""
     rng = np.random.default_rng(8)
