@@ -9,6 +9,10 @@ against no effect is
 
 The size s is not known: the factor is averaged over s from a thirtieth to thirty times the typical.
 The determinant is the price of complexity: a form that could have fitted much pays for it.
+
+Columns that are made of the readings owe the readings' noise besides (:meth:`Parity.own_rows`), Δₒ of what the
+coefficients gain.  That is a density of readings, whatever the scale of the noise: it counts as ½ Δₒ, and only
+what the data gain, Δ − Δₒ, is held against them.
 """
 
 from dataclasses import dataclass
@@ -31,23 +35,31 @@ class Judged:
     of_sizes: tuple[float, ...] = ()
 
 
-def judge(gram: np.ndarray, along: np.ndarray, total: float, dof: float,
-          noise_dof: float) -> list[Judged]:
+def judge(gram: np.ndarray, along: np.ndarray, total: float, dof: float, noise_dof: float,
+          own: tuple[np.ndarray, np.ndarray] | None = None) -> list[Judged]:
     """Evidence for F forms of k columns each, from the products ``ZᵀZ`` (F, k, k), ``Zᵀz`` (F, k) and
-    ``zᵀz``, in data with ``dof`` free dimensions."""
+    ``zᵀz``, in data with ``dof`` free dimensions; ``own``: what of the first two is owed to the readings' noise."""
     value, vector = eigen(gram)
     value = np.maximum(value, 0.0)
     turned = (vector.transpose(0, 2, 1) @ along[:, :, None])[:, :, 0]
     variance = SIZES[:, None, None] ** 2
     gain = np.sum(turned**2 * variance / (1.0 + variance * value), axis=2)
-    share = np.minimum(gain / (noise_dof + total), 1.0 - 1e-12)
+    owed = 0.0
+    if own:
+        owed = _owed(*own, (variance * turned / (1.0 + variance * value))[:, :, None] @ vector.transpose(0, 2, 1))
+    share = np.minimum((gain - owed) / (noise_dof + total), 1.0 - 1e-12)
     logs = (-0.5 * np.sum(np.log1p(variance * value), axis=2)
-            - 0.5 * (dof + noise_dof) * np.log1p(-share))
+            - 0.5 * (dof + noise_dof) * np.log1p(-share) + 0.5 * owed)
     top = logs.max(axis=0)
     mean = top + np.log(np.mean(np.exp(logs - top), axis=0))
     odds = np.exp(logs - top)
     return [Judged(float(m), float(SIZES[k]), tuple(p))
             for m, k, p in zip(mean, logs.argmax(axis=0), (odds / odds.sum(axis=0)).T, strict=True)]
+
+
+def _owed(gram: np.ndarray, along: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
+    """``2aᵀb − aᵀGa`` (S, F) for ``coefficients`` a (S, F, 1, k), ``gram`` G (F, k, k) and ``along`` b (F, k)."""
+    return np.sum(coefficients * (2.0 * along[:, None] - coefficients @ gram), axis=(2, 3))
 
 
 def width_of(form: Form) -> float:

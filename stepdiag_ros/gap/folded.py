@@ -54,7 +54,7 @@ def within_range(observation: Observation) -> tuple[Observation, str]:
     """
     table, fit = observation.table, observation.fit
     left = fit.residual[:, -2:] / fit.noise.sensor[:, -2:]
-    if not np.sqrt(np.nanmean(left**2)) > GROSS:
+    if np.isnan(left).all() or np.sqrt(np.nanmean(left**2)) <= GROSS:
         return observation, ''
     bent = bent_by(table.setup, observation.view.distance.mean(axis=1), table.spot / UNIT)
     if bent is None:

@@ -106,9 +106,9 @@ class Screen:
         for i, part in parts.items():
             columns, lost = self._white[:, part], absorbed[:, part]
             grams[i] = columns.T @ columns - lost.T @ lost
-            for blocks in (inside, own):
-                if i in blocks:
-                    grams[i] += blocks[i].T @ blocks[i]
+            if i in inside:
+                grams[i] += inside[i].T @ inside[i]
+        owed = {i: block.T @ block for i, block in own.items()}
         by_width: dict[int, list[int]] = {}
         for number, part in enumerate(self._slices):
             by_width.setdefault(part.stop - part.start, []).append(number)
@@ -116,9 +116,15 @@ class Screen:
         for numbers in by_width.values():
             places = np.stack([_indices([self._slices[n]]) for n in numbers])
             ratios = np.stack([self._ratios[n] for n in numbers])
-            gram = np.stack([grams[first[n]] for n in numbers]) * ratios[:, :, None] * ratios[:, None, :]
+            both = ratios[:, :, None] * ratios[:, None, :]
+            gram = np.stack([grams[first[n]] for n in numbers]) * both
             along = self._along[places] * ratios
-            self._alike.append(_Alike(np.array(numbers), places, ratios, gram, along))
+            mine = None
+            if any(first[n] in owed for n in numbers):
+                none = np.zeros(gram.shape[1:])
+                mine = np.stack([owed.get(first[n], none) for n in numbers]) * both
+                gram += mine
+            self._alike.append(_Alike(np.array(numbers), places, ratios, gram, along, mine))
 
     def extended(self, more: Sequence[Candidate]) -> 'Screen':
         """The screen with further candidates; what is known of those it has is not worked out again."""
@@ -163,8 +169,9 @@ class Screen:
             return known
         basis = self.basis(members)
         taken = basis.T @ self.data
-        total = float(self.parity.data @ self.parity.data - taken @ taken)
-        dof = sum(self.parity.dof) - float(np.sum(basis**2))
+        owed = _Owed.by(self._below[-1], basis, self.data, taken, self._white.shape[1])
+        total = float(self.data @ self.data - taken @ taken) - owed.total
+        dof = sum(self.parity.dof) - float(np.sum(basis[:self.parity.size]**2))
         overlap = basis[:self.parity.stops].T @ self._white
         for below in self._below:
             overlap[:, below.places] += basis[below.rows].T @ below.columns
@@ -173,8 +180,8 @@ class Screen:
             cross = (overlap[:, alike.places[chosen]] * alike.ratios[chosen]).transpose(1, 2, 0)
             gram = alike.grams[chosen] - cross @ cross.transpose(0, 2, 1)
             along = alike.alongs[chosen] - cross @ taken
-            known.update(zip(alike.numbers[chosen].tolist(), judge(gram, along, total, dof, self.noise_dof),
-                             strict=True))
+            judged = judge(gram, along, total, dof, self.noise_dof, owed.of(alike, chosen, cross))
+            known.update(zip(alike.numbers[chosen].tolist(), judged, strict=True))
         return known
 
     def stop_support(self, members: Sequence[Member], number: int) -> float:
@@ -284,13 +291,50 @@ class _Below:
 class _Alike:
     """Candidates with k columns each: ``numbers`` (F,), ``places`` (F, k) of their columns among all and
     ``ratios`` (F, k) of their scales to those of the columns there, products ``grams`` (F, k, k) with
-    themselves and ``alongs`` (F, k) with the data."""
+    themselves and ``alongs`` (F, k) with the data; ``owed`` (F, k, k): what of the first is in rows that columns made
+    of readings owe, None where there are none."""
 
     numbers: np.ndarray
     places: np.ndarray
     ratios: np.ndarray
     grams: np.ndarray
     alongs: np.ndarray
+    owed: np.ndarray | None
+
+
+@dataclass(frozen=True)
+class _Owed:
+    """The rows that columns made of readings owe, given a set: ``left`` (m,) of them and ``total`` its square, the
+    set's ``basis`` (m, r) there, and their products, those of all ``columns`` (K,) among them."""
+
+    basis: np.ndarray
+    left: np.ndarray
+    with_basis: np.ndarray
+    with_left: np.ndarray
+
+    @classmethod
+    def by(cls, rows: '_Below', basis: np.ndarray, data: np.ndarray, taken: np.ndarray, columns: int) -> '_Owed':
+        mine = basis[rows.rows]
+        left = data[rows.rows] - mine @ taken
+        with_basis, with_left = np.zeros((columns, mine.shape[1])), np.zeros(columns)
+        with_basis[rows.places], with_left[rows.places] = rows.columns.T @ mine, rows.columns.T @ left
+        return cls(mine, left, with_basis, with_left)
+
+    @property
+    def total(self) -> float:
+        return float(self.left @ self.left)
+
+    def of(self, alike: _Alike, chosen: np.ndarray, cross: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+        """Products of the ``chosen`` candidates with themselves and with what is left, ``cross`` (F, k, r) of what the
+        set explains taken off; None where neither they nor the set owe anything."""
+        if alike.owed is None and not np.any(self.basis):
+            return None
+        places, ratios = alike.places[chosen], alike.ratios[chosen]
+        mixed = (self.with_basis[places] * ratios[:, :, None]) @ cross.transpose(0, 2, 1)
+        gram = cross @ (self.basis.T @ self.basis) @ cross.transpose(0, 2, 1) - mixed - mixed.transpose(0, 2, 1)
+        if alike.owed is not None:
+            gram = gram + alike.owed[chosen]
+        return gram, self.with_left[places] * ratios - cross @ (self.basis.T @ self.left)
 
 
 def _explained(columns: np.ndarray) -> np.ndarray:

@@ -199,9 +199,9 @@ def _columns(screen: Screen, found: EffectSet) -> int:
 
 def _reach(screen: Screen, found: EffectSet) -> float:
     """What a set takes off zᵀz beyond what it would take off noise."""
-    basis, data = screen.basis(found.members), screen.data
-    left = data - basis @ (basis.T @ data)
-    return float(data @ data - left @ left) - float(np.sum(basis**2))
+    basis, data = screen.basis(found.members), screen.parity.data
+    left = data - (basis @ (basis.T @ screen.data))[:len(data)]
+    return float(data @ data - left @ left) - float(np.sum(basis[:len(data)]**2))
 
 
 def _supported(screen: Screen, found: EffectSet, member: Member) -> bool:

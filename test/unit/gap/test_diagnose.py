@@ -1,10 +1,12 @@
 """The diagnosis on logs of a small cell and, where they are at hand, on logs by others."""
 
 import json
+import warnings
 
 import numpy as np
 import pytest
 
+from stepdiag_ros.bag.import_csv import import_csv
 from stepdiag_ros.bag.reader import read_log
 from stepdiag_ros.effects import all_effects, effect_class
 from stepdiag_ros.gap import diagnose
@@ -76,3 +78,19 @@ def test_open_field_logs(shared):
     for name in ('log_01', 'log_04', 'log_05'):
         found = diagnose(read_log(folder / name), [kind() for kind in all_effects().values()])
         assert {e.name for e in found.effects} == set(truth[name]['effects']), name
+
+
+@pytest.mark.parametrize(('name', 'acts', 'closed'), [
+    ('stage_a_x', 'backlash', True), ('stage_a_z', 'backlash', True),
+    ('stage_b_x_back', 'structural_thermal_drift', False)])
+def test_measured_stages(shared, name, acts, closed):
+    """Lost motion of two axes is named and gone from their last cycles; the third wanders, with no detector in the log
+    to warn of."""
+    log = import_csv(shared / 'real_data' / f'{name}.csv').log
+    with warnings.catch_warnings():
+        warnings.simplefilter('error')
+        found = diagnose(log, [kind() for kind in all_effects().values()])
+    assert found.effects[0].name == acts and found.effects[0].probability > 0.95
+    assert not found.leftover
+    if closed:
+        assert found.closing.left < 0.05
