@@ -1,9 +1,10 @@
 """How far the gap closes on runs that took no part in the fit.
 
 All repeats but one are fitted, with and without the effects, and that one is foretold; each repeat has
-its turn, for what one repeat's noise leaves open of a small gap the others settle.  Fits are linear at the
-joint fit.  A forecast is judged with its own uncertainty: the noise of the runs foretold and that of
-what was fitted.  The reset of a run that was not fitted is not known and is given free.
+its turn, for what one repeat's noise leaves open of a small gap the others settle.  A log of one run, as a table of
+cycles is, is split in time: its last repeats are foretold from those before.  Fits are linear at the joint fit.
+A forecast is judged with its own uncertainty: the noise of the runs foretold and that of what was fitted.  The reset
+of a run that was not fitted is not known and is given free.
 """
 
 from dataclasses import dataclass
@@ -76,7 +77,7 @@ def closing(joint: Joint) -> Closing:
     total, freedom, count = np.zeros(len(designs)), 0, 0
     for held in parts:
         flag = held[stop]
-        resets = len(np.unique(table.run[held])) * joint.fit.model.beams
+        resets = len(np.setdiff1d(table.run[held], table.run[~held])) * joint.fit.model.beams
         resets = resets if np.isfinite(table.displacement[held]).any() else 0
         total += [_forecast(design, residual_white, flag, known) for design, known in designs]
         freedom += int(flag.sum()) - resets
@@ -100,14 +101,17 @@ def excess_forecast(how_far: Closing, noise_dof: float) -> tuple[float, str]:
 
 
 def _held_out(table) -> tuple[list[np.ndarray], str]:
-    """Masks (n,) of the stops held out in turn, whole runs; and their name."""
-    repeats = np.unique(table.repeat)
+    """Masks (n,) of the stops held out in turn, whole runs or the end of the only one; and their name."""
+    repeats, runs = np.unique(table.repeat), np.unique(table.run)
     if len(repeats) > 1:
-        # One run may hold several repeats (an imported log): it cannot be split.
-        whole = all(len(np.unique(table.repeat[table.run == run])) == 1 for run in np.unique(table.run))
+        whole = all(len(np.unique(table.repeat[table.run == run])) == 1 for run in runs)
         if whole:
             return [table.repeat == repeat for repeat in repeats], 'each repeat in turn, foretold from the others'
-    runs = np.unique(table.run)
+        if len(runs) == 1:
+            # White rows of a run are what is new at each stop given those before: those at its end are a forecast.
+            last = len(repeats) // 2
+            return [table.repeat >= repeats[-last]], (
+                f'the last {last} of {len(repeats)} repeats, foretold from those before')
     if len(runs) > 1:
         chosen = runs[len(runs) // 2:][::2] if len(runs) > 3 else runs[-1:]
         return [np.isin(table.run, chosen)], 'runs ' + ', '.join(table.run_ids[r] for r in chosen)

@@ -92,5 +92,6 @@ def test_measured_stages(shared, name, acts, closed):
         found = diagnose(log, [kind() for kind in all_effects().values()])
     assert found.effects[0].name == acts and found.effects[0].probability > 0.95
     assert not found.leftover
+    assert 'the last 2 of 5 repeats' in found.closing.held_out
     if closed:
         assert found.closing.left < 0.05
