@@ -27,6 +27,8 @@ SIGNIFICANT = 3.0
 SPEAKING = ('angle', 'jump', 'both', 'all')
 """Names of parameters longer than a letter or two that a sentence can take as they are."""
 LEAST_REACH_M = 1e-9
+AXIS_LIKE = 3
+"""Names shorter than this are of an axis or a direction: X, y, u."""
 NAMED = 3
 """Most sizes in a sentence."""
 HARDLY = 1.15
@@ -55,18 +57,32 @@ def sizes(found: Found) -> list[tuple[str, str]]:
 
 def size_words(found: Found) -> str:
     """The largest sizes that count: ``X 5.71 µm, Y 5.15 µm``."""
-    counted = [(abs(value), name) for name, value in found.parameters.items()
-               if name in found.sigma and _speaks(name)
-               and abs(value) > SIGNIFICANT * found.sigma[name] > 0.0]
+    known = _together(found)
+    counted = [(abs(value), name) for name, (value, sigma) in known.items()
+               if _speaks(name) and abs(value) > SIGNIFICANT * sigma > 0.0]
     counted.sort(reverse=True)
     chosen = [name for _, name in counted[:NAMED]]
     return ', '.join(f'{parameter_name(n)} {quantity(v, parameter_unit(n, found.units))}'
-                     for n, v in found.parameters.items() if n in chosen)
+                     for n, (v, _) in known.items() if n in chosen)
+
+
+def _together(found: Found) -> dict[str, tuple[float, float]]:
+    """Sizes that have a σ, with it; along an axis those of several forms are one: what each form alone says may be
+    twice of it, and taken back by the next."""
+    result: dict[str, tuple[float, float]] = {}
+    for name, value in found.parameters.items():
+        if name not in found.sigma:
+            continue
+        first = name.split(' (')[0]
+        key = first if len(first) < AXIS_LIKE else name
+        so_far, sigma = result.get(key, (0.0, 0.0))
+        result[key] = so_far + value, float(np.hypot(sigma, found.sigma[name]))
+    return result
 
 
 def _speaks(name: str) -> bool:
     """Whether a sentence can take a parameter's name as it is: an axis, a unit in it, a plain word."""
-    return len(name) < 3 or name.endswith(('_s', '_Hz', '_m')) or name in SPEAKING
+    return len(name) < AXIS_LIKE or name.endswith(('_s', '_Hz', '_m')) or name in SPEAKING
 
 
 def cause(diagnosis: Diagnosis, found: Found) -> str:

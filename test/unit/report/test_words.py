@@ -3,7 +3,9 @@
 import pytest
 
 from stepdiag_ros.effects import VOCABULARY
+from stepdiag_ros.gap.diagnosis import Found
 from stepdiag_ros.report import words
+from stepdiag_ros.report.gap_words import size_words
 
 
 @pytest.mark.parametrize(('value', 'unit', 'sigma', 'said'), [
@@ -53,3 +55,11 @@ def test_setups_are_described():
     assert words.setup_words('lin_y') == 'line along Y'
     assert words.setup_words('npp.2') == 'diagonal to −X to +Y to +Z, mounted once more'
     assert words.setup_words('lin_y.2') == 'line along Y, mounted once more'
+
+
+@pytest.mark.parametrize(('parameters', 'said'), [
+    ({'X': 4.977e-5, 'X wave 1': 5e-6, 'X (2)': -2.73e-5, 'Y (2)': 1e-5}, 'X 22.5 µm, Y 10.0 µm'),
+    ({'jump': 2e-6, 'jump (2)': -1e-6}, 'jump 2.00 µm')])
+def test_forms_of_one_axis_are_one_size(parameters, said):
+    found = Found('backlash', 'Lost motion.', 1.0, parameters, dict.fromkeys(parameters, 1e-7), 'm', '', 1.0, '')
+    assert size_words(found) == said
