@@ -30,6 +30,9 @@ WINSOR = 2.0
 WINSOR_MEAN = 0.9205369
 """Mean of min(z², 4) of a standard normal z: 1 − P − 4 φ(2) + 4 P with P = P(|z| > 2).
 Up to a fifth of the contrasts may be outliers before the estimate follows them."""
+LEAST_STOPS, FEWEST_STOPS = 7, 5
+"""Stops of a contrast of which a parabola leaves enough; where no repeat has as many (a table of five targets), those
+that it leaves something of at all."""
 MAX_SWEEPS = 12
 FASTEST = 3.0
 """Times over a dwell's length up to which frequencies count: a mean over the dwell leaves nothing of faster ones."""
@@ -205,6 +208,7 @@ def estimate_noise(table: StopTable, belief: Noise, arrival: np.ndarray) -> Nois
     readings = np.concatenate([table.displacement, table.spot], axis=1)
     numbers = arrivals(table)
     contrasts = list(_contrasts(table, readings))
+    least = LEAST_STOPS if any(len(rows) >= LEAST_STOPS for rows, _, _ in contrasts) else FEWEST_STOPS
     sigma = {}
     dof = {}
     # The angle first: it reaches the distance through the arm beside the beam.
@@ -216,7 +220,7 @@ def estimate_noise(table: StopTable, belief: Noise, arrival: np.ndarray) -> Nois
         for rows, values, time in contrasts:
             for column in columns:
                 good = np.isfinite(values[:, column])
-                if good.sum() > 6:
+                if good.sum() >= least:
                     own, of_one = rows[good], arrival[:, :, [column]]
                     fixed = run_covariance(own, *rest, sensor[:, [column]], of_one, numbers)
                     if column < beams:

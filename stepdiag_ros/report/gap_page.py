@@ -45,8 +45,9 @@ def _head(diagnosis: Diagnosis, name: str) -> str:
     kind, word = BADGES.get(diagnosis.verdict, ('warn', diagnosis.verdict))
     when = datetime.fromtimestamp(log.steps.time_ns[0] * 1e-9, UTC)
     minutes = (log.steps.time_ns[-1] - log.steps.time_ns[0]) / 60e9
+    runs = f'{len(table_.run_ids)} runs' if len(table_.run_ids) > 1 else 'one run'
     kicker = (f'Machine {log.description.machine.name} · log {name} · {when:%Y-%m-%d %H:%M} UTC · '
-              f'{len(table_)} stops in {len(table_.run_ids)} runs, {plain(minutes)} min')
+              f'{len(table_)} stops in {runs}, {plain(minutes)} min')
     return (f'<header><div class="kicker">{escape(kicker)}</div>'
             f'<h1>{escape(gap_words.headline(diagnosis))}</h1>'
             f'<p><span class="badge {kind}">{word}</span></p>'

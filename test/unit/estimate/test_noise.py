@@ -5,6 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from stepdiag_ros.bag.import_csv import import_csv
+from stepdiag_ros.estimate.enhanced import fit
 from stepdiag_ros.estimate.forward import ForwardModel
 from stepdiag_ros.estimate.noise import (
     FLOOR_M,
@@ -18,6 +20,7 @@ from stepdiag_ros.estimate.noise import (
 )
 from stepdiag_ros.estimate.parameters import parameters_of
 from stepdiag_ros.estimate.planned import filled, observe, planned_table
+from stepdiag_ros.estimate.reduce import reduce_log
 from stepdiag_ros.model.log import NONE, STOOD
 from stepdiag_ros.model.machine import GeometricErrors
 
@@ -175,3 +178,17 @@ def test_what_wanders_is_not_counted_as_arrivals(case):
     assert estimate_noise(table, description.noise, arrival).position > 1.4e-7
     known = estimate_noise(replace(table, wander=wander), description.noise, arrival).position
     assert known == pytest.approx(1e-7, rel=0.3)
+
+
+def test_repeats_of_five_targets_tell_the_noise_where_there_are_no_longer_ones(tmp_path):
+    """A table of cycles with 20 µm of lost motion and a drift: neither is noise."""
+    rng = np.random.default_rng(4)
+    file = tmp_path / 'stage_x.csv'
+    places = [(at, 1) for at in range(0, 50, 10)] + [(at, -1) for at in range(40, -10, -10)]
+    file.write_text('cycle,direction,target_mm,measured_mm\n' + ''.join(
+        f'{cycle},{sign},{at},{at + 0.01 * sign + 0.004 * cycle + 0.001 * rng.standard_normal()}\n'
+        for cycle in range(1, 13) for at, sign in places))
+    log = import_csv(file).log
+    noise = fit(log.description, reduce_log(log)).noise
+    assert noise.source == 'repeats' and noise.dof[0] == 44
+    assert noise.position == pytest.approx(1e-6, rel=0.35)

@@ -80,18 +80,18 @@ def test_open_field_logs(shared):
         assert {e.name for e in found.effects} == set(truth[name]['effects']), name
 
 
-@pytest.mark.parametrize(('name', 'acts', 'closed'), [
-    ('stage_a_x', 'backlash', True), ('stage_a_z', 'backlash', True),
-    ('stage_b_x_back', 'structural_thermal_drift', False)])
-def test_measured_stages(shared, name, acts, closed):
-    """Lost motion of two axes is named and gone from their last cycles; the third wanders, with no detector in the log
-    to warn of."""
+@pytest.mark.parametrize(('name', 'acts', 'besides', 'left'), [
+    ('stage_a_x', 'backlash', '', 0.05), ('stage_a_z', 'backlash', 'one stop', 0.05),
+    ('stage_b_x_back', 'structural_thermal_drift', '', 0.15)])
+def test_measured_stages(shared, name, acts, besides, left):
+    """Two axes have lost motion, one of them a reading far off in its last cycle as well; the third wanders.  The gap
+    closes on the last cycles, against the noise that the cycles show.  No log has a detector to warn of."""
     log = import_csv(shared / 'real_data' / f'{name}.csv').log
     with warnings.catch_warnings():
         warnings.simplefilter('error')
         found = diagnose(log, [kind() for kind in all_effects().values()])
-    assert found.effects[0].name == acts and found.effects[0].probability > 0.95
-    assert not found.leftover
-    assert 'the last 2 of 5 repeats' in found.closing.held_out
-    if closed:
-        assert found.closing.left < 0.05
+    assert found.effects[0].name == acts
+    assert besides in found.leftover and bool(besides) == bool(found.leftover)
+    assert found.joint.noise.source == 'repeats'
+    assert found.closing.held_out == 'the last 2 of 5 repeats, foretold from those before'
+    assert (found.closing.after - 1.0) / (found.closing.before - 1.0) < left
