@@ -6,6 +6,7 @@ from functools import cached_property
 
 from stepdiag_ros.estimate.solution import Solution
 from stepdiag_ros.gap.averaged import averaged_solution
+from stepdiag_ros.gap.bands import Band, bands
 from stepdiag_ros.gap.closing import Closing
 from stepdiag_ros.gap.inside import Timing
 from stepdiag_ros.gap.joint import Joint
@@ -70,6 +71,7 @@ class Diagnosis:
                     'reduced_chi2_before': self.closing.before,
                     'reduced_chi2_after': self.closing.after},
             'where': [share.to_json_dict() for share in self.shares],
+            'bands': [band.to_json_dict() for band in self.bands],
             'effects': [{'name': f.name, 'probability': f.probability, 'parameters': dict(f.parameters),
                          'sigma': dict(f.sigma), 'units': f.units, 'form': f.form, 'closes': f.closes,
                          'what': f.title, 'remedy': f.remedy} for f in self.effects],
@@ -84,6 +86,11 @@ class Diagnosis:
                       'angle_repeatability_rad': self.joint.noise.angle,
                       'source': self.joint.noise.source},
             'warnings': list(self.warnings)}
+
+    @cached_property
+    def bands(self) -> tuple[Band, ...]:
+        """What stands out of the noise, by channel and frequency, before and after the effects."""
+        return bands(self.joint)
 
     @cached_property
     def solution(self) -> Solution:

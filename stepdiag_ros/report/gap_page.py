@@ -6,6 +6,7 @@ from html import escape
 import numpy as np
 
 from stepdiag_ros.estimate.evaluate import solution_of
+from stepdiag_ros.gap.bands import Band
 from stepdiag_ros.gap.diagnosis import Diagnosis, Found
 from stepdiag_ros.gap.unknown import NAME as UNKNOWN
 from stepdiag_ros.report import gap_figures, gap_words
@@ -168,12 +169,13 @@ def _where(diagnosis: Diagnosis) -> str:
     text = f'<h2>Where is it?</h2><p>{escape(gap_words.where_words(diagnosis))}</p>'
     shares = share_map(diagnosis)
     if shares is None:
-        return text
+        return text + _bands(diagnosis)
     return text + '<div class="cols"><div>' + _map(diagnosis, shares) + '</div><div>' + bars(
         [(f'after a move of {k}' if len(k) == 1 else k, v, closed_percent(v))
          for k, v in shares.axis.items()]) + bars(
         [(f'going {k}', v, closed_percent(v)) for k, v in shares.direction.items()]) + bars(
-        [(k, v, closed_percent(v)) for k, v in shares.state.items()]) + '</div></div>'
+        [(k, v, closed_percent(v)) for k, v in shares.time.items()]) + bars(
+        [(k, v, closed_percent(v)) for k, v in shares.state.items()]) + '</div></div>' + _bands(diagnosis)
 
 
 def _map(diagnosis: Diagnosis, shares: Shares) -> str:
@@ -194,6 +196,36 @@ def _map(diagnosis: Diagnosis, shares: Shares) -> str:
             f'<small>Share of the gap by what was measured and in which setup: the length by the laser, the spot of '
             'light that tells how the mirror turns. '
             f'{escape(gap_figures.legend_of_setups(names))}.</small>')
+
+
+def _bands(diagnosis: Diagnosis) -> str:
+    """What stands out of the noise by frequency: times the noise, before and after."""
+    text = '<h3>By frequency</h3>' + f'<p>{escape(gap_words.bands_words(diagnosis))}</p>'
+    if not any(band.stands_out for band in diagnosis.bands):
+        return text
+    for setting, (unit, head) in gap_words.SETTINGS.items():
+        mine = [band for band in diagnosis.bands if band.setting == setting]
+        if not mine:
+            continue
+        periods = list(dict.fromkeys((band.shortest, band.longest) for band in mine))
+        rows = ''
+        for channel, said in SHORT_CHANNELS.items():
+            found = {(band.shortest, band.longest): band for band in mine if band.channel == channel}
+            rows += f'<tr><th class="r">{escape(said)}</th>' + ''.join(
+                _band_cell(found.get(period)) for period in periods) + '</tr>'
+        heads = ''.join(f'<th>{escape(gap_words.period_words(*period, unit))}</th>' for period in periods)
+        text += f'<table class="heat"><tr><th>{head}</th>{heads}</tr>{rows}</table>'
+    return text + ('<small>Root mean square in times of the noise, before → after what was found is taken out, of what '
+                   'the fit leaves; columns are periods. A dot: no more than noise makes.</small>')
+
+
+def _band_cell(band: Band | None) -> str:
+    if band is None or not band.stands_out:
+        return '<td>·</td>'
+    depth = min(np.log10(max(band.before, 1.0)) / 2.0, 1.0)
+    ink = '#fff' if depth > 0.7 else '#22282e'
+    return (f'<td style="background:rgba(194,87,47,{0.1 + 0.7 * depth:.2f});color:{ink}">'
+            f'{plain(np.sqrt(band.before))} → {plain(np.sqrt(band.after))}</td>')
 
 
 # ---- pictures -------------------------------------------------------------------------------------

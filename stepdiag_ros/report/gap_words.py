@@ -17,7 +17,9 @@ from stepdiag_ros.report.words import (
     parameter_name,
     parameter_unit,
     percent,
+    plain,
     quantity,
+    scale,
     setup_words,
     title,
 )
@@ -35,6 +37,9 @@ HARDLY = 1.15
 """Reduced χ² of the held-out part up to which a gap does not stand out of the noise there."""
 NOISE_LIKE = 1.3
 """Reduced χ² of the held-out part up to which what is left counts as noise."""
+SETTINGS = {'path': ('m', 'along the path'), 'reversal': ('m', 'along the path, opposite on the way back'),
+            'time': ('s', 'in time')}
+"""What a band is along: unit of its periods, and in words."""
 JOIN = 'Record it in a bag of its own; “stepdiag gap BAG --further NEW_BAG” then diagnoses both as one log.'
 """How a further run comes to bear."""
 
@@ -208,6 +213,26 @@ def changes(diagnosis: Diagnosis, before, after) -> list[tuple[str, float, float
                          after.squareness(name)[1]))
     rows = [(name, change, abs(change) / sigma if sigma > 0 else 0.0) for name, change, sigma in rows]
     return sorted(rows, key=lambda row: -row[2])
+
+
+def bands_words(diagnosis: Diagnosis) -> str:
+    """Which bands of frequency stand out of the noise, and whether any does afterwards, in a sentence."""
+    loud = [band for band in diagnosis.bands if band.stands_out]
+    if not loud:
+        return f'None of {len(diagnosis.bands)} bands, along the path and in time, stands out of the noise by itself.'
+    most = max(loud, key=lambda band: band.before)
+    unit, along = SETTINGS[most.setting]
+    periods = period_words(most.shortest, most.longest, unit)
+    return (f'{len(loud)} of {len(diagnosis.bands)} bands stand out of the noise, most the '
+            f'{SHORT_CHANNELS[most.channel]} with periods of {periods} {along}: '
+            f'{plain(np.sqrt(most.before))} times the noise, {plain(np.sqrt(most.after))} times afterwards.')
+
+
+def period_words(shortest: float, longest: float, unit: str) -> str:
+    """``38.0 … 75.0 mm``."""
+    divisor, said = scale(unit, longest)
+    begin = f'{plain(shortest / divisor)} … ' if longest > shortest else ''
+    return f'{begin}{plain(longest / divisor)} {said}'
 
 
 def where_words(diagnosis: Diagnosis) -> str:

@@ -115,11 +115,13 @@ def spectra(diagnosis: Diagnosis) -> dict[int, Spectrum]:
 @dataclass(frozen=True)
 class Shares:
     """Shares of the gap's excess by channel and setup (3, s), by axis moved (X, Y, Z, first stop), by
-    direction (forward, backward), and whether it is at rest in the mean or moves inside the dwells."""
+    direction (forward, backward), by time (thirds of the log), and whether it is at rest in the mean or moves inside
+    the dwells."""
 
     cells: np.ndarray
     axis: dict[str, float]
     direction: dict[str, float]
+    time: dict[str, float]
     state: dict[str, float]
 
 
@@ -148,8 +150,12 @@ def share_map(diagnosis: Diagnosis) -> Shares | None:
     seen = (space.data - rest) ** 2 if joint.active else np.maximum(rest**2 - 1.0, 0.0)
     swings = joint.observation.swings is not None and not joint.active and not diagnosis.leftover
     inside = 1.0 if swings else float(seen[space.stops:].sum() / max(seen.sum(), 1e-300))
-    return Shares(cells, axis, direction, {'between stops (means)': 1.0 - inside,
-                                           'inside the stops (while standing still)': inside})
+    gone = (table.time_s - table.time_s.min()) / max(float(np.ptp(table.time_s)), 1e-9)
+    third = np.minimum(3.0 * gone, 2.0).astype(int)
+    time = {f'{said} third of the log': float(stops[third == k].sum())
+            for k, said in enumerate(('first', 'middle', 'last'))}
+    return Shares(cells, axis, direction, time, {'between stops (means)': 1.0 - inside,
+                                                 'inside the stops (while standing still)': inside})
 
 
 def named_cells(shares: Shares) -> np.ndarray:
