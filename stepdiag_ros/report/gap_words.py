@@ -7,7 +7,7 @@ import numpy as np
 from stepdiag_ros.gap.closing import closing
 from stepdiag_ros.gap.diagnosis import Diagnosis, Found
 from stepdiag_ros.model.machine import CURVES, SQUARENESS
-from stepdiag_ros.report.series import reach, share_map
+from stepdiag_ros.report.series import only_stamps, reach, share_map
 from stepdiag_ros.report.words import (
     SHORT_CHANNELS,
     certainty,
@@ -237,6 +237,8 @@ def period_words(shortest: float, longest: float, unit: str) -> str:
 
 def where_words(diagnosis: Diagnosis) -> str:
     """Where the gap lies, in a sentence."""
+    if only_stamps(diagnosis):
+        return 'In what is read while the axes move; while they stand still a wrong stamp changes nothing.'
     shares = diagnosis.shares
     if not shares:
         return 'Nowhere: no part of the log stands out of the noise.'

@@ -14,6 +14,8 @@ from stepdiag_ros.gap.unrest import dwells_by_channel
 from stepdiag_ros.gap.where import excess_of
 
 CHANNELS = ('displacement', 'spot_x', 'spot_y')
+STAMPS = 'clock_skew'
+"""The effect that is seen while axes move, and only then."""
 
 
 @dataclass(frozen=True)
@@ -125,11 +127,16 @@ class Shares:
     state: dict[str, float]
 
 
+def only_stamps(diagnosis: Diagnosis) -> bool:
+    """Whether nothing is wrong but stamps: at rest that changes nothing."""
+    return [found.name for found in diagnosis.effects] == [STAMPS] and not diagnosis.leftover
+
+
 def share_map(diagnosis: Diagnosis) -> Shares | None:
-    """Where the gap lies in full; None where there is none."""
+    """Where the gap lies in full; None where there is none, or none at the stops."""
     joint, table = diagnosis.joint, diagnosis.nominal.table
     space = joint.parity
-    if diagnosis.verdict == 'no_gap':
+    if diagnosis.verdict == 'no_gap' or only_stamps(diagnosis):
         return None
     excess = excess_of(joint, bool(diagnosis.leftover))
     total = float(excess.sum())

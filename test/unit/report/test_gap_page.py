@@ -7,8 +7,18 @@ from html.parser import HTMLParser
 import pytest
 
 from stepdiag_ros.estimate.evaluate import solution_of
+from stepdiag_ros.gap.diagnosis import Found
 from stepdiag_ros.report.gap_page import budget_svg, gap_page
-from stepdiag_ros.report.gap_words import changes, closed_share, headline, steps, summary, where_words
+from stepdiag_ros.report.gap_words import (
+    bands_words,
+    changes,
+    closed_share,
+    headline,
+    period_words,
+    steps,
+    summary,
+    where_words,
+)
 from stepdiag_ros.report.series import spectra
 
 VOID = {'meta', 'br', 'img', 'hr', 'link', 'input'}
@@ -110,7 +120,22 @@ def test_null_log_is_called_sound(diagnosed):
     assert headline(diagnosis).startswith('Nothing is wrong that this log could show')
     assert 'nothing wrong' in page.text and 'Nothing needs a cause' in page.text
     assert where_words(diagnosis).startswith('Nowhere')
+    assert 'stands out of the noise by itself' in page.text
     assert 'what to do' not in page.text
+
+
+def test_wrong_stamps_are_seen_while_axes_move(diagnosed):
+    late = Found('clock_skew', 'Stamps are late.', 0.99, {'psd_s': 0.05}, {'psd_s': 1e-4}, 's', '', 1.0, '')
+    diagnosis = replace(diagnosed(''), verdict='explained', effects=(late,))
+    assert where_words(diagnosis).startswith('In what is read while the axes move')
+    page = Page(gap_page(diagnosis, 'late'))
+    assert 'after a move of' not in page.text
+
+
+def test_frequencies_are_shown_where_they_stand_out(backlash, backlash_page):
+    assert 'opposite on the way back' in bands_words(backlash)
+    assert 'Root mean square in times of the noise' in backlash_page.text
+    assert '1.20 … 120 s' in period_words(1.2, 120.0, 's')
 
 
 def test_unexplained_is_not_named(diagnosed):
