@@ -2,9 +2,8 @@
 
 One global χ² hides what is narrow and calls many small things one.  Each octave of half waves is a test of its
 own: cosines along the path of each setup, alike or opposite in the two directions, and cosines in the time of the
-log, brought into parity space, so that
-what machine, set-up and resets can imitate counts for nothing.  With columns Z of rank k of one band, in data z that
-are white where nothing is wrong,
+log, brought into parity space, so that what machine, set-up and resets can imitate counts for nothing.  With columns Z
+of rank k of one band, in data z that are white where nothing is wrong,
 
     Q = zᵀZ (ZᵀZ)⁺ Zᵀz,      Q/k ~ F(k, ν),
 
@@ -13,13 +12,14 @@ in which bands they do their work.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import stats
 
 from stepdiag_ros.estimate.eigen import eigen
 from stepdiag_ros.gap.joint import Joint, unexplained
+from stepdiag_ros.gap.observe import channels
 
 ALPHA = 1e-3
 """Probability that any band of a log without a gap stands out, divided over all of them."""
@@ -30,9 +30,8 @@ SEEN = 1e-4
 @dataclass(frozen=True)
 class Band:
     """``channel`` along a ``setting``, 'path' [m], 'reversal' [m] (of the path, opposite in the two directions) or
-    'time' [s]: periods from ``shortest`` to ``longest``; mean squares
-    of ``count`` directions ``before`` and ``after`` the effects, 1: noise; ``p`` that noise alone makes so much
-    before, ``stands_out`` among all bands."""
+    'time' [s]: periods from ``shortest`` to ``longest``; mean squares of ``count`` directions ``before`` and ``after``
+    the effects, 1: noise; ``p`` that noise alone makes so much before, ``stands_out`` among all bands."""
 
     channel: str
     setting: str
@@ -42,25 +41,26 @@ class Band:
     before: float
     after: float
     p: float
-    stands_out: bool
+    stands_out: bool = False
+
+    @property
+    def unit(self) -> str:
+        """Unit of the periods."""
+        return 's' if self.setting == 'time' else 'm'
 
     def to_json_dict(self) -> dict:
-        unit = 's' if self.setting == 'time' else 'm'
-        return {'channel': self.channel, 'along': self.setting, f'period_from_{unit}': self.shortest,
-                f'period_to_{unit}': self.longest, 'directions': self.count, 'mean_square_before': self.before,
+        return {'channel': self.channel, 'along': self.setting, f'period_from_{self.unit}': self.shortest,
+                f'period_to_{self.unit}': self.longest, 'directions': self.count, 'mean_square_before': self.before,
                 'mean_square_after': self.after, 'p': self.p, 'stands_out': self.stands_out}
 
 
 def bands(joint: Joint) -> tuple[Band, ...]:
     """Every band of a joint fit that the log can show."""
-    space, beams = joint.parity, joint.fit.model.beams
+    space = joint.parity
     data, rest = space.data[:space.stops], unexplained(space, joint.active)[:space.stops]
-    known = joint.noise.dof
-    channels = (('displacement', slice(0, beams), known[0]), ('spot_x', slice(beams, beams + 1), known[1]),
-                ('spot_y', slice(beams + 1, None), known[1]))
     found = []
     for setting, shortest, longest, waves in (*_along_the_path(joint), *_in_time(joint)):
-        for channel, columns, freedom in channels:
+        for channel, columns in channels(joint.fit.model.beams).items():
             patterns = joint.observation.view.zeros(len(waves))
             patterns[:, :, columns] = waves[:, :, None]
             white = space.white_part(np.where(joint.fit.present, patterns, 0.0))
@@ -73,9 +73,10 @@ def bands(joint: Joint) -> tuple[Band, ...]:
                 continue
             # The data are projected, so are products with them.
             before, after = (float(np.mean((vector[:, keep].T @ (white.T @ z))**2 / value[keep])) for z in (data, rest))
+            freedom = joint.noise.dof[0 if channel == 'displacement' else 1]
             p = stats.f.sf(before, count, freedom) if freedom else stats.chi2.sf(before * count, count)
-            found.append(Band(channel, setting, shortest, longest, count, before, after, float(p), False))
-    return tuple(Band(**{**vars(band), 'stands_out': band.p * len(found) < ALPHA}) for band in found)
+            found.append(Band(channel, setting, shortest, longest, count, before, after, float(p)))
+    return tuple(replace(band, stands_out=band.p * len(found) < ALPHA) for band in found)
 
 
 def _octaves(most: int) -> Iterator[np.ndarray]:

@@ -24,6 +24,11 @@ BADLY_FITTED = 4.0
 """Reduced χ² above which the noise is scaled up for the fit, so that a gross effect bends it less."""
 
 
+def channels(beams: int) -> dict[str, slice]:
+    """The channels of the readings by name: their columns; all beams measure one displacement."""
+    return {'displacement': slice(0, beams), 'spot_x': slice(beams, beams + 1), 'spot_y': slice(beams + 1, beams + 2)}
+
+
 @dataclass(frozen=True)
 class Observation:
     """A log made ready: ``table`` and nominal ``fit``; ``view`` for effects.
@@ -185,7 +190,8 @@ def _bins(log: CalibrationLog, table: StopTable) -> tuple[np.ndarray, np.ndarray
     time = length[:, None] * (np.arange(BINS) + 0.5) / BINS
     for samples, rows, columns in ((log.displacement, table.displacement_rows, slice(0, beams)),
                                    (log.spot, table.spot_rows, slice(beams, None))):
-        differences = []
+        # By setup: each has its own distance and its own light.
+        differences: dict[int, list[tuple[int, np.ndarray, float]]] = {}
         for i, (lo, hi) in enumerate(rows):
             if hi - lo < BINS or length[i] <= 0.0:
                 continue
@@ -202,14 +208,10 @@ def _bins(log: CalibrationLog, table: StopTable) -> tuple[np.ndarray, np.ndarray
             bins[i, :, columns] = sums / count[:, None] - values.mean(axis=0)
             if columns.start == 0:
                 time[i] = np.bincount(place, since * 1e-9, BINS) / count
-            differences.append((i, np.median(np.abs(np.diff(values, axis=0)), axis=0),
-                                1.0 / np.mean(1.0 / count)))
-        # The noise of one sample from neighbours in time, which creep and slow motion leave alone; by setup, for
-        # each has its own distance and its own light.
-        by_setup: dict[int, list[tuple[int, np.ndarray, float]]] = {}
-        for one in differences:
-            by_setup.setdefault(int(table.setup[one[0]]), []).append(one)
-        for alike in by_setup.values():
+            differences.setdefault(int(table.setup[i]), []).append(
+                (i, np.median(np.abs(np.diff(values, axis=0)), axis=0), 1.0 / np.mean(1.0 / count)))
+        # The noise of one sample from neighbours in time, which creep and slow motion leave alone.
+        for alike in differences.values():
             middle = np.median([d for _, d, _ in alike], axis=0) / (0.6745 * np.sqrt(2.0))
             for i, _, count in alike:
                 sigma[i, columns] = np.maximum(middle, 1e-12) / np.sqrt(count)

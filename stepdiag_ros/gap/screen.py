@@ -304,11 +304,13 @@ class _Alike:
 
 @dataclass(frozen=True)
 class _Owed:
-    """The rows that columns made of readings owe, given a set: ``left`` (m,) of them and ``total`` its square, the
-    set's ``basis`` (m, r) there, and their products, those of all ``columns`` (K,) among them."""
+    """The rows that columns made of readings owe, given a set: what is left of them, squared, in ``total``; products of
+    the set's directions there with each other (r, r) and with what is left (r,), and of all columns with the
+    directions (K, r) and with what is left (K,)."""
 
-    basis: np.ndarray
-    left: np.ndarray
+    total: float
+    among: np.ndarray
+    among_left: np.ndarray
     with_basis: np.ndarray
     with_left: np.ndarray
 
@@ -318,23 +320,19 @@ class _Owed:
         left = data[rows.rows] - mine @ taken
         with_basis, with_left = np.zeros((columns, mine.shape[1])), np.zeros(columns)
         with_basis[rows.places], with_left[rows.places] = rows.columns.T @ mine, rows.columns.T @ left
-        return cls(mine, left, with_basis, with_left)
-
-    @property
-    def total(self) -> float:
-        return float(self.left @ self.left)
+        return cls(float(left @ left), mine.T @ mine, mine.T @ left, with_basis, with_left)
 
     def of(self, alike: _Alike, chosen: np.ndarray, cross: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
         """Products of the ``chosen`` candidates with themselves and with what is left, ``cross`` (F, k, r) of what the
         set explains taken off; None where neither they nor the set owe anything."""
-        if alike.owed is None and not np.any(self.basis):
+        if alike.owed is None and not np.any(self.among):
             return None
         places, ratios = alike.places[chosen], alike.ratios[chosen]
         mixed = (self.with_basis[places] * ratios[:, :, None]) @ cross.transpose(0, 2, 1)
-        gram = cross @ (self.basis.T @ self.basis) @ cross.transpose(0, 2, 1) - mixed - mixed.transpose(0, 2, 1)
+        gram = cross @ self.among @ cross.transpose(0, 2, 1) - mixed - mixed.transpose(0, 2, 1)
         if alike.owed is not None:
             gram = gram + alike.owed[chosen]
-        return gram, self.with_left[places] * ratios - cross @ (self.basis.T @ self.left)
+        return gram, self.with_left[places] * ratios - cross @ self.among_left
 
 
 def _explained(columns: np.ndarray) -> np.ndarray:

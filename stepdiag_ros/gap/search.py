@@ -6,7 +6,7 @@ that of each further one given those before, the largest over the orders.  A for
 its effect is in the set, are free: what is left is what nothing in the set can explain.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -97,12 +97,7 @@ def search(screen: Screen) -> list[EffectSet]:
                     if larger.log_bayes > found.log_bayes + GAIN:
                         grown.append(larger)
         front = grown
-    # One set of names counts once, in its best composition.
-    best: dict[frozenset, EffectSet] = {}
-    for found in sets.values():
-        if found.key not in best or best[found.key].log_bayes < found.log_bayes:
-            best[found.key] = found
-    found = _held_to_names(screen, _each_earned(screen, best))
+    found = _held_to_names(screen, _each_earned(screen, _best_compositions(sets.values())))
     return sorted(found, key=lambda s: -(s.log_bayes + log_prior(s, len(first))))
 
 
@@ -157,12 +152,18 @@ def _each_earned(screen: Screen, best: Mapping[frozenset, EffectSet]) -> list[Ef
     return list(result.values())
 
 
-def _leading(sets: list[EffectSet], most: int) -> list[EffectSet]:
-    """The best sets, each set of names in its best composition: the further forms of one must not crowd out others."""
+def _best_compositions(sets: Iterable[EffectSet]) -> dict[frozenset, EffectSet]:
+    """One set of names counts once, in its best composition."""
     best: dict[frozenset, EffectSet] = {}
-    for found in sorted(sets, key=lambda s: -s.log_bayes):
-        best.setdefault(found.key, found)
-    leading = list(best.values())[:most]
+    for found in sets:
+        if found.key not in best or best[found.key].log_bayes < found.log_bayes:
+            best[found.key] = found
+    return best
+
+
+def _leading(sets: list[EffectSet], most: int) -> list[EffectSet]:
+    """The best sets, each set of names once: the further forms of one must not crowd out others."""
+    leading = sorted(_best_compositions(sets).values(), key=lambda s: -s.log_bayes)[:most]
     behind = max(HOPELESS, FORM_ERROR * leading[0].log_bayes) if leading else 0.0
     return [s for s in leading if s.log_bayes > max(GAIN, leading[0].log_bayes - behind)]
 

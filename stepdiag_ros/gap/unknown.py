@@ -10,6 +10,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from stepdiag_ros.effects.base import Form, StopView
+from stepdiag_ros.gap.observe import channels
 
 NAME = 'unknown'
 LEAN = ('jumps', 'lengths')
@@ -28,9 +29,7 @@ def unknown_families(view: StopView) -> dict[str, list[Form]]:
 
 def _channels(view: StopView) -> list[tuple[str, slice, float]]:
     """Channel groups: name, columns, typical size [m]."""
-    b = view.beams
-    return [('displacement', slice(0, b), 1e-6), ('spot_x', slice(b, b + 1), 3e-6),
-            ('spot_y', slice(b + 1, b + 2), 3e-6)]
+    return [(name, columns, 1e-6 if name == 'displacement' else 3e-6) for name, columns in channels(view.beams).items()]
 
 
 def pattern_form(view: StopView, label: str, patterns: np.ndarray, columns: slice, scale: float) -> Form:

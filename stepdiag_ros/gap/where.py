@@ -16,11 +16,11 @@ import numpy as np
 
 from stepdiag_ros.estimate.noise import as_noise
 from stepdiag_ros.gap.joint import Joint, inverse_root, unexplained, widths
+from stepdiag_ros.gap.observe import channels
 from stepdiag_ros.gap.thresholds import CELL_SIGMAS, LEAST_SHARE, NAMED_CELL_SIGMAS
 
 CONCENTRATED = 0.85
 """Share of a cell in one axis or direction from which it is said."""
-CHANNELS = ('displacement', 'spot_x', 'spot_y')
 
 
 @dataclass(frozen=True)
@@ -51,8 +51,7 @@ def shares(joint: Joint, found: Sequence, leftover: bool) -> tuple[Share, ...]:
     excess = excess_of(joint, leftover)
     total = float(excess.sum())
     result = []
-    for channel, columns in zip(CHANNELS, (slice(0, beams), slice(beams, beams + 1),
-                                           slice(beams + 1, None)), strict=True):
+    for channel, columns in channels(beams).items():
         for number, setup in enumerate(table.setup_names):
             rows = table.setup == number
             cell = excess[rows, columns].sum(axis=1)

@@ -185,11 +185,8 @@ def _map(diagnosis: Diagnosis, shares: Shares) -> str:
     for c, channel in enumerate(SHORT_CHANNELS.values()):
         cells = ''
         for s in range(len(names)):
-            depth = shares.cells[c, s] / top
-            shade = f'rgba(194,87,47,{0.04 + 0.8 * depth:.2f})'
             said = closed_percent(shares.cells[c, s]) if named[c, s] else '·'
-            cells += (f'<td style="background:{shade};color:{"#fff" if depth > 0.6 else "#22282e"}">'
-                      f'{said}</td>')
+            cells += _shaded(shares.cells[c, s] / top, said)
         rows += f'<tr><th class="r">{escape(channel)}</th>{cells}</tr>'
     heads = ''.join(f'<th>{escape(n)}</th>' for n in names)
     return (f'<table class="heat"><tr><th></th>{heads}</tr>{rows}</table>'
@@ -198,12 +195,18 @@ def _map(diagnosis: Diagnosis, shares: Shares) -> str:
             f'{escape(gap_figures.legend_of_setups(names))}.</small>')
 
 
+def _shaded(depth: float, said: str) -> str:
+    """A cell of a heat map, the darker the deeper (0 … 1)."""
+    return (f'<td style="background:rgba(194,87,47,{0.04 + 0.8 * depth:.2f});'
+            f'color:{"#fff" if depth > 0.6 else "#22282e"}">{said}</td>')
+
+
 def _bands(diagnosis: Diagnosis) -> str:
     """What stands out of the noise by frequency: times the noise, before and after."""
     text = '<h3>By frequency</h3>' + f'<p>{escape(gap_words.bands_words(diagnosis))}</p>'
     if not any(band.stands_out for band in diagnosis.bands):
         return text
-    for setting, (unit, head) in gap_words.SETTINGS.items():
+    for setting, head in gap_words.SETTINGS.items():
         mine = [band for band in diagnosis.bands if band.setting == setting]
         if not mine:
             continue
@@ -213,7 +216,7 @@ def _bands(diagnosis: Diagnosis) -> str:
             found = {(band.shortest, band.longest): band for band in mine if band.channel == channel}
             rows += f'<tr><th class="r">{escape(said)}</th>' + ''.join(
                 _band_cell(found.get(period)) for period in periods) + '</tr>'
-        heads = ''.join(f'<th>{escape(gap_words.period_words(*period, unit))}</th>' for period in periods)
+        heads = ''.join(f'<th>{escape(gap_words.period_words(*period, mine[0].unit))}</th>' for period in periods)
         text += f'<table class="heat"><tr><th>{head}</th>{heads}</tr>{rows}</table>'
     return text + ('<small>Root mean square in times of the noise, before → after what was found is taken out, of what '
                    'the fit leaves; columns are periods. A dot: no more than noise makes.</small>')
@@ -223,9 +226,7 @@ def _band_cell(band: Band | None) -> str:
     if band is None or not band.stands_out:
         return '<td>·</td>'
     depth = min(np.log10(max(band.before, 1.0)) / 2.0, 1.0)
-    ink = '#fff' if depth > 0.7 else '#22282e'
-    return (f'<td style="background:rgba(194,87,47,{0.1 + 0.7 * depth:.2f});color:{ink}">'
-            f'{plain(np.sqrt(band.before))} → {plain(np.sqrt(band.after))}</td>')
+    return _shaded(depth, f'{plain(np.sqrt(band.before))} → {plain(np.sqrt(band.after))}')
 
 
 # ---- pictures -------------------------------------------------------------------------------------

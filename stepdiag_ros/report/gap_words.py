@@ -37,9 +37,8 @@ HARDLY = 1.15
 """Reduced χ² of the held-out part up to which a gap does not stand out of the noise there."""
 NOISE_LIKE = 1.3
 """Reduced χ² of the held-out part up to which what is left counts as noise."""
-SETTINGS = {'path': ('m', 'along the path'), 'reversal': ('m', 'along the path, opposite on the way back'),
-            'time': ('s', 'in time')}
-"""What a band is along: unit of its periods, and in words."""
+SETTINGS = {'path': 'along the path', 'reversal': 'along the path, opposite on the way back', 'time': 'in time'}
+"""What a band is along, in words."""
 JOIN = 'Record it in a bag of its own; “stepdiag gap BAG --further NEW_BAG” then diagnoses both as one log.'
 """How a further run comes to bear."""
 
@@ -221,10 +220,9 @@ def bands_words(diagnosis: Diagnosis) -> str:
     if not loud:
         return f'None of {len(diagnosis.bands)} bands, along the path and in time, stands out of the noise by itself.'
     most = max(loud, key=lambda band: band.before)
-    unit, along = SETTINGS[most.setting]
-    periods = period_words(most.shortest, most.longest, unit)
+    periods = period_words(most.shortest, most.longest, most.unit)
     return (f'{len(loud)} of {len(diagnosis.bands)} bands stand out of the noise, most the '
-            f'{SHORT_CHANNELS[most.channel]} with periods of {periods} {along}: '
+            f'{SHORT_CHANNELS[most.channel]} with periods of {periods} {SETTINGS[most.setting]}: '
             f'{plain(np.sqrt(most.before))} times the noise, {plain(np.sqrt(most.after))} times afterwards.')
 
 

@@ -13,7 +13,6 @@ from stepdiag_ros.gap.thresholds import LEAST_SHARE
 from stepdiag_ros.gap.unrest import dwells_by_channel
 from stepdiag_ros.gap.where import excess_of
 
-CHANNELS = ('displacement', 'spot_x', 'spot_y')
 STAMPS = 'clock_skew'
 """The effect that is seen while axes move, and only then."""
 
