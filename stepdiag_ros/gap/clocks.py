@@ -25,11 +25,12 @@ WORSE = 4.0
 @dataclass(frozen=True)
 class Late:
     """A sensor's stamps are late (early: negative) by ``offset`` ± ``sigma`` [s] on average over the log,
-    and by ``drift`` [s] more at its end than at its beginning."""
+    and by ``drift`` ± ``drift_sigma`` [s] more at its end than at its beginning."""
 
     offset: float
     sigma: float
     drift: float
+    drift_sigma: float
     probability: float
 
 
@@ -70,7 +71,7 @@ def late_clocks(clocks: Mapping[str, Timing | None],
         acausal = significant and (clock.sooner > LEAST_SOONER_S or (
             clock.before > 0.2 if clock.offset < 0 else clock.after > 0.2))
         if drifts or acausal:
-            found[name] = Late(_start(clock), clock.sigma, clock.drift if drifts else 0.0,
+            found[name] = Late(_start(clock), clock.sigma, clock.drift if drifts else 0.0, clock.drift_sigma,
                                0.99 if drifts and acausal else 0.95)
     if between is None or 'interferometer' not in seen:
         return found
@@ -83,7 +84,7 @@ def late_clocks(clocks: Mapping[str, Timing | None],
             start = _start(seen[sharp])
             wrong = other if abs(start) < abs(start + delay) else sharp
             offset = delay if wrong == other else -delay
-            found[wrong] = Late(offset, sigma, 0.0, 0.95)
+            found[wrong] = Late(offset, sigma, 0.0, seen[sharp].drift_sigma, 0.95)
         elif sharp in found:
             late = found[sharp]
             start = late.offset + delay

@@ -52,13 +52,14 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
     log, observation, clocks, late = set_clocks(log, observe(log))
     observation, beyond_range = within_range(observation)
     observation, disturbances = disturbed(log, observation)
-    joint, sets, screen = settle(observation, effects)
+    alone = fit_jointly(observation, [], noise_of(observation))
+    joint, sets, screen = settle(alone, effects)
     best = sets[0] if sets[0].log_bayes > ALARM else EffectSet((), 0.0)
     names, nothing, weights = probabilities(sets, len(effects) + 1, TEMPER)
     if not best.members:
         # Below the alarm nothing is claimed, whatever the odds between the sets say.
-        joint = fit_jointly(observation, [], noise_of(observation))
-    how_far, shakes = closing(joint), disturbances.unrest.shakes
+        joint = alone
+    how_far, shakes = closing(joint, alone), disturbances.unrest.shakes
     found = [_found(name, effects[name], names.get(name, 0.0), joint)
              for name in dict.fromkeys(a.effect.name for a in joint.active) if name in best.key]
     beside = [*([_late(late)] if late else []),
@@ -133,13 +134,13 @@ def _found(name: str, effect: Effect, probability: float, joint: Joint) -> Found
 
 def _late(late: Mapping[str, Late]) -> Found:
     parameters: dict[str, float] = {}
+    sigma: dict[str, float] = {}
     for sensor, by in late.items():
-        parameters[f'{sensor}_s'] = by.offset
+        parameters[f'{sensor}_s'], sigma[f'{sensor}_s'] = by.offset, by.sigma
         if by.drift:
-            parameters[f'{sensor}_drift_s'] = by.drift
+            parameters[f'{sensor}_drift_s'], sigma[f'{sensor}_drift_s'] = by.drift, by.drift_sigma
     return Found('clock_skew', "A sensor's time stamps do not agree with the sequencer's.",
-                 max(by.probability for by in late.values()), parameters,
-                 {f'{sensor}_s': by.sigma for sensor, by in late.items()}, 's',
+                 max(by.probability for by in late.values()), parameters, sigma, 's',
                  'offset and drift' if any(by.drift for by in late.values()) else 'constant offset',
                  1.0, 'Let all computers take their time from one source (PTP or NTP).')
 

@@ -11,12 +11,16 @@ from stepdiag_ros.gap.closing import Closing
 from stepdiag_ros.gap.inside import Timing
 from stepdiag_ros.gap.joint import Joint
 from stepdiag_ros.gap.lines import Vibration
+from stepdiag_ros.gap.margins import Margins, margins
 from stepdiag_ros.gap.next_run import NextRun
 from stepdiag_ros.gap.observe import Observation
 from stepdiag_ros.gap.screen import Screen
 from stepdiag_ros.gap.search import EffectSet
 from stepdiag_ros.gap.where import Share
 from stepdiag_ros.model.log import CalibrationLog
+
+STAMPS = 'clock_skew'
+"""The effect that is seen while axes move, and only then."""
 
 
 @dataclass(frozen=True)
@@ -71,6 +75,7 @@ class Diagnosis:
                     'reduced_chi2_before': self.closing.before,
                     'reduced_chi2_after': self.closing.after},
             'where': [share.to_json_dict() for share in self.shares],
+            'shares': self.margins.to_json_dict() if self.margins else None,
             'bands': [band.to_json_dict() for band in self.bands],
             'effects': [{'name': f.name, 'probability': f.probability, 'parameters': dict(f.parameters),
                          'sigma': dict(f.sigma), 'units': f.units, 'form': f.form, 'closes': f.closes,
@@ -86,6 +91,20 @@ class Diagnosis:
                       'angle_repeatability_rad': self.joint.noise.angle,
                       'source': self.joint.noise.source},
             'warnings': list(self.warnings)}
+
+    @property
+    def only_stamps(self) -> bool:
+        """Whether nothing is wrong but stamps: at rest that changes nothing."""
+        return [found.name for found in self.effects] == [STAMPS] and not self.leftover
+
+    @cached_property
+    def margins(self) -> Margins | None:
+        """How the gap shares out; None where there is none, or none that has a place."""
+        if self.verdict == 'no_gap':
+            return None
+        stamps = sum((found.parameters[name] / found.sigma[name]) ** 2
+                     for found in self.effects if found.name == STAMPS for name in found.sigma)
+        return margins(self.joint, bool(self.leftover), stamps, standing=not self.only_stamps)
 
     @cached_property
     def bands(self) -> tuple[Band, ...]:

@@ -11,12 +11,14 @@ import numpy as np
 
 from stepdiag_ros.effects.base import Effect, Form
 from stepdiag_ros.effects.tuning import tune
+from stepdiag_ros.estimate.enhanced import readings_of
 from stepdiag_ros.estimate.noise import NoiseModel, estimate_noise
 from stepdiag_ros.gap.beyond import beyond_families
 from stepdiag_ros.gap.evidence import width_of
 from stepdiag_ros.gap.gross import GROSS, misfit, place_to_begin
-from stepdiag_ros.gap.joint import Joint, fit_jointly
+from stepdiag_ros.gap.joint import Joint, fit_jointly, solve, unexplained
 from stepdiag_ros.gap.observe import Observation
+from stepdiag_ros.gap.parity import parity
 from stepdiag_ros.gap.scatter import strays
 from stepdiag_ros.gap.screen import Candidate, Screen
 from stepdiag_ros.gap.search import EffectSet, search
@@ -29,11 +31,11 @@ TUNED = 4
 """Leading effects whose shape parameters are tuned before sets are formed."""
 
 
-def settle(observation: Observation,
-           effects: Mapping[str, Effect]) -> tuple[Joint, list[EffectSet], Screen]:
-    """Search and fit in turns until the chosen set stays the same."""
-    joint = place_to_begin(fit_jointly(observation, [], noise_of(observation)), effects)
+def settle(nominal: Joint, effects: Mapping[str, Effect]) -> tuple[Joint, list[EffectSet], Screen]:
+    """From the fit of the machine alone search and fit in turns until the chosen set stays the same."""
+    joint = place_to_begin(nominal, effects)
     previous: tuple = ()
+    stood: tuple[list[EffectSet], Screen] | None = None
     for _ in range(ROUNDS):
         screen = _screen(joint, effects)
         screen = _sharpened(screen)
@@ -53,16 +55,37 @@ def settle(observation: Observation,
         if identity == previous:
             break
         previous = identity
-        fitted = fit_jointly(joint.observation, chosen, joint.noise)
+        fitted = fit_jointly(joint.observation, chosen, joint.noise) if chosen else nominal
         if joint.active and misfit(fitted) > max(GROSS, misfit(joint)):
             # The search foretold from its place what the joint fit does not hold: what did hold is kept.
             screen = Screen(joint.parity, [Candidate(a.effect.name or UNKNOWN, '', a.form) for a in joint.active],
                             float(sum(joint.noise.dof)))
             return joint, search(screen), screen
-        joint = fitted
+        if stood and best.log_bayes - _short(joint, chosen, fitted) < _evidence(sets, joint) - ALARM:
+            return joint, *stood
+        joint, stood = fitted, (sets, screen)
         if not chosen:
             break
     return joint, sets, screen
+
+
+def _short(joint: Joint, chosen: list[tuple[Effect, Form]], fitted: Joint) -> float:
+    """Log evidence by which ``chosen`` falls short, once ``fitted``, of what its search foretold at ``joint``.
+
+    A beam's cosine only shortens: at a fit that an effect has freed a small step may seem to lengthen what the machine
+    alone can never fit, and what was found seems not to be needed.
+    """
+    foretold = unexplained(joint.parity, solve(joint.parity, chosen))[:joint.parity.stops]
+    observation = fitted.observation
+    space = parity(observation, observation.fit, joint.noise, readings_of(observation.table))
+    left = unexplained(space, solve(space, [(a.effect, a.form) for a in fitted.active]))[:space.stops]
+    return 0.5 * float(left @ left - foretold @ foretold)
+
+
+def _evidence(sets: list[EffectSet], joint: Joint) -> float:
+    """Log evidence of the effects of a joint fit among sets searched there."""
+    names = {a.effect.name or UNKNOWN for a in joint.active}
+    return next((s.log_bayes for s in sets if s.key == names), 0.0)
 
 
 def noise_of(observation: Observation) -> NoiseModel:

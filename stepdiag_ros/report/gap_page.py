@@ -8,10 +8,12 @@ import numpy as np
 from stepdiag_ros.estimate.evaluate import solution_of
 from stepdiag_ros.gap.bands import Band
 from stepdiag_ros.gap.diagnosis import Diagnosis, Found
+from stepdiag_ros.gap.margins import SETTLING, Margins
+from stepdiag_ros.gap.thresholds import LEAST_SHARE
 from stepdiag_ros.gap.unknown import NAME as UNKNOWN
 from stepdiag_ros.report import gap_figures, gap_words
 from stepdiag_ros.report.page import bars, figure, page, table
-from stepdiag_ros.report.series import Shares, inside, named_cells, series, share_map, spectra
+from stepdiag_ros.report.series import inside, series, spectra
 from stepdiag_ros.report.words import (
     SHORT_CHANNELS,
     certainty,
@@ -167,25 +169,25 @@ def _sets(diagnosis: Diagnosis) -> str:
 
 def _where(diagnosis: Diagnosis) -> str:
     text = f'<h2>Where is it?</h2><p>{escape(gap_words.where_words(diagnosis))}</p>'
-    shares = share_map(diagnosis)
+    shares = diagnosis.margins
     if shares is None:
         return text + _bands(diagnosis)
-    return text + '<div class="cols"><div>' + _map(diagnosis, shares) + '</div><div>' + bars(
-        [(f'after a move of {k}' if len(k) == 1 else k, v, closed_percent(v))
-         for k, v in shares.axis.items()]) + bars(
-        [(f'going {k}', v, closed_percent(v)) for k, v in shares.direction.items()]) + bars(
-        [(k, v, closed_percent(v)) for k, v in shares.time.items()]) + bars(
-        [(k, v, closed_percent(v)) for k, v in shares.state.items()]) + '</div></div>' + _bands(diagnosis)
+    margins = ({(f'after a move of {k}' if len(k) == 1 else k): v for k, v in shares.axis.items()},
+               {f'going {k}': v for k, v in shares.direction.items()}, shares.time,
+               {gap_words.STATES[k]: v for k, v in shares.state.items()})
+    sides = ''.join(bars([(said, v, closed_percent(v)) for said, v in margin.items()]) for margin in margins if margin)
+    if not shares.cells.any():
+        return text + sides + _bands(diagnosis)
+    return text + '<div class="cols"><div>' + _map(shares) + '</div><div>' + sides + '</div></div>' + _bands(diagnosis)
 
 
-def _map(diagnosis: Diagnosis, shares: Shares) -> str:
-    names = diagnosis.nominal.table.setup_names
-    named, top = named_cells(shares), max(shares.cells.max(), 1e-9)
+def _map(shares: Margins) -> str:
+    names, top = shares.setups, shares.cells.max()
     rows = ''
     for c, channel in enumerate(SHORT_CHANNELS.values()):
         cells = ''
         for s in range(len(names)):
-            said = closed_percent(shares.cells[c, s]) if named[c, s] else '·'
+            said = closed_percent(shares.cells[c, s]) if shares.cells[c, s] >= LEAST_SHARE else '·'
             cells += _shaded(shares.cells[c, s] / top, said)
         rows += f'<tr><th class="r">{escape(channel)}</th>{cells}</tr>'
     heads = ''.join(f'<th>{escape(n)}</th>' for n in names)
@@ -254,8 +256,8 @@ def _pictures(diagnosis: Diagnosis) -> str:
 
 def _inside(diagnosis: Diagnosis) -> str:
     """What happens while the machine stands still, where a good part of the gap is there."""
-    shares = share_map(diagnosis)
-    if shares is None or list(shares.state.values())[1] < LEAST_INSIDE or not diagnosis.joint.active:
+    shares = diagnosis.margins
+    if shares is None or shares.state[SETTLING] < LEAST_INSIDE or not diagnosis.joint.active:
         return ''
     return '<h3>While the machine stands still</h3>' + figure(
         gap_figures.inside_stops(inside(diagnosis), diagnosis.nominal.table),

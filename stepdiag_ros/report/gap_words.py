@@ -6,8 +6,9 @@ import numpy as np
 
 from stepdiag_ros.gap.closing import closing
 from stepdiag_ros.gap.diagnosis import Diagnosis, Found
+from stepdiag_ros.gap.margins import AT_REST, MOVING, SETTLING
 from stepdiag_ros.model.machine import CURVES, SQUARENESS
-from stepdiag_ros.report.series import only_stamps, reach, share_map
+from stepdiag_ros.report.series import reach
 from stepdiag_ros.report.words import (
     SHORT_CHANNELS,
     certainty,
@@ -39,6 +40,9 @@ NOISE_LIKE = 1.3
 """Reduced χ² of the held-out part up to which what is left counts as noise."""
 SETTINGS = {'path': 'along the path', 'reversal': 'along the path, opposite on the way back', 'time': 'in time'}
 """What a band is along, in words."""
+STATES = {MOVING: 'while the axes move (stamps)', SETTLING: 'inside the stops (settling, shaking)',
+          AT_REST: 'at rest (means of the stops)'}
+"""The states of the machine in which a gap shows, in words."""
 JOIN = 'Record it in a bag of its own; “stepdiag gap BAG --further NEW_BAG” then diagnoses both as one log.'
 """How a further run comes to bear."""
 
@@ -155,8 +159,7 @@ def how_far(diagnosis: Diagnosis) -> str:
         return (f'The mean readings at the stops differ by {micrometres(gap.before_m)}; '
                 f'noise alone makes {micrometres(gap.floor_m)}.')
     if gap.before < HARDLY:
-        overall = share_map(diagnosis)
-        still = overall is not None and list(overall.state.values())[1] > 0.5
+        still = diagnosis.margins is not None and diagnosis.margins.state[SETTLING] > 0.5
         return (f'In the means of single stops it hardly shows: {micrometres(gap.before_m)} where noise alone makes '
                 f'{micrometres(gap.floor_m)}. ' + (
                     'It shows in how the readings move while the machine stands still.' if still else
@@ -235,7 +238,7 @@ def period_words(shortest: float, longest: float, unit: str) -> str:
 
 def where_words(diagnosis: Diagnosis) -> str:
     """Where the gap lies, in a sentence."""
-    if only_stamps(diagnosis):
+    if diagnosis.only_stamps:
         return 'In what is read while the axes move; while they stand still a wrong stamp changes nothing.'
     shares = diagnosis.shares
     if not shares:
@@ -256,10 +259,11 @@ def where_words(diagnosis: Diagnosis) -> str:
         if len(directions) == 1 and None not in directions:
             text += ' going ' + ('forward' if directions.pop() > 0 else 'backward')
         parts.append(text)
-    overall = share_map(diagnosis)
-    still = list(overall.state.values())[1] if overall else 0.0
-    if still > 0.5:
-        parts.append(f'{closed_percent(still)} of all of it shows while the machine stands still at a stop')
+    states = diagnosis.margins.state if diagnosis.margins else {}
+    if states.get(SETTLING, 0.0) > 0.5:
+        parts.append(f'{closed_percent(states[SETTLING])} of all of it shows while the machine stands still at a stop')
+    if states.get(MOVING, 0.0) > 0.5:
+        parts.append(f'{closed_percent(states[MOVING])} of all of it is wrong stamps, seen while the axes move')
     return '; '.join(parts) + '.'
 
 

@@ -7,14 +7,8 @@ import numpy as np
 from stepdiag_ros.estimate.enhanced import readings_of
 from stepdiag_ros.estimate.noise import whiteners
 from stepdiag_ros.gap.diagnosis import Diagnosis
-from stepdiag_ros.gap.joint import unexplained
 from stepdiag_ros.gap.steady import Spectrum, spectrum
-from stepdiag_ros.gap.thresholds import LEAST_SHARE
 from stepdiag_ros.gap.unrest import dwells_by_channel
-from stepdiag_ros.gap.where import excess_of
-
-STAMPS = 'clock_skew'
-"""The effect that is seen while axes move, and only then."""
 
 
 @dataclass(frozen=True)
@@ -111,59 +105,3 @@ def spectra(diagnosis: Diagnosis) -> dict[int, Spectrum]:
              for channel, dwells in enumerate(dwells_by_channel(seen.log, seen.table))
              if dwells is not None and seen.swings[:, channel].any()}
     return {channel: one for channel, one in found.items() if one is not None}
-
-
-@dataclass(frozen=True)
-class Shares:
-    """Shares of the gap's excess by channel and setup (3, s), by axis moved (X, Y, Z, first stop), by
-    direction (forward, backward), by time (thirds of the log), and whether it is at rest in the mean or moves inside
-    the dwells."""
-
-    cells: np.ndarray
-    axis: dict[str, float]
-    direction: dict[str, float]
-    time: dict[str, float]
-    state: dict[str, float]
-
-
-def only_stamps(diagnosis: Diagnosis) -> bool:
-    """Whether nothing is wrong but stamps: at rest that changes nothing."""
-    return [found.name for found in diagnosis.effects] == [STAMPS] and not diagnosis.leftover
-
-
-def share_map(diagnosis: Diagnosis) -> Shares | None:
-    """Where the gap lies in full; None where there is none, or none at the stops."""
-    joint, table = diagnosis.joint, diagnosis.nominal.table
-    space = joint.parity
-    if diagnosis.verdict == 'no_gap' or only_stamps(diagnosis):
-        return None
-    excess = excess_of(joint, bool(diagnosis.leftover))
-    total = float(excess.sum())
-    if total <= 0.0:
-        return None
-    beams = joint.fit.model.beams
-    channel = np.maximum(np.arange(excess.shape[1]) - beams + 1, 0)
-    excess = excess / total
-    cells = np.zeros((3, len(table.setup_names)))
-    np.add.at(cells, (channel[None, :], table.setup[:, None]), excess)
-    stops = excess.sum(axis=1)
-    axis = {letter: float(stops[table.axis == k].sum()) for k, letter in enumerate('XYZ')}
-    axis['first stop of a run'] = max(0.0, 1.0 - sum(axis.values()))
-    direction = {'forward': float(stops[table.direction > 0].sum()),
-                 'backward': float(stops[table.direction < 0].sum())}
-    # Whether at rest or moving is a matter of what is seen best: of parity space.
-    rest = unexplained(space, joint.active)
-    seen = (space.data - rest) ** 2 if joint.active else np.maximum(rest**2 - 1.0, 0.0)
-    swings = joint.observation.swings is not None and not joint.active and not diagnosis.leftover
-    inside = 1.0 if swings else float(seen[space.stops:].sum() / max(seen.sum(), 1e-300))
-    gone = (table.time_s - table.time_s.min()) / max(float(np.ptp(table.time_s)), 1e-9)
-    third = np.minimum(3.0 * gone, 2.0).astype(int)
-    time = {f'{said} third of the log': float(stops[third == k].sum())
-            for k, said in enumerate(('first', 'middle', 'last'))}
-    return Shares(cells, axis, direction, time, {'between stops (means)': 1.0 - inside,
-                                                 'inside the stops (while standing still)': inside})
-
-
-def named_cells(shares: Shares) -> np.ndarray:
-    """Cells that hold enough to be named (3, s)."""
-    return shares.cells >= LEAST_SHARE

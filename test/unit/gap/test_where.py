@@ -11,7 +11,6 @@ from stepdiag_ros.blind.world import Order, make
 from stepdiag_ros.effects import effect_class
 from stepdiag_ros.gap.diagnose import diagnose
 from stepdiag_ros.gap.where import shares
-from stepdiag_ros.report.series import share_map
 
 
 @pytest.mark.parametrize(('name', 'values'), [
@@ -80,4 +79,24 @@ def test_a_shake_lies_in_the_length_and_in_the_dwells(case):
     assert {s.channel for s in found.shares} == {'displacement'}
     diagonals = [s.share for s in found.shares if not s.setup.startswith('lin')]
     assert sum(diagonals) > 0.7 and max(diagonals) < 2.0 * min(diagonals)
-    assert share_map(found).state['inside the stops (while standing still)'] == 1.0
+    assert found.margins.state == {'moving': 0.0, 'settling': 1.0, 'at_rest': 0.0}
+
+
+def test_every_margin_adds_up(case):
+    found = case.diagnose(effect_class('backlash')(B=[4e-6, 0.0, 3e-6]))
+    margins = found.margins.to_json_dict()
+    assert set(margins) == {'channel', 'setup', 'axis', 'direction', 'time', 'state'}
+    for margin in margins.values():
+        assert sum(margin.values()) == pytest.approx(1.0)
+        assert min(margin.values()) >= 0.0
+    assert margins['state']['at_rest'] > 0.9 and margins['axis']['Y'] < margins['axis']['X']
+
+
+def test_wrong_stamps_lie_in_the_motion(case):
+    late = effect_class('clock_skew')(interferometer=0.02)
+    assert case.diagnose(late).margins.to_json_dict() == {'state': {'moving': 1.0, 'settling': 0.0, 'at_rest': 0.0}}
+    both = case.diagnose(late, effect_class('backlash')(B=[4e-6, 0.0, 3e-6]))
+    state = both.margins.state
+    assert {e.name for e in both.effects} == {'clock_skew', 'backlash'}
+    assert state['moving'] > 0.1 and state['at_rest'] > 0.0
+    assert sum(state.values()) == pytest.approx(1.0)

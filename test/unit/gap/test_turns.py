@@ -1,0 +1,32 @@
+"""Search and fit in turns: what one linearisation foretells the fit must hold."""
+
+import pytest
+
+from stepdiag_ros.effects import effect_class
+from stepdiag_ros.virtual.cell import parse_cell
+from test.unit.gap.conftest import TEXT, Case
+
+LARGE = TEXT.replace('volume: [0.5, 0.4, 0.3]', 'volume: [2.2, 2.2, 2.6]').replace('length: 0.5', 'length: 2.2') \
+    .replace('length: 0.4', 'length: 2.2').replace('length: 0.3', 'length: 2.6') \
+    .replace('position_repeatability: 3.0e-7', 'position_repeatability: 8e-8')
+"""A large machine that repeats well: its diagonals are long against its straight runs by what no tilted beam can be."""
+
+
+@pytest.fixture(scope='module')
+def large():
+    case = Case()
+    case.cell = parse_cell(LARGE)
+    return case
+
+
+def test_what_only_a_beam_that_lengthens_could_replace_stays_found(large):
+    # The effect once freed, a linear step of the beams' tilts seems to do as well; their cosine cannot.
+    found = large.diagnose(effect_class('non_rigid_coupling')(motion='EXX', by='Z', amp=-1e-5))
+    assert found.verdict == 'unexplained'
+    assert 'bent' in found.leftover
+    assert found.indistinguishable == (('non_rigid_coupling', 'unknown'),)
+    assert found.closing.after < 1.1 < found.closing.before
+
+
+def test_nothing_is_found_where_a_beam_that_shortens_does_as_well(large):
+    assert large.diagnose(effect_class('non_rigid_coupling')(motion='EXX', by='Z', amp=1e-5)).verdict == 'no_gap'
