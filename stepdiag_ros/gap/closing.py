@@ -19,12 +19,14 @@ RESET_WIDTH_M = 1e-4
 
 @dataclass(frozen=True)
 class Closing:
-    """Reduced χ² of the forecast without and with the effects, over ``count`` readings; in words
-    which part was ``held_out``; the same as distances [m] by the noise floor."""
+    """Reduced χ² of the forecast without and with the effects, over ``count`` readings, in units of a noise known to
+    ``noise_dof`` degrees of freedom; in words which part was ``held_out``; the same as distances [m] by the noise
+    floor."""
 
     before: float
     after: float
     count: int
+    noise_dof: float
     held_out: str
     before_m: float
     after_m: float
@@ -33,7 +35,7 @@ class Closing:
     @property
     def left(self) -> float:
         """Share of the excess χ² before that is there after; 0 where chance alone may leave it (five σ)."""
-        beyond_chance = self.after > 1.0 + 5.0 * np.sqrt(2.0 / max(self.count, 1))
+        beyond_chance = self.after > 1.0 + 5.0 * np.sqrt(2.0 / max(self.count, 1) + 2.0 / max(self.noise_dof, 1.0))
         return (self.after - 1.0) / (self.before - 1.0) if beyond_chance and self.before > self.after else 0.0
 
 
@@ -66,7 +68,8 @@ def closing(joint: Joint, alone: Joint | None = None) -> Closing:
         before = _foretold(joint, with_effects=False)[0]
     before, after = before / max(freedom, 1), after / max(freedom, 1)
     floor = noise_floor(joint)
-    return Closing(before, after, count, name, floor * np.sqrt(before), floor * np.sqrt(after), floor)
+    return Closing(before, after, count, float(sum(joint.noise.dof)), name,
+                   floor * np.sqrt(before), floor * np.sqrt(after), floor)
 
 
 def _left(joint: Joint) -> float:
@@ -105,14 +108,14 @@ def _foretold(joint: Joint, with_effects: bool) -> tuple[float, int, int, str]:
     return total, count, freedom, name
 
 
-def excess_forecast(how_far: Closing, noise_dof: float) -> tuple[float, str]:
+def excess_forecast(how_far: Closing) -> tuple[float, str]:
     """Log evidence that the part held out is foretold worse than noise allows, and that in words.
 
     A log may be fitted to the noise by errors that are not those of the machine, bent until they follow
-    whatever disturbs it; then they do not foretell.  The noise is known to ``noise_dof`` degrees of freedom.
-    Of forecasts made in turn from each other only half are counted as independent.
+    whatever disturbs it; then they do not foretell.  Of forecasts made in turn from each other only half are counted
+    as independent.
     """
-    ratio, count = how_far.after, 1.0 / (2.0 / max(how_far.count, 1) + 1.0 / max(noise_dof, 1.0))
+    ratio, count = how_far.after, 1.0 / (2.0 / max(how_far.count, 1) + 1.0 / max(how_far.noise_dof, 1.0))
     gain = 0.5 * count * (ratio - 1.0 - np.log(ratio)) if ratio > 1.0 else 0.0
     return gain, f'{how_far.held_out} is foretold {np.sqrt(max(ratio, 0.0)):.2f} times worse than noise allows'
 

@@ -93,7 +93,7 @@ def _without_pattern(joint: Joint, best: EffectSet, how_far: Closing, found: boo
     allowed = SCATTER_ALARM + min(MISFIT * best.log_bayes, MISFIT_MOST)
     if evidence > allowed and not _form_error(joint):
         return words
-    evidence, words = excess_forecast(how_far, float(sum(joint.noise.dof)))
+    evidence, words = excess_forecast(how_far)
     return words if evidence > SCATTER_ALARM and not found else ''
 
 

@@ -6,7 +6,7 @@ import pytest
 from stepdiag_ros.bag.import_csv import import_csv
 from stepdiag_ros.effects import all_effects, effect_class
 from stepdiag_ros.gap import diagnose
-from stepdiag_ros.gap.closing import closing
+from stepdiag_ros.gap.closing import Closing, closing
 
 
 def test_every_repeat_is_foretold_once(case):
@@ -38,3 +38,10 @@ def test_the_last_cycles_of_an_only_run_are_foretold_from_those_before(tmp_path)
     assert found.closing.count == 36
     assert found.closing.before > 50.0
     assert found.closing.after == pytest.approx(1.0, abs=5.0 * np.sqrt(2.0 / 36))
+
+
+def test_what_a_badly_known_noise_may_make_is_not_left_over():
+    def left(noise_dof):
+        return Closing(1.5, 1.3, 900, noise_dof, 'each repeat', 0.0, 0.0, 0.0).left
+    assert left(1e5) == pytest.approx(0.6)
+    assert left(300.0) == 0.0
