@@ -117,7 +117,9 @@ def _causes(diagnosis: Diagnosis) -> str:
             text += table(['what it is', 'how sure', 'size', 'what to do'],
                           [_cause_row(diagnosis, f) for f in diagnosis.effects])
         if diagnosis.leftover:
-            text += ('<div class="todo warn2"><b>Something is there that is none of the known causes.</b> '
+            what = 'to which this log gives no sure name' if gap_words.stand_ins(diagnosis) else \
+                'that is none of the known causes'
+            text += (f'<div class="todo warn2"><b>Something is there {what}.</b> '
                      f'What it looks like: {escape(leftover_words(diagnosis.leftover))}. No name was put on '
                      'it, because none foretells it better than a shapeless pattern does.</div>')
     text += _apart(diagnosis)
@@ -175,7 +177,8 @@ def _where(diagnosis: Diagnosis) -> str:
     margins = ({(f'after a move of {k}' if len(k) == 1 else k): v for k, v in shares.axis.items()},
                {f'going {k}': v for k, v in shares.direction.items()}, shares.time,
                {gap_words.STATES[k]: v for k, v in shares.state.items()})
-    sides = ''.join(bars([(said, v, closed_percent(v)) for said, v in margin.items()]) for margin in margins if margin)
+    sides = '<div class="sides">' + ''.join(
+        bars([(said, v, closed_percent(v)) for said, v in margin.items()]) for margin in margins if margin) + '</div>'
     if not shares.cells.any():
         return text + sides + _bands(diagnosis)
     return text + '<div class="cols"><div>' + _map(shares) + '</div><div>' + sides + '</div></div>' + _bands(diagnosis)

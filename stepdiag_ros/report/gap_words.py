@@ -7,6 +7,7 @@ import numpy as np
 from stepdiag_ros.gap.closing import closing
 from stepdiag_ros.gap.diagnosis import Diagnosis, Found
 from stepdiag_ros.gap.margins import AT_REST, MOVING, SETTLING
+from stepdiag_ros.gap.unknown import NAME as UNKNOWN
 from stepdiag_ros.model.machine import CURVES, SQUARENESS
 from stepdiag_ros.report.series import reach
 from stepdiag_ros.report.words import (
@@ -118,6 +119,10 @@ def headline(diagnosis: Diagnosis) -> str:
     if not found and not diagnosis.leftover:
         return (f'Nothing is wrong that this log could show: machine and simulator agree to within '
                 f'the noise of {floor}.')
+    names = stand_ins(diagnosis)
+    if not found and names:
+        return (f'Something disturbs the measurement to which this log gives no sure name: {leftover}. '
+                f'What would look the same: {" or ".join(_lower(title(name)) for name in names)}.')
     if not found:
         return f'Something disturbs the measurement that is none of the known causes: {leftover}.'
     if len(found) == 1:
@@ -131,8 +136,14 @@ def headline(diagnosis: Diagnosis) -> str:
     return text + '.'
 
 
+def stand_ins(diagnosis: Diagnosis) -> list[str]:
+    """The known causes that what has no name may as well be."""
+    return [name for group in diagnosis.indistinguishable if UNKNOWN in group for name in group if name != UNKNOWN]
+
+
 def _lower(text: str) -> str:
-    return text[0].lower() + text[1:] if not text[:2].isupper() else text
+    keeps = text[:2].isupper() and not text.startswith('A ')
+    return text if keeps else text[0].lower() + text[1:]
 
 
 def closed_share(diagnosis: Diagnosis) -> float | None:
@@ -262,8 +273,8 @@ def where_words(diagnosis: Diagnosis) -> str:
     states = diagnosis.margins.state if diagnosis.margins else {}
     if states.get(SETTLING, 0.0) > 0.5:
         parts.append(f'{closed_percent(states[SETTLING])} of all of it shows while the machine stands still at a stop')
-    if states.get(MOVING, 0.0) > 0.5:
-        parts.append(f'{closed_percent(states[MOVING])} of all of it is wrong stamps, seen while the axes move')
+    if states.get(MOVING, 0.0) > 0.0:
+        parts.append('beside this, wrong stamps show while the axes move')
     return '; '.join(parts) + '.'
 
 

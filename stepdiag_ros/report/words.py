@@ -160,14 +160,24 @@ def leftover_words(label: str) -> str:
         (r'one stop, (\S+) stop (\d+)', 'is off at a single stop (run {0}, stop {1})'),
         (r'jump at (\S+) stop (\d+)', 'jumps once (run {0}, stop {1}) and stays there'),
         (r'inside the dwells, (.*)', 'moves while the machine stands still at a stop ({0})'),
+        (r'bent beyond (\d+) % of the range', 'is bent beyond {0} % of its range'),
+        (r'bent over the range', 'is bent over its range'),
+        (r"follows the spot's distance, (.*)", "follows how far the spot lies from the detector's middle ({0})"),
+        (r'follows the spot at (\S+), saturating at (.*)', 'follows the spot along {0}, up to some {1}'),
+        (r'turned by the direction of ([XYZ])(.*)', 'turns with the direction in which {0} moves{1}'),
+        (r'another unit from (\S+) stop (\d+) on', 'is another one from run {0}, stop {1} on'),
+        (r'another unit in each run', 'is another one in each run'),
     )
     where = {'displacement': 'the laser length', 'spot_x': 'the spot in x', 'spot_y': 'the spot in y',
              'tool point': 'the tool point', 'beam': "the laser beam's direction",
-             'mirror': "the mirror's attitude"}.get(channel)
+             'mirror': "the mirror's attitude", 'tool': 'the tool', 'length': 'the unit of length'}.get(channel)
     for pattern, words in rules if where else ():
         match = re.fullmatch(pattern, rest)
         if match:
             return f'{where} {words.format(*match.groups())}'
+    match = re.fullmatch(r'E([XYZ])([XYZ]) changes its shape, (\w+), (.*)', label)
+    if match:
+        return f'the guideway of {match[2]} changes its shape in {match[1]} with time (as a {match[3]}; {match[4]})'
     match = re.fullmatch(r'(.*): not alike from (.*) to \2', label)
     if match:
         return f'a known pattern ({match[1]}) whose size differs from {match[2]} to {match[2]}'

@@ -3,6 +3,7 @@
 import pytest
 
 from stepdiag_ros.effects import effect_class
+from stepdiag_ros.report.gap_words import headline
 from stepdiag_ros.virtual.cell import parse_cell
 from test.unit.gap.conftest import TEXT, Case
 
@@ -25,6 +26,7 @@ def test_what_only_a_beam_that_lengthens_could_replace_stays_found(large):
     assert found.verdict == 'unexplained'
     assert 'bent' in found.leftover
     assert found.indistinguishable == (('non_rigid_coupling', 'unknown'),)
+    assert 'no sure name' in headline(found)
     assert found.closing.after < 1.1 < found.closing.before
 
 
