@@ -32,7 +32,7 @@ TUNED = 4
 
 
 def settle(nominal: Joint, effects: Mapping[str, Effect]) -> tuple[Joint, list[EffectSet], Screen]:
-    """From the fit of the machine alone search and fit in turns until the chosen set stays the same."""
+    """From the fit of the machine alone, search and fit in turns until the chosen set stays the same."""
     joint = place_to_begin(nominal, effects)
     previous: tuple = ()
     stood: tuple[list[EffectSet], Screen] | None = None

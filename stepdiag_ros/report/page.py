@@ -31,7 +31,7 @@ td.n,th.n{text-align:right;font-variant-numeric:tabular-nums}
 .cols{display:grid;grid-template-columns:minmax(0,1.15fr) minmax(0,1fr);gap:44px}
 .bars{display:grid;grid-template-columns:max-content 1fr max-content;gap:4px 12px;
 align-items:center;font-size:14px;margin:8px 0}
-.sides .bars{grid-template-columns:15em 1fr 3.5em}
+.sides .bars{grid-template-columns:17.5em 1fr 3.5em}
 .bars .b{background:var(--tint);height:13px;border-radius:2px}
 .bars .b i{display:block;height:100%;background:var(--after);border-radius:2px;min-width:1px}
 .bars .v{font-variant-numeric:tabular-nums;text-align:right}
