@@ -25,7 +25,7 @@ from stepdiag_ros.gap.joint import Joint, fit_jointly, unexplained
 from stepdiag_ros.gap.lines import Vibration
 from stepdiag_ros.gap.next_measurement import advise
 from stepdiag_ros.gap.observe import observe
-from stepdiag_ros.gap.rivals import confused, rivals_of
+from stepdiag_ros.gap.rivals import confused, rivals_of, separations
 from stepdiag_ros.gap.scatter import excess_scatter
 from stepdiag_ros.gap.search import EffectSet, probabilities
 from stepdiag_ros.gap.thresholds import (
@@ -84,7 +84,8 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
         {**names, **outside, 'nothing': nothing * float(np.prod([1.0 - p for p in outside.values()]))},
         tuple((tuple(sorted((*s.names, *outside))), w) for s, w in zip(sets, weights, strict=True))[:20],
         groups, observation, joint, clocks, disturbances.unrest.displacement, leftover,
-        log.warnings + observation.table.warnings + ((beyond_range,) if beyond_range else ()), sets, screen, words, run)
+        log.warnings + observation.table.warnings + ((beyond_range,) if beyond_range else ()), sets, screen, words, run,
+        separations(sets, best))
 
 
 def _without_pattern(joint: Joint, best: EffectSet, how_far: Closing, found: bool) -> str:

@@ -1,7 +1,7 @@
 """What a diagnosis is: everything that a report needs."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 from stepdiag_ros.estimate.solution import Solution
@@ -44,7 +44,7 @@ class Diagnosis:
 
     ``verdict`` as in the contract; ``effects`` what the diagnosis would add to the simulator;
     ``ranking`` probabilities of all effects, ``unknown`` and ``nothing``; ``sets`` the sets thought of with
-    their probabilities.
+    their probabilities; ``separation`` the log evidence by which what may stand for the likeliest falls behind.
     """
 
     log: CalibrationLog
@@ -65,6 +65,7 @@ class Diagnosis:
     screen: Screen
     next_measurement: str | None = None
     next_run: NextRun | None = None
+    separation: Mapping[str, float] = field(default_factory=dict)
 
     def to_json_dict(self) -> dict:
         """``gap.json`` of the contract, and more beside it."""
@@ -81,6 +82,7 @@ class Diagnosis:
                          'sigma': dict(f.sigma), 'units': f.units, 'form': f.form, 'closes': f.closes,
                          'what': f.title, 'remedy': f.remedy} for f in self.effects],
             'indistinguishable': [list(group) for group in self.indistinguishable],
+            'separation': dict(self.separation),
             'next_measurement': self.next_measurement,
             'next_run': self.next_run.to_json_dict() if self.next_run else None,
             'unknown': self.leftover or None,

@@ -28,6 +28,18 @@ def confused(sets: list[EffectSet], best: EffectSet) -> tuple[tuple[str, ...], .
     return tuple(tuple(sorted(g)) for g in merged.values())
 
 
+def separations(sets: list[EffectSet], best: EffectSet) -> dict[str, float]:
+    """How well the log separates from the best set what may stand for a member of it.
+
+    By name the log evidence by which that falls behind; 0: not at all, ``CONFUSED``: it would be told.
+    """
+    found: dict[str, float] = {}
+    for other in _stand_ins(sets, best):
+        for name in other.key - best.key:
+            found[name] = min(found.get(name, np.inf), best.log_bayes - other.log_bayes)
+    return found
+
+
 def rivals_of(screen: Screen, effects: Mapping[str, Effect], sets: list[EffectSet], best: EffectSet,
               groups: Iterable[Iterable[str]]) -> list[Ways]:
     """The best set and those that it may be taken for, each with the ways in which it may act; those are left out of

@@ -148,7 +148,7 @@ def _apart(diagnosis: Diagnosis) -> str:
     for group in diagnosis.indistinguishable:
         text += ('<div class="todo warn2"><b>This log cannot tell these apart:</b> '
                  f'{escape(" / ".join(title(n) for n in group))}. Any of them would leave the same '
-                 'traces in these runs.</div>')
+                 f'traces in these runs. {escape(gap_words.separation_words(diagnosis, group))}</div>')
     if diagnosis.next_measurement:
         join = f' {gap_words.JOIN}' if diagnosis.next_run else ''
         text += f'<div class="todo"><b>Measure next.</b> {escape(diagnosis.next_measurement + join)}</div>'

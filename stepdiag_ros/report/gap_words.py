@@ -7,6 +7,7 @@ import numpy as np
 from stepdiag_ros.gap.closing import closing
 from stepdiag_ros.gap.diagnosis import Diagnosis, Found
 from stepdiag_ros.gap.margins import AT_REST, MOVING, SETTLING
+from stepdiag_ros.gap.thresholds import CONFUSED
 from stepdiag_ros.gap.unknown import NAME as UNKNOWN
 from stepdiag_ros.model.machine import CURVES, SQUARENESS
 from stepdiag_ros.report.series import reach
@@ -134,6 +135,13 @@ def headline(diagnosis: Diagnosis) -> str:
     if diagnosis.leftover:
         return f'{text} — and something more that is none of the known causes: {leftover}.'
     return text + '.'
+
+
+def separation_words(diagnosis: Diagnosis, group: tuple[str, ...]) -> str:
+    """How well the log separates what it cannot tell apart."""
+    said = [f'{np.exp(behind):.2g} to one against “{title(name)}”'
+            for name, behind in sorted(diagnosis.separation.items(), key=lambda item: item[1]) if name in group]
+    return f'The evidence is {", ".join(said)}; it takes {np.exp(CONFUSED):.2g} to one to tell.' if said else ''
 
 
 def stand_ins(diagnosis: Diagnosis) -> list[str]:
@@ -300,7 +308,8 @@ def summary(diagnosis: Diagnosis, name: str, adoption: tuple[str, ...] = ()) -> 
     if diagnosis.shares:
         lines += ['', f'  Where: {where_words(diagnosis)}']
     for group in diagnosis.indistinguishable:
-        lines += ['', '  Cannot be told apart in this log: ' + ' / '.join(title(n) for n in group)]
+        lines += ['', '  Cannot be told apart in this log: ' + ' / '.join(title(n) for n in group)
+                  + f'. {separation_words(diagnosis, group)}'.rstrip()]
     if diagnosis.next_measurement:
         lines += [f'  Measure next: {diagnosis.next_measurement}']
         lines += [f'    {JOIN}'] if diagnosis.next_run else []

@@ -4,6 +4,7 @@ import re
 from dataclasses import replace
 from html.parser import HTMLParser
 
+import numpy as np
 import pytest
 
 from stepdiag_ros.estimate.evaluate import solution_of
@@ -156,6 +157,10 @@ def test_what_cannot_be_told_apart_and_next_measurement_are_shown(backlash):
     assert 'Run ppp once more, backwards first.' in text
     said = summary(doubtful, 'x')
     assert 'Cannot be told apart' in said and 'Measure next: Run ppp' in said
+    weighed = replace(doubtful, separation={'count_slip': np.log(4.0)})
+    assert 'The evidence is 4 to one against “Laser lost count”; it takes 20 to one' in summary(weighed, 'x')
+    assert '4 to one against' in Page(gap_page(weighed, 'x')).text
+    assert weighed.to_json_dict()['separation'] == {'count_slip': np.log(4.0)}
 
 
 def test_budget_goes_from_before_to_after(backlash):
