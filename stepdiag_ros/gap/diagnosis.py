@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 
+from stepdiag_ros.estimate.evaluate import solution_of
 from stepdiag_ros.estimate.solution import Solution
 from stepdiag_ros.gap.averaged import averaged_solution
 from stepdiag_ros.gap.bands import Band, bands
@@ -16,6 +17,7 @@ from stepdiag_ros.gap.next_run import NextRun
 from stepdiag_ros.gap.observe import Observation
 from stepdiag_ros.gap.screen import Screen
 from stepdiag_ros.gap.search import EffectSet
+from stepdiag_ros.gap.volume import VolumeChange, volume_change
 from stepdiag_ros.gap.where import Share
 from stepdiag_ros.model.log import CalibrationLog
 
@@ -88,6 +90,7 @@ class Diagnosis:
             'unknown': self.leftover or None,
             'ranking': dict(sorted(self.ranking.items(), key=lambda item: -item[1])),
             'sets': [{'names': list(names), 'probability': p} for names, p in self.sets],
+            'volumetric_change': self.volume_change.to_json_dict() if self.volume_change else None,
             'errors': self.solution.to_json_dict()['errors'],
             'noise': {'position_repeatability_m': self.joint.noise.position,
                       'angle_repeatability_rad': self.joint.noise.angle,
@@ -112,6 +115,14 @@ class Diagnosis:
     def bands(self) -> tuple[Band, ...]:
         """What stands out of the noise, by channel and frequency, before and after the effects."""
         return bands(self.joint)
+
+    @cached_property
+    def volume_change(self) -> VolumeChange | None:
+        """What taking the causes out changes of the volumetric error; None where there are none."""
+        if not self.joint.active:
+            return None
+        plain = solution_of(self.nominal.fit, self.nominal.table)
+        return volume_change(plain, self.solution, self.log.description.machine)
 
     @cached_property
     def solution(self) -> Solution:

@@ -298,6 +298,7 @@ def _errors(diagnosis: Diagnosis) -> str:
     else:
         text += ('<p>No error changes by more than twice its standard deviation when the causes are taken '
                  'out: a plain evaluation of this log was not misled.</p>')
+    text += f'<p>{escape(gap_words.volume_words(diagnosis))}</p>'
     return text + figure(gap_figures.errors_before_after(plain_, freed),
                          'The 18 error curves and the three squareness errors, bands k = 2.', 4)
 

@@ -236,6 +236,16 @@ def changes(diagnosis: Diagnosis, before, after) -> list[tuple[str, float, float
     return sorted(rows, key=lambda row: -row[2])
 
 
+def volume_words(diagnosis: Diagnosis) -> str:
+    """What taking the causes out changes of the volumetric error."""
+    change = diagnosis.volume_change
+    if change is None:
+        return ''
+    at = ', '.join(f'{letter} {1e3 * place:.0f}' for letter, place in zip('XYZ', change.at, strict=True))
+    return (f'In the working volume the predicted place of the tool changes by up to {1e6 * change.largest:.2f} ± '
+            f'{1e6 * change.sigma:.2f} µm (at {at} mm), {1e6 * change.rms:.2f} µm r.m.s.')
+
+
 def bands_words(diagnosis: Diagnosis) -> str:
     """Which bands of frequency stand out of the noise, and whether any does afterwards, in a sentence."""
     loud = [band for band in diagnosis.bands if band.stands_out]

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from stepdiag_ros.estimate.evaluate import solution_of
+from stepdiag_ros.estimate.prediction import deviation
 from stepdiag_ros.gap.diagnosis import Found
 from stepdiag_ros.report.gap_page import budget_svg, gap_page
 from stepdiag_ros.report.gap_words import (
@@ -137,6 +138,18 @@ def test_frequencies_are_shown_where_they_stand_out(backlash, backlash_page):
     assert 'opposite on the way back' in bands_words(backlash)
     assert 'Root mean square in times of the noise' in backlash_page.text
     assert '1.20 … 120 s' in period_words(1.2, 120.0, 's')
+
+
+def test_the_change_of_the_volumetric_error_is_said(backlash, backlash_page):
+    change = backlash.volume_change
+    assert 0.0 < change.rms <= change.largest and change.sigma > 0.0
+    assert 'In the working volume the predicted place of the tool changes by up to' in backlash_page.text
+    assert backlash.to_json_dict()['volumetric_change']['largest_m'] == change.largest
+    machine = backlash.log.description.machine
+    plain = solution_of(backlash.nominal.fit, backlash.nominal.table)
+    point = np.array([change.at])
+    moved = deviation(backlash.solution.errors, machine, point) - deviation(plain.errors, machine, point)
+    assert np.linalg.norm(moved) == pytest.approx(change.largest)
 
 
 def test_unexplained_is_not_named(diagnosed):
