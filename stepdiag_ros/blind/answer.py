@@ -17,7 +17,6 @@ from stepdiag_ros.blind.pool import side_by_side
 from stepdiag_ros.blind.seal import LOGS, MANIFEST, SCHEMA, write_json
 from stepdiag_ros.effects import all_effects
 from stepdiag_ros.errors import StepdiagError
-from stepdiag_ros.estimate.evaluate import solution_of
 from stepdiag_ros.gap.diagnose import diagnose
 
 ANSWERS, ANSWER_HASHES = 'answers', 'answers.json'
@@ -30,8 +29,7 @@ def answer_log(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     begin = time.process_time()
     diagnosis = diagnose(log, [kind() for kind in all_effects().values()])
     seconds = time.process_time() - begin
-    before = solution_of(diagnosis.nominal.fit, diagnosis.nominal.table)
-    errors = {'before': before.to_json_dict()['errors'],
+    errors = {'before': diagnosis.plain.to_json_dict()['errors'],
               'after': diagnosis.solution.to_json_dict()['errors']}
     closing = diagnosis.closing
     extra = {'seconds': seconds, 'ranking': dict(diagnosis.ranking),

@@ -60,12 +60,8 @@ def closing(joint: Joint, alone: Joint | None = None) -> Closing:
     linear step from there does what the machine cannot, and the gap before is that at ``alone``.
     """
     after, count, freedom, name = _foretold(joint, with_effects=True)
-    if not joint.active:
-        before = after
-    elif alone is not None and _left(alone) > _left(joint):
-        before = _foretold(alone, with_effects=False)[0]
-    else:
-        before = _foretold(joint, with_effects=False)[0]
+    place = alone if alone is not None and _left(alone) > _left(joint) else joint
+    before = _foretold(place, with_effects=False)[0] if joint.active else after
     before, after = before / max(freedom, 1), after / max(freedom, 1)
     floor = noise_floor(joint)
     return Closing(before, after, count, float(sum(joint.noise.dof)), name,

@@ -121,8 +121,12 @@ class Diagnosis:
         """What taking the causes out changes of the volumetric error; None where there are none."""
         if not self.joint.active:
             return None
-        plain = solution_of(self.nominal.fit, self.nominal.table)
-        return volume_change(plain, self.solution, self.log.description.machine)
+        return volume_change(self.plain, self.solution, self.log.description.machine)
+
+    @cached_property
+    def plain(self) -> Solution:
+        """The 21 errors as an evaluation gives them that knows of no effect."""
+        return solution_of(self.nominal.fit, self.nominal.table)
 
     @cached_property
     def solution(self) -> Solution:

@@ -5,7 +5,6 @@ from html import escape
 
 import numpy as np
 
-from stepdiag_ros.estimate.evaluate import solution_of
 from stepdiag_ros.gap.bands import Band
 from stepdiag_ros.gap.diagnosis import Diagnosis, Found
 from stepdiag_ros.gap.margins import SETTLING, Margins
@@ -174,11 +173,11 @@ def _where(diagnosis: Diagnosis) -> str:
     shares = diagnosis.margins
     if shares is None:
         return text + _bands(diagnosis)
-    margins = ({(f'after a move of {k}' if len(k) == 1 else k): v for k, v in shares.axis.items()},
-               {f'going {k}': v for k, v in shares.direction.items()}, shares.time,
-               {gap_words.STATES[k]: v for k, v in shares.state.items()})
+    kinds = ({(f'after a move of {k}' if len(k) == 1 else k): v for k, v in shares.axis.items()},
+             {f'going {k}': v for k, v in shares.direction.items()}, shares.time,
+             {gap_words.STATES[k]: v for k, v in shares.state.items()})
     sides = '<div class="sides">' + ''.join(
-        bars([(said, v, closed_percent(v)) for said, v in margin.items()]) for margin in margins if margin) + '</div>'
+        bars([(said, v, closed_percent(v)) for said, v in kind.items()]) for kind in kinds if kind) + '</div>'
     if not shares.cells.any():
         return text + sides + _bands(diagnosis)
     return text + '<div class="cols"><div>' + _map(shares) + '</div><div>' + sides + '</div></div>' + _bands(diagnosis)
@@ -278,15 +277,13 @@ def _swings(diagnosis: Diagnosis) -> str:
 
 
 def _errors(diagnosis: Diagnosis) -> str:
-    stops = diagnosis.nominal.table
-    plain_ = solution_of(diagnosis.nominal.fit, stops)
     text = '<h2>What it means for the 21 errors</h2>'
     if not diagnosis.joint.active:
         return text + ('<p>There is nothing to take out: these are the errors of the machine, with bands of '
-                       'k = 2.</p>') + figure(gap_figures.errors_before_after(plain_, None),
+                       'k = 2.</p>') + figure(gap_figures.errors_before_after(diagnosis.plain, None),
                                               'The 18 error curves and the three squareness errors.', 4)
     freed = diagnosis.solution
-    moved = [row for row in gap_words.changes(diagnosis, plain_, freed) if row[2] > 2.0]
+    moved = [row for row in gap_words.changes(diagnosis, diagnosis.plain, freed) if row[2] > 2.0]
     if moved:
         taken = 'the causes' if diagnosis.effects else 'the pattern'
         text += ('<p>A plain evaluation would have put part of the trouble into the machine\'s errors. With '
@@ -298,8 +295,8 @@ def _errors(diagnosis: Diagnosis) -> str:
     else:
         text += ('<p>No error changes by more than twice its standard deviation when the causes are taken '
                  'out: a plain evaluation of this log was not misled.</p>')
-    text += f'<p>{escape(gap_words.volume_words(diagnosis))}</p>'
-    return text + figure(gap_figures.errors_before_after(plain_, freed),
+    text += f'<p>{escape(gap_words.volume_words(diagnosis.volume_change))}</p>'
+    return text + figure(gap_figures.errors_before_after(diagnosis.plain, freed),
                          'The 18 error curves and the three squareness errors, bands k = 2.', 4)
 
 

@@ -9,6 +9,7 @@ from stepdiag_ros.gap.diagnosis import Diagnosis, Found
 from stepdiag_ros.gap.margins import AT_REST, MOVING, SETTLING
 from stepdiag_ros.gap.thresholds import CONFUSED
 from stepdiag_ros.gap.unknown import NAME as UNKNOWN
+from stepdiag_ros.gap.volume import VolumeChange
 from stepdiag_ros.model.machine import CURVES, SQUARENESS
 from stepdiag_ros.report.series import reach
 from stepdiag_ros.report.words import (
@@ -236,14 +237,11 @@ def changes(diagnosis: Diagnosis, before, after) -> list[tuple[str, float, float
     return sorted(rows, key=lambda row: -row[2])
 
 
-def volume_words(diagnosis: Diagnosis) -> str:
+def volume_words(change: VolumeChange) -> str:
     """What taking the causes out changes of the volumetric error."""
-    change = diagnosis.volume_change
-    if change is None:
-        return ''
     at = ', '.join(f'{letter} {1e3 * place:.0f}' for letter, place in zip('XYZ', change.at, strict=True))
-    return (f'In the working volume the predicted place of the tool changes by up to {1e6 * change.largest:.2f} ± '
-            f'{1e6 * change.sigma:.2f} µm (at {at} mm), {1e6 * change.rms:.2f} µm r.m.s.')
+    return ('In the working volume the predicted place of the tool changes by up to '
+            f'{quantity(change.largest, "m", change.sigma)} (at {at} mm), {quantity(change.rms, "m")} r.m.s.')
 
 
 def bands_words(diagnosis: Diagnosis) -> str:

@@ -7,7 +7,6 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from stepdiag_ros.estimate.evaluate import solution_of
 from stepdiag_ros.estimate.prediction import deviation
 from stepdiag_ros.gap.diagnosis import Found
 from stepdiag_ros.report.gap_page import budget_svg, gap_page
@@ -146,7 +145,7 @@ def test_the_change_of_the_volumetric_error_is_said(backlash, backlash_page):
     assert 'In the working volume the predicted place of the tool changes by up to' in backlash_page.text
     assert backlash.to_json_dict()['volumetric_change']['largest_m'] == change.largest
     machine = backlash.log.description.machine
-    plain = solution_of(backlash.nominal.fit, backlash.nominal.table)
+    plain = backlash.plain
     point = np.array([change.at])
     moved = deviation(backlash.solution.errors, machine, point) - deviation(plain.errors, machine, point)
     assert np.linalg.norm(moved) == pytest.approx(change.largest)
@@ -195,6 +194,6 @@ def test_budget_bars_are_in_proportion():
 
 
 def test_changes_of_the_errors_are_ranked(backlash):
-    rows = changes(backlash, solution_of(backlash.nominal.fit, backlash.nominal.table), backlash.solution)
+    rows = changes(backlash, backlash.plain, backlash.solution)
     assert len(rows) == 21
     assert [r[2] for r in rows] == sorted((r[2] for r in rows), reverse=True)
