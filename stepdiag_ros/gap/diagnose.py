@@ -25,7 +25,7 @@ from stepdiag_ros.gap.joint import Joint, fit_jointly, unexplained
 from stepdiag_ros.gap.lines import Vibration
 from stepdiag_ros.gap.next_measurement import advise
 from stepdiag_ros.gap.observe import observe
-from stepdiag_ros.gap.rivals import confused, rivals_of, separations
+from stepdiag_ros.gap.rivals import against_nothing, confused, rivals_of, separations
 from stepdiag_ros.gap.scatter import excess_scatter
 from stepdiag_ros.gap.search import EffectSet, probabilities
 from stepdiag_ros.gap.thresholds import (
@@ -78,14 +78,16 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
         leftover = (f'{100.0 * how_far.left:.2g} % of the gap does not follow the forms known of what was named '
                     f'({np.sqrt(how_far.after):.2g} times the noise is left)')
     groups = confused(sets, best)
-    words, run = advise(joint, rivals_of(screen, effects, sets, best, groups), groups, bool(leftover))
+    hint = sets[0] if sets[0].members and not (found or leftover) else None
+    rivals = rivals_of(screen, effects, sets, best, groups) if hint is None else against_nothing(screen, effects, hint)
+    words, run = advise(joint, rivals, groups, bool(leftover), hint is not None)
     return Diagnosis(
         log, _verdict(found, leftover), how_far, shares(joint, found, bool(leftover)), tuple(found),
         {**names, **outside, 'nothing': nothing * float(np.prod([1.0 - p for p in outside.values()]))},
         tuple((tuple(sorted((*s.names, *outside))), w) for s, w in zip(sets, weights, strict=True))[:20],
         groups, observation, joint, clocks, disturbances.unrest.displacement, leftover,
         log.warnings + observation.table.warnings + ((beyond_range,) if beyond_range else ()), sets, screen, words, run,
-        separations(sets, best))
+        separations(sets, best), hint)
 
 
 def _without_pattern(joint: Joint, best: EffectSet, how_far: Closing, found: bool) -> str:

@@ -17,6 +17,7 @@ from stepdiag_ros.gap.next_run import NextRun
 from stepdiag_ros.gap.observe import Observation
 from stepdiag_ros.gap.screen import Screen
 from stepdiag_ros.gap.search import EffectSet
+from stepdiag_ros.gap.thresholds import ALARM
 from stepdiag_ros.gap.volume import VolumeChange, volume_change
 from stepdiag_ros.gap.where import Share
 from stepdiag_ros.model.log import CalibrationLog
@@ -46,7 +47,8 @@ class Diagnosis:
 
     ``verdict`` as in the contract; ``effects`` what the diagnosis would add to the simulator;
     ``ranking`` probabilities of all effects, ``unknown`` and ``nothing``; ``sets`` the sets thought of with
-    their probabilities; ``separation`` the log evidence by which what may stand for the likeliest falls behind.
+    their probabilities; ``separation`` the log evidence by which what may stand for the likeliest falls behind;
+    ``hint`` a set that is likelier than nothing where that is not enough for a claim.
     """
 
     log: CalibrationLog
@@ -68,6 +70,7 @@ class Diagnosis:
     next_measurement: str | None = None
     next_run: NextRun | None = None
     separation: Mapping[str, float] = field(default_factory=dict)
+    hint: EffectSet | None = None
 
     def to_json_dict(self) -> dict:
         """``gap.json`` of the contract, and more beside it."""
@@ -85,6 +88,8 @@ class Diagnosis:
                          'what': f.title, 'remedy': f.remedy} for f in self.effects],
             'indistinguishable': [list(group) for group in self.indistinguishable],
             'separation': dict(self.separation),
+            'hint': {'names': list(self.hint.names), 'log_evidence': self.hint.log_bayes,
+                     'claimed_from': ALARM} if self.hint else None,
             'next_measurement': self.next_measurement,
             'next_run': self.next_run.to_json_dict() if self.next_run else None,
             'unknown': self.leftover or None,

@@ -12,7 +12,7 @@ from stepdiag_ros.gap.hops import Hops, hops
 from stepdiag_ros.gap.inside import step_noise, steps
 from stepdiag_ros.gap.joint import Joint
 from stepdiag_ros.gap.observe import Observation
-from stepdiag_ros.gap.thresholds import ALARM
+from stepdiag_ros.gap.thresholds import SUSPICION
 from stepdiag_ros.gap.unrest import Unrest, unrest
 from stepdiag_ros.model.log import CalibrationLog
 
@@ -107,7 +107,7 @@ def _coarse(joint: Joint, widths: np.ndarray) -> str:
     for k, width in enumerate(widths):
         own = variance[np.isfinite(variance[:, k]), k]
         share = width**2 / 12.0 / np.median(own) if width and len(own) else 0.0
-        if len(table) / 4.0 * share**2 > ALARM:
+        if len(table) / 4.0 * share**2 > SUSPICION:
             channel = 'displacement' if k < beams else ('spot_x', 'spot_y')[k - beams]
             return f'{channel}: readings move in steps of {width * 1e6:.3g} µm'
     return ''

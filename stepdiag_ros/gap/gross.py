@@ -20,7 +20,7 @@ from stepdiag_ros.gap.joint import Active, Joint, fit_jointly, freed, refitted, 
 from stepdiag_ros.gap.observe import SETTLED, Observation
 from stepdiag_ros.gap.parity import Parity, parity
 from stepdiag_ros.gap.screen import Candidate, Screen
-from stepdiag_ros.gap.thresholds import ALARM
+from stepdiag_ros.gap.thresholds import SUSPICION
 
 GROSS = 5.0
 """Residuals this many times the noise call for a search of the place to begin at."""
@@ -82,7 +82,7 @@ def _suspects(trial: _Trial, effects: Mapping[str, Effect], noise: NoiseModel) -
                   for form in effect.appearance(trial.observation.view)]
     screen = Screen(space, candidates, float(sum(noise.dof)))
     taken = {effect.name for effect, _ in trial.chosen}
-    found = sorted((m for m in screen.by_effect().values() if m.log_bayes > ALARM and m.effect not in taken),
+    found = sorted((m for m in screen.by_effect().values() if m.log_bayes > SUSPICION and m.effect not in taken),
                    key=lambda m: -m.log_bayes)
     return [(effects[m.effect], candidates[m.candidate].form) for m in found[:TRIED]]
 

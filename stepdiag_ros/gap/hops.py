@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stepdiag_ros.estimate.reduce import StopTable
-from stepdiag_ros.gap.thresholds import ALARM, LEAST_HOPS
+from stepdiag_ros.gap.thresholds import LEAST_HOPS, SUSPICION
 from stepdiag_ros.model.log import Samples
 
 LEAST_SAMPLES = 6
@@ -103,7 +103,7 @@ def _steps(samples: Samples, table: StopTable) -> tuple[np.ndarray, np.ndarray, 
         return np.zeros(0, int), np.zeros(0), np.zeros(0)
     gain = 0.5 * (n + PRIOR_DOF) * np.log((bent + PRIOR_DOF * level)
                                           / (np.maximum(step, 0.0) + PRIOR_DOF * level)) - np.log(n)
-    seen = gain > ALARM
+    seen = gain > SUSPICION
     return row[seen].astype(int), size[seen], np.sqrt(level / weight[seen])
 
 

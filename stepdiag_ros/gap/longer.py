@@ -153,8 +153,9 @@ class Longer:
         forms = [self._laid(effect, form) for effect, form in members]
         if None in forms:
             return None
-        columns = np.concatenate([form.columns * form.scale[:, None, None] for form in forms])
-        effects = self._whitened(columns.reshape(len(columns), -1).T)
+        none = np.zeros((0, *self.view.reading.shape))
+        columns = np.concatenate([none, *(form.columns * form.scale[:, None, None] for form in forms)])
+        effects = self._whitened(columns.reshape(len(columns), self.view.reading.size).T)
         if not np.isfinite(effects).all():
             return None
         design = np.concatenate([self._nominal, effects], axis=1)

@@ -33,17 +33,23 @@ SPECIAL = {
 FOR_UNKNOWN = ('Repeat the diagonal with the largest share of the gap at once and again after half an hour: '
                'what stays belongs to the place, what changes belongs to time.')
 
+FOR_HINT = ('Do the whole calibration once more: what acts will speak as loud again, what was chance will not.')
+"""Where no single run is worth it."""
+
 
 def advise(joint: Joint, rivals: Sequence[Ways], groups: Sequence[Sequence[str]],
-           unknown: bool) -> tuple[str | None, NextRun | None]:
+           unknown: bool, hint: bool = False) -> tuple[str | None, NextRun | None]:
     """The advice in words, or None where nothing is left to tell apart; the run, where one is worth it.
 
-    ``rivals``: the likeliest set of effects in the forms that it may take, then those that may stand for it;
-    ``groups``: names that cannot be told apart.
+    ``rivals``: the likeliest set of effects in the forms that it may take, then those that may stand for it, or
+    nothing; ``groups``: names that cannot be told apart; ``unknown``: whether something acts that has no name;
+    ``hint``: whether it is in doubt that anything does.
     """
-    run = recommend(joint, rivals) if groups else None
+    run = recommend(joint, rivals)
     if run is not None and (run.at_once or run.evidence >= WORTH):
         return run.text, run
+    if hint:
+        return FOR_HINT, None
     for group in groups:
         for pair, text in SPECIAL.items():
             if pair <= set(group):

@@ -38,6 +38,7 @@ PATIENT_S = 600.0
 """Where it is the courses in time that tell, the cell is left alone before the run for as long as the log took, and
 watched for at least so long: what follows the clock has gone on by then, what begins at each mounting begins as before.
 No forecast asks for that, for each takes one of its forms to be right."""
+NOTHING = 'nothing'
 GREY = 0.5
 """Light that is left in the beam where background is to be told from it."""
 BACKGROUND = 'ambient_light'
@@ -84,7 +85,7 @@ def recommend(joint: Joint, rivals: Sequence[Ways]) -> NextRun | None:
     """The further run that tells the likeliest set, the first of ``rivals``, from all others best."""
     if len(rivals) < 2:
         return None
-    names = [{effect.name for effect, _ in ways[0][1]} for ways in rivals]
+    names = [{effect.name for effect, _ in ways[0][1]} or {NOTHING} for ways in rivals]
     between = tuple(sorted(set.union(*names) - set.intersection(*names)))
     if not between:
         return None

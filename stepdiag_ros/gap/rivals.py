@@ -49,6 +49,13 @@ def rivals_of(screen: Screen, effects: Mapping[str, Effect], sets: list[EffectSe
             for found in (best, *_stand_ins(sets, best)) if _foretells(screen, found)]
 
 
+def against_nothing(screen: Screen, effects: Mapping[str, Effect], hint: EffectSet) -> list[Ways]:
+    """A set that is likelier than nothing but not beyond doubt, and nothing; empty where it is not known what the set
+    would do in a further run."""
+    known = {**effects, UNKNOWN: Beyond()}
+    return [_ways(screen, known, hint, [hint.key]), [(1.0, [])]] if _foretells(screen, hint) else []
+
+
 def _stand_ins(sets: list[EffectSet], best: EffectSet) -> list[EffectSet]:
     """Sets nearly as good as the best with one member exchanged."""
     return [other for other in sets

@@ -14,7 +14,7 @@ from stepdiag_ros.effects.base import Form
 from stepdiag_ros.estimate.eigen import eigen
 from stepdiag_ros.gap.evidence import judge, log_mean
 from stepdiag_ros.gap.joint import Joint, unexplained
-from stepdiag_ros.gap.thresholds import ALARM
+from stepdiag_ros.gap.thresholds import SUSPICION
 
 TAIL = 4.5
 """Standard deviations beyond which a white residual is counted as an outlier."""
@@ -131,7 +131,7 @@ def strays(joint: Joint) -> tuple[Form, float] | None:
                 best = judged - ways, ways, picked, words
             elif judged - ways < most - PATIENCE:
                 break
-    if best is None or best[0] < ALARM:
+    if best is None or best[0] < SUSPICION:
         return None
     _, ways, picked, words = best
     return Form(f'arrivals are {words} by a random amount until the next move, at {len(picked)} stops',

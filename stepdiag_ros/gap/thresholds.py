@@ -4,8 +4,12 @@ Set on logs of our own making (``stepdiag blind seal --purpose develop``); docs/
 what they gave on logs sealed afterwards.
 """
 
-ALARM = 6.0
-"""Least log evidence of a set of effects against none for which anything is claimed."""
+ALARM = 8.0
+"""Least log evidence of a set of effects against none for which anything is claimed: odds of a hundred to one for one
+cause of some twenty."""
+SUSPICION = 6.0
+"""Least log evidence of what is followed up on the way to a claim: a set to be fitted, a form to be tuned, an effect
+that may bend the fit, a jump in a dwell, arrivals that stray, steps of readings that matter."""
 MEMBER_ALARM = 6.0
 """Least log evidence of one more effect given those before it …"""
 MISFIT = 0.03

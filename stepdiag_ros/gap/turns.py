@@ -22,7 +22,7 @@ from stepdiag_ros.gap.parity import parity
 from stepdiag_ros.gap.scatter import strays
 from stepdiag_ros.gap.screen import Candidate, Screen
 from stepdiag_ros.gap.search import EffectSet, search
-from stepdiag_ros.gap.thresholds import ALARM, BEYOND_DOUBT, LEAN_DOUBT, UNKNOWN_DOUBT
+from stepdiag_ros.gap.thresholds import BEYOND_DOUBT, LEAN_DOUBT, SUSPICION, UNKNOWN_DOUBT
 from stepdiag_ros.gap.unknown import LEAN, inconsistent_forms, unknown_families
 from stepdiag_ros.gap.unknown import NAME as UNKNOWN
 
@@ -46,7 +46,7 @@ def settle(nominal: Joint, effects: Mapping[str, Effect]) -> tuple[Joint, list[E
         if decoys:
             screen = screen.extended(decoys)
             sets = search(screen)
-        best = sets[0] if sets[0].log_bayes > ALARM else EffectSet((), 0.0)
+        best = sets[0] if sets[0].log_bayes > SUSPICION else EffectSet((), 0.0)
         chosen: list[tuple[Effect, Form]] = []
         for member in best.members:
             form = screen.candidates[member.candidate].form
@@ -61,7 +61,7 @@ def settle(nominal: Joint, effects: Mapping[str, Effect]) -> tuple[Joint, list[E
             screen = Screen(joint.parity, [Candidate(a.effect.name or UNKNOWN, '', a.form) for a in joint.active],
                             float(sum(joint.noise.dof)))
             return joint, search(screen), screen
-        if stood and best.log_bayes - _short(joint, chosen, fitted) < _evidence(sets, joint) - ALARM:
+        if stood and best.log_bayes - _short(joint, chosen, fitted) < _evidence(sets, joint) - SUSPICION:
             return joint, *stood
         joint, stood = fitted, (sets, screen)
         if not chosen:
@@ -134,7 +134,7 @@ def _sharpened(screen: Screen) -> Screen:
     data, added = screen.parity.data, []
     for member in leading:
         candidate = screen.candidates[member.candidate]
-        if member.log_bayes < ALARM or candidate.form.retune is None:
+        if member.log_bayes < SUSPICION or candidate.form.retune is None:
             continue
 
         def explained(form: Form) -> float:

@@ -25,7 +25,8 @@ from stepdiag_ros.report.words import (
     title,
 )
 
-BADGES = {'no_gap': ('good', 'nothing wrong'), 'explained': ('warn', 'cause found'),
+BADGES = {'no_gap': ('good', 'nothing wrong'), 'hint': ('good', 'nothing for sure'),
+          'explained': ('warn', 'cause found'),
           'partly_explained': ('bad', 'partly explained'), 'unexplained': ('bad', 'cause not known')}
 SHOWN_PROBABILITY = 0.01
 FAR = 100.0
@@ -44,7 +45,7 @@ def gap_page(diagnosis: Diagnosis, name: str, notes: tuple[str, ...] = ()) -> st
 
 def _head(diagnosis: Diagnosis, name: str) -> str:
     log, table_ = diagnosis.log, diagnosis.nominal.table
-    kind, word = BADGES.get(diagnosis.verdict, ('warn', diagnosis.verdict))
+    kind, word = BADGES.get('hint' if diagnosis.hint else diagnosis.verdict, ('warn', diagnosis.verdict))
     when = datetime.fromtimestamp(log.steps.time_ns[0] * 1e-9, UTC)
     minutes = (log.steps.time_ns[-1] - log.steps.time_ns[0]) / 60e9
     runs = f'{len(table_.run_ids)} runs' if len(table_.run_ids) > 1 else 'one run'
@@ -108,8 +109,9 @@ def budget_svg(rows: list[tuple[str, float]], floor: float) -> str:
 
 def _causes(diagnosis: Diagnosis) -> str:
     if not diagnosis.effects and not diagnosis.leftover:
-        text = ('<h2>What causes it?</h2><p>Nothing needs a cause. Every known one was tried, and none '
-                'foretells the log better than noise does.</p>')
+        text = '<h2>What causes it?</h2><p>' + (
+            f'No cause is claimed. {escape(gap_words.hint_words(diagnosis.hint))}</p>' if diagnosis.hint else
+            'Nothing needs a cause. Every known one was tried, and none foretells the log better than noise does.</p>')
     else:
         text = '<h2>What causes it?</h2>'
         if diagnosis.effects:

@@ -7,7 +7,8 @@ import numpy as np
 from stepdiag_ros.gap.closing import closing
 from stepdiag_ros.gap.diagnosis import Diagnosis, Found
 from stepdiag_ros.gap.margins import AT_REST, MOVING, SETTLING
-from stepdiag_ros.gap.thresholds import CONFUSED
+from stepdiag_ros.gap.search import EffectSet
+from stepdiag_ros.gap.thresholds import ALARM, CONFUSED
 from stepdiag_ros.gap.unknown import NAME as UNKNOWN
 from stepdiag_ros.gap.volume import VolumeChange
 from stepdiag_ros.model.machine import CURVES, SQUARENESS
@@ -119,8 +120,9 @@ def headline(diagnosis: Diagnosis) -> str:
     found, leftover = diagnosis.effects, leftover_words(diagnosis.leftover)
     floor = micrometres(diagnosis.closing.floor_m)
     if not found and not diagnosis.leftover:
-        return (f'Nothing is wrong that this log could show: machine and simulator agree to within '
-                f'the noise of {floor}.')
+        said = (f'Nothing is wrong that this log could show: machine and simulator agree to within '
+                f'the noise of {floor}')
+        return f'{said}, but for a hint of “{_hinted(diagnosis.hint)}”.' if diagnosis.hint else f'{said}.'
     names = stand_ins(diagnosis)
     if not found and names:
         return (f'Something disturbs the measurement to which this log gives no sure name: {leftover}. '
@@ -143,6 +145,18 @@ def separation_words(diagnosis: Diagnosis, group: tuple[str, ...]) -> str:
     said = [f'{np.exp(behind):.2g} to one against “{title(name)}”'
             for name, behind in sorted(diagnosis.separation.items(), key=lambda item: item[1]) if name in group]
     return f'The evidence is {", ".join(said)}; it takes {np.exp(CONFUSED):.2g} to one to tell.' if said else ''
+
+
+def hint_words(hint: EffectSet) -> str:
+    """How much a set speaks that nothing is claimed of."""
+    times, enough = (f'{float(f"{np.exp(log):.2g}"):.0f}' for log in (hint.log_bayes, ALARM))
+    return (f'With “{_hinted(hint)}” the log is {times} times as likely as with noise alone. That is a hint, not a '
+            f'finding: a finding takes {enough} times, for probabilities take the noise to be just as thought, and it '
+            'never quite is.')
+
+
+def _hinted(hint: EffectSet) -> str:
+    return ' + '.join(title(name) for name in dict.fromkeys(hint.names))
 
 
 def stand_ins(diagnosis: Diagnosis) -> list[str]:
@@ -311,6 +325,8 @@ def summary(diagnosis: Diagnosis, name: str, adoption: tuple[str, ...] = ()) -> 
             lines.append(f'      moves {moved}')
         if found.remedy:
             lines.append(f'      What to do: {found.remedy}')
+    if diagnosis.hint:
+        lines += ['', f'  {hint_words(diagnosis.hint)}']
     if diagnosis.leftover:
         lines += ['', f'  Not explained: {leftover_words(diagnosis.leftover)}.']
     if diagnosis.shares:
