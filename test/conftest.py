@@ -73,6 +73,16 @@ def shared() -> Path:
     return place
 
 
+def environment_of(entry: Path) -> bytes:
+    """What a process was started with; one that is just being started has nothing for a moment."""
+    for _ in range(20):
+        environment = (entry / 'environ').read_bytes()
+        if environment or not os.path.exists(entry / 'exe'):  # the kernel's own and the dead have no program
+            break
+        time.sleep(0.01)
+    return environment
+
+
 def marked_processes() -> dict[int, str]:
     """Command lines of the living processes that carry the mark, without this one."""
     found = {}
@@ -80,7 +90,7 @@ def marked_processes() -> dict[int, str]:
         if not entry.name.isdigit() or int(entry.name) == os.getpid():
             continue
         try:
-            environment = (entry / 'environ').read_bytes()
+            environment = environment_of(entry)
             command = (entry / 'cmdline').read_bytes().replace(b'\0', b' ').decode(errors='replace').strip()
         except OSError:
             continue

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from stepdiag_ros.estimate.gauge import to_reference_lines
+from stepdiag_ros.gap.search import NOTHING
 from stepdiag_ros.gap.unknown import NAME as UNKNOWN
 from stepdiag_ros.model.machine import CURVES, SQUARENESS, Curve, GeometricErrors
 
@@ -20,7 +21,6 @@ NAMED_FROM = 0.5
 """An effect is named when it gets at least this probability."""
 COVER = 0.9
 """Where: the smallest set of cells that holds this share of the excess."""
-NOTHING = 'nothing'
 CHANNELS = ('displacement', 'spot_x', 'spot_y')
 SEPARABLE = 5.0
 """A log's effect is separable when every rival effect, at its best, leaves this many σ of it."""

@@ -113,7 +113,8 @@ def settle(folder: Path, progress: Callable[[dict[str, Any]], None] | None = Non
     A cut call is resumed: runs of the same answers are not done again.
     """
     cases, head = load(folder)
-    open_ones = [case for case in cases if case.category in ('single', 'pair') and case.gap['indistinguishable']]
+    open_ones = [case for case in cases if case.category in ('single', 'pair')
+                 and case.alarmed and case.gap['indistinguishable']]
     os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
     file = folder / SETTLED
     before = read_json(file)

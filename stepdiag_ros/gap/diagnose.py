@@ -5,8 +5,8 @@ The steps, each in a file of its own: :mod:`observe` (reduce, fit), :mod:`inside
 and :mod:`hops` (what shakes, boils or hops), :mod:`gross` (where to begin), :mod:`turns` with :mod:`parity`,
 :mod:`screen`, :mod:`search` and :mod:`joint` (evidence for sets of effects, machine and effects together),
 :mod:`scatter` (what has no pattern), :mod:`closing` (the part held out), :mod:`where` and :mod:`bands` (shares,
-frequencies), :mod:`rivals`, :mod:`next_measurement` and :mod:`next_run` (what the log leaves open), :mod:`averaged`
-(the 21 errors).
+frequencies), :mod:`hint`, :mod:`rivals`, :mod:`next_measurement` and :mod:`next_run` (what the log leaves open),
+:mod:`averaged` (the 21 errors).
 """
 
 from collections.abc import Iterable, Mapping
@@ -21,13 +21,14 @@ from stepdiag_ros.gap.disturbances import disturbed
 from stepdiag_ros.gap.evidence import width_of
 from stepdiag_ros.gap.folded import within_range
 from stepdiag_ros.gap.gross import GROSS
+from stepdiag_ros.gap.hint import hint_of
 from stepdiag_ros.gap.joint import Joint, fit_jointly, unexplained
 from stepdiag_ros.gap.lines import Vibration
 from stepdiag_ros.gap.next_measurement import advise
 from stepdiag_ros.gap.observe import observe
-from stepdiag_ros.gap.rivals import against_nothing, confused, rivals_of, separations
+from stepdiag_ros.gap.rivals import confused, rivals_of, separations
 from stepdiag_ros.gap.scatter import excess_scatter
-from stepdiag_ros.gap.search import EffectSet, probabilities
+from stepdiag_ros.gap.search import NOTHING, EffectSet, probabilities
 from stepdiag_ros.gap.thresholds import (
     ALARM,
     FORM_ERROR,
@@ -68,7 +69,7 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
     found = sorted([*found, *beside], key=lambda f: -f.probability)
     # Of several patterns the first explains the most.
     leftover = next((screen.candidates[m.candidate].form.label for m in best.members if m.effect == UNKNOWN), '')
-    before, instead = disturbances.words(joint, names)
+    before, instead = disturbances.words(joint, {name: names.get(name, 0.0) for name in best.key})
     leftover = before or leftover or instead
     if not leftover and not shakes:
         leftover = _without_pattern(joint, best, how_far, bool(found))
@@ -77,17 +78,18 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
     if found and not leftover and (how_far.left > LEAST_LEFT or how_far.after > GROSS**2):
         leftover = (f'{100.0 * how_far.left:.2g} % of the gap does not follow the forms known of what was named '
                     f'({np.sqrt(how_far.after):.2g} times the noise is left)')
-    groups = confused(sets, best)
-    hint = sets[0] if sets[0].members and not (found or leftover) else None
-    rivals = rivals_of(screen, effects, sets, best, groups) if hint is None else against_nothing(screen, effects, hint)
-    words, run = advise(joint, rivals, groups, bool(leftover), hint is not None)
+    hint = None if best.members or leftover else hint_of(sets, len(effects) + 1, screen)
+    doubtful = hint.found if hint else best
+    groups = confused(sets, doubtful)
+    words, run = advise(joint, rivals_of(screen, effects, sets, doubtful, groups, hint is not None), groups,
+                        bool(leftover), hint.settles if hint else None)
     return Diagnosis(
         log, _verdict(found, leftover), how_far, shares(joint, found, bool(leftover)), tuple(found),
-        {**names, **outside, 'nothing': nothing * float(np.prod([1.0 - p for p in outside.values()]))},
+        {**names, **outside, NOTHING: nothing * float(np.prod([1.0 - p for p in outside.values()]))},
         tuple((tuple(sorted((*s.names, *outside))), w) for s, w in zip(sets, weights, strict=True))[:20],
         groups, observation, joint, clocks, disturbances.unrest.displacement, leftover,
         log.warnings + observation.table.warnings + ((beyond_range,) if beyond_range else ()), sets, screen, words, run,
-        separations(sets, best), hint)
+        separations(sets, doubtful), hint)
 
 
 def _without_pattern(joint: Joint, best: EffectSet, how_far: Closing, found: bool) -> str:

@@ -9,6 +9,7 @@ from stepdiag_ros.estimate.solution import Solution
 from stepdiag_ros.gap.averaged import averaged_solution
 from stepdiag_ros.gap.bands import Band, bands
 from stepdiag_ros.gap.closing import Closing
+from stepdiag_ros.gap.hint import Hint
 from stepdiag_ros.gap.inside import Timing
 from stepdiag_ros.gap.joint import Joint
 from stepdiag_ros.gap.lines import Vibration
@@ -17,7 +18,6 @@ from stepdiag_ros.gap.next_run import NextRun
 from stepdiag_ros.gap.observe import Observation
 from stepdiag_ros.gap.screen import Screen
 from stepdiag_ros.gap.search import EffectSet
-from stepdiag_ros.gap.thresholds import ALARM
 from stepdiag_ros.gap.volume import VolumeChange, volume_change
 from stepdiag_ros.gap.where import Share
 from stepdiag_ros.model.log import CalibrationLog
@@ -47,8 +47,7 @@ class Diagnosis:
 
     ``verdict`` as in the contract; ``effects`` what the diagnosis would add to the simulator;
     ``ranking`` probabilities of all effects, ``unknown`` and ``nothing``; ``sets`` the sets thought of with
-    their probabilities; ``separation`` the log evidence by which what may stand for the likeliest falls behind;
-    ``hint`` a set that is likelier than nothing where that is not enough for a claim.
+    their probabilities; ``separation`` the log evidence by which what may stand for the likeliest falls behind.
     """
 
     log: CalibrationLog
@@ -70,7 +69,7 @@ class Diagnosis:
     next_measurement: str | None = None
     next_run: NextRun | None = None
     separation: Mapping[str, float] = field(default_factory=dict)
-    hint: EffectSet | None = None
+    hint: Hint | None = None
 
     def to_json_dict(self) -> dict:
         """``gap.json`` of the contract, and more beside it."""
@@ -88,8 +87,7 @@ class Diagnosis:
                          'what': f.title, 'remedy': f.remedy} for f in self.effects],
             'indistinguishable': [list(group) for group in self.indistinguishable],
             'separation': dict(self.separation),
-            'hint': {'names': list(self.hint.names), 'log_evidence': self.hint.log_bayes,
-                     'claimed_from': ALARM} if self.hint else None,
+            'hint': self.hint.to_json_dict() if self.hint else None,
             'next_measurement': self.next_measurement,
             'next_run': self.next_run.to_json_dict() if self.next_run else None,
             'unknown': self.leftover or None,

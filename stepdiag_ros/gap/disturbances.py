@@ -12,7 +12,7 @@ from stepdiag_ros.gap.hops import Hops, hops
 from stepdiag_ros.gap.inside import step_noise, steps
 from stepdiag_ros.gap.joint import Joint
 from stepdiag_ros.gap.observe import Observation
-from stepdiag_ros.gap.thresholds import SUSPICION
+from stepdiag_ros.gap.thresholds import COARSE_ALARM
 from stepdiag_ros.gap.unrest import Unrest, unrest
 from stepdiag_ros.model.log import CalibrationLog
 
@@ -28,7 +28,7 @@ class Disturbances:
 
     def words(self, joint: Joint, names: Mapping[str, float]) -> tuple[str, str]:
         """What disturbs, in words: what goes before a pattern, and what is said where there is none; ``names``:
-        probabilities of effects."""
+        probabilities of the effects that are claimed."""
         return ((self.hops.words if self.hops else '') or _coarse(joint, self.widths),
                 _restless(self.unrest, names))
 
@@ -38,8 +38,8 @@ def disturbed(log: CalibrationLog, observation: Observation) -> tuple[Observatio
     table = observation.table
     distance = observation.view.distance.mean(axis=1)
     samples = unrest(log, table, distance)
-    widths = np.concatenate([steps(log.displacement, table, table.displacement_rows),
-                             steps(log.spot, table, table.spot_rows)])
+    widths = np.concatenate([steps(log.displacement, table.displacement_rows),
+                             steps(log.spot, table.spot_rows)])
     if widths.any():
         observation = _with_steps(observation, widths)
     observation = _with_unrest(observation, samples)
@@ -107,7 +107,7 @@ def _coarse(joint: Joint, widths: np.ndarray) -> str:
     for k, width in enumerate(widths):
         own = variance[np.isfinite(variance[:, k]), k]
         share = width**2 / 12.0 / np.median(own) if width and len(own) else 0.0
-        if len(table) / 4.0 * share**2 > SUSPICION:
+        if len(table) / 4.0 * share**2 > COARSE_ALARM:
             channel = 'displacement' if k < beams else ('spot_x', 'spot_y')[k - beams]
             return f'{channel}: readings move in steps of {width * 1e6:.3g} µm'
     return ''

@@ -53,7 +53,7 @@ def timing(samples: Samples, table: StopTable, columns: np.ndarray, rows: np.nda
     the dwells' samples."""
     offsets, kinds, times, firsts, onsets, faint, periods = [], [], [], [], [], [], []
     before = after = moves = 0
-    rest = cache(partial(_rest, samples, table, steps(samples, table, rows)))  # where one move ends, the next begins
+    rest = cache(partial(_rest, samples, table, steps(samples, rows)))  # where one move ends, the next begins
     for i in range(1, len(table)):
         if table.move_ns[i] < 0 or table.run[i] != table.run[i - 1]:
             continue
@@ -133,7 +133,7 @@ def apart(log: CalibrationLog, table: StopTable) -> tuple[float, float] | None:
     them alone is hardly told from a delay.
     """
     stretches: dict[tuple, list[np.ndarray]] = {}
-    rests = [cache(partial(_rest, samples, table, steps(samples, table, rows)))
+    rests = [cache(partial(_rest, samples, table, steps(samples, rows)))
              for samples, rows in ((log.displacement, table.displacement_rows), (log.spot, table.spot_rows))]
     for i in range(1, len(table)):
         if table.move_ns[i] < 0 or table.run[i] != table.run[i - 1]:
@@ -228,7 +228,7 @@ def _drift(offsets: np.ndarray, times: np.ndarray, kinds: list[tuple]) -> tuple[
     return slope, sigma
 
 
-def steps(samples: Samples, table: StopTable, rows: np.ndarray) -> np.ndarray:
+def steps(samples: Samples, rows: np.ndarray) -> np.ndarray:
     """Step [m] in which each column of a sensor's readings moves (k,); 0 where its noise hides any.
 
     A reading moves in steps where most neighbours in a dwell are equal to the last bit and the others

@@ -1,6 +1,6 @@
 """What to measure next, in words and as a run that can be done.
 
-Where effects stand for each other, the further run that tells them apart best is computed
+Where effects stand for each other, or it is in doubt that any acts, the further run that tells best is computed
 (:mod:`stepdiag_ros.gap.next_run`).  Where no run of the same kind does, there is a well-known trick for some
 pairs, which follows from what the effects are.
 """
@@ -33,22 +33,22 @@ SPECIAL = {
 FOR_UNKNOWN = ('Repeat the diagonal with the largest share of the gap at once and again after half an hour: '
                'what stays belongs to the place, what changes belongs to time.')
 
-FOR_HINT = ('Do the whole calibration once more: what acts will speak as loud again, what was chance will not.')
-"""Where no single run is worth it."""
+FOR_HINT = 'Do the whole calibration once more: what acts will speak as loud again, what was chance will not.'
+"""Where no single run settles a hint."""
 
 
 def advise(joint: Joint, rivals: Sequence[Ways], groups: Sequence[Sequence[str]],
-           unknown: bool, hint: bool = False) -> tuple[str | None, NextRun | None]:
+           unknown: bool, settles: float | None = None) -> tuple[str | None, NextRun | None]:
     """The advice in words, or None where nothing is left to tell apart; the run, where one is worth it.
 
     ``rivals``: the likeliest set of effects in the forms that it may take, then those that may stand for it, or
     nothing; ``groups``: names that cannot be told apart; ``unknown``: whether something acts that has no name;
-    ``hint``: whether it is in doubt that anything does.
+    ``settles``: where it is in doubt that anything does, the log evidence that would settle it.
     """
     run = recommend(joint, rivals)
-    if run is not None and (run.at_once or run.evidence >= WORTH):
+    if run is not None and (run.at_once or run.evidence >= (WORTH if settles is None else settles)):
         return run.text, run
-    if hint:
+    if settles is not None:
         return FOR_HINT, None
     for group in groups:
         for pair, text in SPECIAL.items():

@@ -17,6 +17,7 @@ import numpy as np
 from stepdiag_ros.gap.forecast import Mixture, apart, expected_evidence
 from stepdiag_ros.gap.joint import Joint
 from stepdiag_ros.gap.longer import Known, Longer, Run, Ways
+from stepdiag_ros.gap.search import NOTHING
 from stepdiag_ros.gap.unknown import NAME as UNKNOWN
 from stepdiag_ros.model.description import LINEAR, Setup, path_of
 
@@ -38,7 +39,6 @@ PATIENT_S = 600.0
 """Where it is the courses in time that tell, the cell is left alone before the run for as long as the log took, and
 watched for at least so long: what follows the clock has gone on by then, what begins at each mounting begins as before.
 No forecast asks for that, for each takes one of its forms to be right."""
-NOTHING = 'nothing'
 GREY = 0.5
 """Light that is left in the beam where background is to be told from it."""
 BACKGROUND = 'ambient_light'

@@ -77,7 +77,6 @@ def view_of(log: CalibrationLog, table: StopTable, nominal: Fit,
     """What effects depend on, at the nominal fit."""
     model = nominal.model
     readings, local, arrival = model.local_derivatives(nominal.theta)
-    setups = np.array(table.setup_names, dtype=object)[table.setup]
     beams = model.beams
     (air, first_air), (scales, first_scales) = _air(log, table), _scales(log, table)
     offsets = nominal.theta[model._offset_column]
@@ -86,7 +85,7 @@ def view_of(log: CalibrationLog, table: StopTable, nominal: Fit,
         _since(table.time_s, table.run), _since(table.time_s, table.setup),
         table.run, table.setup, table.repeat, table.direction, table.index, table.axis,
         _approach(table), table.commanded, readings[:, :beams] - offsets, readings_of(table),
-        readings, _strikes(log, table, nominal, setups), local[:18], local[18:20], local[20:22],
+        readings, _strikes(table, nominal), local[:18], local[18:20], local[20:22],
         arrival[2:5], table.intensity, _quality(log, table), table.refractive_index,
         air, scales, bin_time, first_air, first_scales, _lead(log, table))
 
@@ -113,7 +112,7 @@ def _approach(table: StopTable) -> np.ndarray:
     return sign
 
 
-def _strikes(log: CalibrationLog, table: StopTable, nominal: Fit, setups: np.ndarray) -> np.ndarray:
+def _strikes(table: StopTable, nominal: Fit) -> np.ndarray:
     """Where beams meet the mirror, from its reference point along (u, v): (n, beams + 1, 2) [m]."""
     model, theta = nominal.model, nominal.theta
     point, attitude, _, _ = model._pose(*model.motions(theta), derivative=False)

@@ -41,19 +41,18 @@ def separations(sets: list[EffectSet], best: EffectSet) -> dict[str, float]:
 
 
 def rivals_of(screen: Screen, effects: Mapping[str, Effect], sets: list[EffectSet], best: EffectSet,
-              groups: Iterable[Iterable[str]]) -> list[Ways]:
+              groups: Iterable[Iterable[str]], hint: bool = False) -> list[Ways]:
     """The best set and those that it may be taken for, each with the ways in which it may act; those are left out of
-    which it is not known what they would do in a further run."""
+    which it is not known what they would do in a further run.  A ``hint`` may be nothing as well; none where it is not
+    known what that itself would do."""
     known = {**effects, UNKNOWN: Beyond()}
-    return [_ways(screen, known, found, groups)
-            for found in (best, *_stand_ins(sets, best)) if _foretells(screen, found)]
-
-
-def against_nothing(screen: Screen, effects: Mapping[str, Effect], hint: EffectSet) -> list[Ways]:
-    """A set that is likelier than nothing but not beyond doubt, and nothing; empty where it is not known what the set
-    would do in a further run."""
-    known = {**effects, UNKNOWN: Beyond()}
-    return [_ways(screen, known, hint, [hint.key]), [(1.0, [])]] if _foretells(screen, hint) else []
+    if hint:
+        groups = (*groups, best.key)
+    found = [_ways(screen, known, found, groups)
+             for found in (best, *_stand_ins(sets, best)) if _foretells(screen, found)]
+    if not hint:
+        return found
+    return [*found, [(1.0, [])]] if _foretells(screen, best) else []
 
 
 def _stand_ins(sets: list[EffectSet], best: EffectSet) -> list[EffectSet]:

@@ -25,6 +25,8 @@ from stepdiag_ros.gap.thresholds import (
 )
 from stepdiag_ros.gap.unknown import NAME as UNKNOWN
 
+NOTHING = 'nothing'
+"""What it is called that no effect acts."""
 BEAM = 4
 BEAM_OF_NAMELESS = 2
 LARGEST = 3

@@ -45,7 +45,8 @@ def gap_page(diagnosis: Diagnosis, name: str, notes: tuple[str, ...] = ()) -> st
 
 def _head(diagnosis: Diagnosis, name: str) -> str:
     log, table_ = diagnosis.log, diagnosis.nominal.table
-    kind, word = BADGES.get('hint' if diagnosis.hint else diagnosis.verdict, ('warn', diagnosis.verdict))
+    hinted = diagnosis.hint and not diagnosis.effects
+    kind, word = BADGES.get('hint' if hinted else diagnosis.verdict, ('warn', diagnosis.verdict))
     when = datetime.fromtimestamp(log.steps.time_ns[0] * 1e-9, UTC)
     minutes = (log.steps.time_ns[-1] - log.steps.time_ns[0]) / 60e9
     runs = f'{len(table_.run_ids)} runs' if len(table_.run_ids) > 1 else 'one run'
@@ -110,13 +111,15 @@ def budget_svg(rows: list[tuple[str, float]], floor: float) -> str:
 def _causes(diagnosis: Diagnosis) -> str:
     if not diagnosis.effects and not diagnosis.leftover:
         text = '<h2>What causes it?</h2><p>' + (
-            f'No cause is claimed. {escape(gap_words.hint_words(diagnosis.hint))}</p>' if diagnosis.hint else
+            f'No cause is claimed. {escape(gap_words.hint_words(diagnosis))}</p>' if diagnosis.hint else
             'Nothing needs a cause. Every known one was tried, and none foretells the log better than noise does.</p>')
     else:
         text = '<h2>What causes it?</h2>'
         if diagnosis.effects:
             text += table(['what it is', 'how sure', 'size', 'what to do'],
                           [_cause_row(diagnosis, f) for f in diagnosis.effects])
+        if diagnosis.hint:
+            text += f'<p>{escape(gap_words.hint_words(diagnosis))}</p>'
         if diagnosis.leftover:
             what = 'to which this log gives no sure name' if gap_words.stand_ins(diagnosis) else \
                 'that is none of the known causes'
@@ -151,7 +154,7 @@ def _apart(diagnosis: Diagnosis) -> str:
                  f'{escape(" / ".join(title(n) for n in group))}. Any of them would leave the same '
                  f'traces in these runs. {escape(gap_words.separation_words(diagnosis, group))}</div>')
     if diagnosis.next_measurement:
-        join = f' {gap_words.JOIN}' if diagnosis.next_run else ''
+        join = f' {gap_words.JOIN}' if diagnosis.next_run or diagnosis.hint else ''
         text += f'<div class="todo"><b>Measure next.</b> {escape(diagnosis.next_measurement + join)}</div>'
     return text
 
@@ -285,7 +288,7 @@ def _errors(diagnosis: Diagnosis) -> str:
                        'k = 2.</p>') + figure(gap_figures.errors_before_after(diagnosis.plain, None),
                                               'The 18 error curves and the three squareness errors.', 4)
     freed = diagnosis.solution
-    moved = [row for row in gap_words.changes(diagnosis, diagnosis.plain, freed) if row[2] > 2.0]
+    moved = [row for row in gap_words.changes(diagnosis.plain, freed) if row[2] > 2.0]
     if moved:
         taken = 'the causes' if diagnosis.effects else 'the pattern'
         text += ('<p>A plain evaluation would have put part of the trouble into the machine\'s errors. With '

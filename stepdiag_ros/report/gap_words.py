@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from stepdiag_ros.estimate.solution import Solution
 from stepdiag_ros.gap.closing import closing
 from stepdiag_ros.gap.diagnosis import Diagnosis, Found
 from stepdiag_ros.gap.margins import AT_REST, MOVING, SETTLING
-from stepdiag_ros.gap.search import EffectSet
 from stepdiag_ros.gap.thresholds import ALARM, CONFUSED
 from stepdiag_ros.gap.unknown import NAME as UNKNOWN
 from stepdiag_ros.gap.volume import VolumeChange
@@ -25,7 +25,6 @@ from stepdiag_ros.report.words import (
     plain,
     quantity,
     scale,
-    setup_words,
     title,
 )
 
@@ -122,7 +121,7 @@ def headline(diagnosis: Diagnosis) -> str:
     if not found and not diagnosis.leftover:
         said = (f'Nothing is wrong that this log could show: machine and simulator agree to within '
                 f'the noise of {floor}')
-        return f'{said}, but for a hint of “{_hinted(diagnosis.hint)}”.' if diagnosis.hint else f'{said}.'
+        return f'{said}, but for a hint of {_hinted(diagnosis)}.' if diagnosis.hint else f'{said}.'
     names = stand_ins(diagnosis)
     if not found and names:
         return (f'Something disturbs the measurement to which this log gives no sure name: {leftover}. '
@@ -147,16 +146,24 @@ def separation_words(diagnosis: Diagnosis, group: tuple[str, ...]) -> str:
     return f'The evidence is {", ".join(said)}; it takes {np.exp(CONFUSED):.2g} to one to tell.' if said else ''
 
 
-def hint_words(hint: EffectSet) -> str:
-    """How much a set speaks that nothing is claimed of."""
-    times, enough = (f'{float(f"{np.exp(log):.2g}"):.0f}' for log in (hint.log_bayes, ALARM))
-    return (f'With “{_hinted(hint)}” the log is {times} times as likely as with noise alone. That is a hint, not a '
-            f'finding: a finding takes {enough} times, for probabilities take the noise to be just as thought, and it '
-            'never quite is.')
+def hint_words(diagnosis: Diagnosis) -> str:
+    """How much speaks for what nothing is claimed of; '' where there is no such thing."""
+    if not diagnosis.hint:
+        return ''
+    times, enough = (f'{float(f"{np.exp(log):.2g}"):.0f}' for log in (diagnosis.hint.found.log_bayes, ALARM))
+    return (f'With {_hinted(diagnosis)} the log is {times} times as likely as without. That is a hint, not a finding: '
+            f'a finding takes {enough} times, for probabilities take the noise to be just as thought, and it never '
+            'quite is.')
 
 
-def _hinted(hint: EffectSet) -> str:
-    return ' + '.join(title(name) for name in dict.fromkeys(hint.names))
+def _hinted(diagnosis: Diagnosis) -> str:
+    """What a hint points to: each cause, with those that it may be taken for."""
+    said = []
+    for name, form in diagnosis.hint.forms.items():
+        others = [n for group in diagnosis.indistinguishable if name in group for n in group if n != name]
+        first = f'something without a name ({leftover_words(form)})' if name == UNKNOWN else f'“{title(name)}”'
+        said.append(' or '.join([first, *(f'“{title(n)}”' for n in others)]))
+    return ' and '.join(said)
 
 
 def stand_ins(diagnosis: Diagnosis) -> list[str]:
@@ -232,8 +239,8 @@ def steps(diagnosis: Diagnosis) -> list[tuple[str, float]]:
     return rows
 
 
-def changes(diagnosis: Diagnosis, before, after) -> list[tuple[str, float, float]]:
-    """Errors by how much taking the causes out moves them: name, largest change, its size in σ.
+def changes(before: Solution, after: Solution) -> list[tuple[str, float, float]]:
+    """Errors by how much taking the causes out moves them: name, largest change [m or rad], its size in σ.
 
     ``before``, ``after``: solutions without and with the causes.
     """
@@ -326,7 +333,7 @@ def summary(diagnosis: Diagnosis, name: str, adoption: tuple[str, ...] = ()) -> 
         if found.remedy:
             lines.append(f'      What to do: {found.remedy}')
     if diagnosis.hint:
-        lines += ['', f'  {hint_words(diagnosis.hint)}']
+        lines += ['', f'  {hint_words(diagnosis)}']
     if diagnosis.leftover:
         lines += ['', f'  Not explained: {leftover_words(diagnosis.leftover)}.']
     if diagnosis.shares:
@@ -336,10 +343,6 @@ def summary(diagnosis: Diagnosis, name: str, adoption: tuple[str, ...] = ()) -> 
                   + f'. {separation_words(diagnosis, group)}'.rstrip()]
     if diagnosis.next_measurement:
         lines += [f'  Measure next: {diagnosis.next_measurement}']
-        lines += [f'    {JOIN}'] if diagnosis.next_run else []
+        lines += [f'    {JOIN}'] if diagnosis.next_run or diagnosis.hint else []
     lines += [f'  note: {text}' for text in (*diagnosis.warnings, *adoption)]
     return '\n'.join(lines)
-
-
-def setups_legend(diagnosis: Diagnosis) -> list[tuple[str, str]]:
-    return [(name, setup_words(name)) for name in diagnosis.nominal.table.setup_names]

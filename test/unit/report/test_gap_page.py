@@ -194,6 +194,6 @@ def test_budget_bars_are_in_proportion():
 
 
 def test_changes_of_the_errors_are_ranked(backlash):
-    rows = changes(backlash, backlash.plain, backlash.solution)
+    rows = changes(backlash.plain, backlash.solution)
     assert len(rows) == 21
     assert [r[2] for r in rows] == sorted((r[2] for r in rows), reverse=True)
