@@ -155,8 +155,8 @@ def _diagnose_bag(job: Job) -> Outcome:
     for bag in (job.bag, *job.further):
         log = read_log(bag, job.namespace)
         if job.cell is not None:
-            from stepdiag_ros.cli.against import without_known
-            log, known = without_known(log, job.cell)
+            from stepdiag_ros.twin.against import without_known
+            log, known = without_known(log, job.cell, logs[0] if logs else None)
         logs.append(log)
     log = reduce(joined, logs)
     diagnosis = diagnose(log, [kind() for kind in all_effects(job.effects).values()])
@@ -178,7 +178,7 @@ def _diagnose_bag(job: Job) -> Outcome:
 def _adopt(job: Job, diagnosis) -> tuple[str, ...]:
     import yaml
 
-    from stepdiag_ros.report.adopt import adopted_cell
+    from stepdiag_ros.twin.adopt import adopted_cell
 
     base = None if job.cell is None else yaml.safe_load(job.cell.read_text(encoding='utf-8'))
     cell, notes = adopted_cell(diagnosis, base)

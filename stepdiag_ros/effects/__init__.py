@@ -54,6 +54,7 @@ def effects_in_file(path: str) -> list[type[Effect]]:
                                 'give it a name of letters, digits and underscores')
         if kind.name in VOCABULARY:
             raise StepdiagError(f'{path}: {kind.name} is a name of the vocabulary; give your effect its own')
+        kind.file = spec.origin
     return found
 
 

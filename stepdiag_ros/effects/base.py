@@ -215,6 +215,8 @@ class Effect:
     """What looks alike, and what tells them apart."""
     needs_dwells: bool = False
     """Whether only what happens inside the dwells tells it from its neighbours: without samples, no claim."""
+    file: str = ''
+    """The Python file of the user's own that holds it; empty: it is one of the vocabulary."""
     repeatable: bool = False
     """Whether it may act more than once in a log, each time in a form of its own."""
 

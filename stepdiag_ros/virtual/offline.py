@@ -123,7 +123,7 @@ def _run(motion: Motion, history: History, now: int, place: np.ndarray, path: Se
          number: int, setup: str, repeat: int, direction: int, watch: float) -> Run:
     times = np.zeros((3, len(path)), np.int64)
     for i, target in enumerate(path.positions[::direction]):
-        profile, settled = _move(motion, float(np.linalg.norm(target - place)))
+        profile, settled = move(motion, float(np.linalg.norm(target - place)))
         history.append(now, place, target, profile, number)
         dwell = now + round(settled * 1e9) + (RESET_NS if i == 0 else 0)
         times[:, i] = now, dwell, dwell + round((motion.dwell + (0.0 if i else watch)) * 1e9)
@@ -132,7 +132,7 @@ def _run(motion: Motion, history: History, now: int, place: np.ndarray, path: Se
 
 
 @lru_cache(maxsize=4096)
-def _move(motion: Motion, distance: float) -> tuple[Profile, float]:
+def move(motion: Motion, distance: float) -> tuple[Profile, float]:
     """A move over ``distance`` [m] and the seconds until it is in position."""
     profile = point_to_point(distance, motion.feed, motion.acceleration, motion.jerk)
     table = tabulate(profile.duration[None], profile.jerk[None], np.zeros(1), np.zeros(1))

@@ -11,7 +11,7 @@ from stepdiag_ros.report.figures import calibration_figure
 from stepdiag_ros.virtual.cell import Cell
 from stepdiag_ros.virtual.offline import simulate_log
 
-from .conftest import small_cell
+from ..conftest import small_cell
 
 
 @pytest.fixture(scope='module')

@@ -7,15 +7,15 @@ import yaml
 
 from stepdiag_ros.bag.export import write_log
 from stepdiag_ros.bag.reader import read_log
-from stepdiag_ros.cli.against import without_known
 from stepdiag_ros.cli.gap import _names
 from stepdiag_ros.cli.main import main
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate.reduce import reduce_log
+from stepdiag_ros.twin.against import without_known
 from stepdiag_ros.virtual.cell import load_cell
 from stepdiag_ros.virtual.offline import START_NS, simulate_log
 
-from .conftest import DEMO, small_cell
+from ..conftest import DEMO, small_cell
 
 BACKLASH = {'backlash': {'B': [4e-6, 3e-6, 5e-6]}}
 

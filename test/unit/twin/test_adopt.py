@@ -11,7 +11,7 @@ from stepdiag_ros.estimate.noise import whiteners
 from stepdiag_ros.estimate.reduce import reduce_log
 from stepdiag_ros.gap.diagnosis import Diagnosis
 from stepdiag_ros.model.description import Noise
-from stepdiag_ros.report.adopt import adopted_cell
+from stepdiag_ros.twin.adopt import adopted_cell
 from stepdiag_ros.virtual.cell import Cell, parse_cell
 from stepdiag_ros.virtual.offline import simulate_log
 

@@ -13,7 +13,7 @@ from stepdiag_ros.gap.diagnosis import Diagnosis
 from stepdiag_ros.virtual.cell import Cell, parse_cell
 from stepdiag_ros.virtual.offline import simulate_log
 
-DEMO = Path(__file__).resolve().parents[3] / 'cells' / 'demo.yaml'
+DEMO = Path(__file__).resolve().parents[2] / 'cells' / 'demo.yaml'
 
 
 def small_cell(effects: dict, dwell: float = 0.1) -> Cell:

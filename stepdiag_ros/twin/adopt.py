@@ -3,7 +3,7 @@
 What was fitted is put into the words of the virtual cell: the errors as they were fitted (straightness
 slopes of the carried axes counted as squareness, which is the same machine), misalignments, noise, the
 course of the plan in time, and each effect with the parameters of its physical face
-(:mod:`stepdiag_ros.report.physical`).  A given cell is the base: whatever the log does not tell stays as
+(:mod:`stepdiag_ros.twin.physical`).  A given cell is the base: whatever the log does not tell stays as
 it is there.
 """
 
@@ -14,13 +14,16 @@ from typing import Any
 import numpy as np
 import yaml
 
+from stepdiag_ros.effects.base import Effect
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate.enhanced import Fit
 from stepdiag_ros.estimate.gauge import slope_weights
 from stepdiag_ros.gap.diagnosis import Diagnosis
 from stepdiag_ros.gap.observe import sane_fit
 from stepdiag_ros.model.machine import CURVES
-from stepdiag_ros.report.physical import physical
+from stepdiag_ros.twin.physical import physical
+from stepdiag_ros.twin.twin import Twin
+from stepdiag_ros.virtual.cell import Cell, parse_cell
 
 SQUARE_OF = {'EXY': ('EC0Y', -1.0), 'EXZ': ('EB0Z', 1.0), 'EYZ': ('EA0Z', -1.0)}
 """Straightness curve whose slope is a squareness error, and its sign."""
@@ -50,11 +53,12 @@ def adopted_cell(diagnosis: Diagnosis, base: Mapping[str, Any] | None = None
         cell['sampling'] = _sampling(diagnosis)
     effects = dict(cell.get('effects') or {})
     notes: list[str] = []
-    lead = float(cell.get('motion', {}).get('mount', 60.0)) + RESET_S
+    twin = Twin(diagnosis, _bare(cell, diagnosis.joint.fit, base))
+    adopted: list[Effect] = []
     taken = sum(a.contribution for a in diagnosis.joint.active if not a.effect.name)
     for name in dict.fromkeys(f.name for f in diagnosis.effects):
         found = next(f for f in diagnosis.effects if f.name == name)
-        said = physical(diagnosis, found, lead)
+        said = physical(diagnosis, found, twin)
         taken = taken + said.contribution
         values = said.values
         if said.note:
@@ -64,16 +68,28 @@ def adopted_cell(diagnosis: Diagnosis, base: Mapping[str, Any] | None = None
                 raise StepdiagError(f'the cell has {found.name} already; take it out of the file that --cell '
                                     'names, the diagnosis finds its whole size')
             effects[found.name] = values
+            kind = next((type(a.effect) for a in diagnosis.joint.active if a.effect.name == found.name), None)
+            if kind is not None:
+                adopted.append(kind(**{key: value for key, value in values.items() if key != 'file'}))
     cell['effects'] = effects
     fit = _machine_without(diagnosis, taken)
     cell['geometry'] = _geometry(fit)
     cell['misalignments'] = {'given': _misalignments(fit, base)}
+    chi2 = Twin(diagnosis, _bare(cell, fit, base)).disagreement(adopted)
+    notes.append(f'run along the moves of the log this simulator leaves {np.sqrt(chi2):.2f} times its noise at the '
+                 f'stops (reduced chi2 {chi2:.2f})')
     if diagnosis.leftover:
         notes.append(f'not adopted, for it has no name: {diagnosis.leftover}')
     if diagnosis.solution.unidentifiable:
         notes.append('directions that the log leaves open are held near zero: '
                      + ', '.join(sorted({n for u in diagnosis.solution.unidentifiable for n in u.names})[:8]))
     return cell, tuple(notes)
+
+
+def _bare(cell: Mapping[str, Any], fit: Fit, base: Mapping[str, Any] | None) -> Cell:
+    """The simulator with the machine of a fit and without effects."""
+    return parse_cell(yaml.safe_dump({**cell, 'effects': {}, 'geometry': _geometry(fit),
+                                      'misalignments': {'given': _misalignments(fit, base)}}), 'adopted')
 
 
 def _noise(diagnosis: Diagnosis) -> dict[str, float]:

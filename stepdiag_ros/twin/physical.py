@@ -1,0 +1,142 @@
+"""From what a log was fitted with to the parameters of an effect's physical face, along the log's own moves.
+
+The simulator is made to move as the log did (:class:`~stepdiag_ros.twin.twin.Twin`), and the parameters are
+those with which the effect does there, in parity space, what was fitted: stops' means and the course inside the stops.
+So every effect is taken over alike, one of the user's own too.  The physical face is narrower than the forms; what is
+lost is told.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from stepdiag_ros.effects.base import Effect, Parameter
+from stepdiag_ros.gap.diagnosis import STAMPS, Diagnosis, Found
+from stepdiag_ros.gap.joint import Active, unexplained
+from stepdiag_ros.twin.guess import Values, guess
+from stepdiag_ros.twin.story import basis_of, unknown_starts
+from stepdiag_ros.twin.twin import Twin
+
+LOSS = 0.05
+"""Share of what was fitted beyond which its loss is told …"""
+LEAST_DONE = 0.1
+"""… and share that must be kept for it to be adopted."""
+TRIED = 5
+"""Values of a time tried, evenly in logarithm between its bounds, where a fit may begin."""
+TRIALS = 60
+"""Most simulations of one fit for each parameter."""
+PHASE = {'cyclic_nonlinearity': 'its phase at a stop turns with every 0.3 µm, which no simulator foretells; not '
+                                'adopted'}
+
+
+@dataclass(frozen=True)
+class Physical:
+    """Physical parameters of an effect (empty: not adopted), a note (empty: nothing is lost), and what the
+    simulator will make of it at the log's stops (n, c) [m]."""
+
+    values: Values
+    note: str
+    contribution: np.ndarray
+
+
+def physical(diagnosis: Diagnosis, found: Found, twin: Twin) -> Physical:
+    """One effect in physical terms."""
+    nothing = np.zeros(diagnosis.nominal.view.reading.shape)
+    if found.name == STAMPS:
+        values = {sensor: found.parameters.get(f'{sensor}_s', 0.0) for sensor in ('interferometer', 'psd')}
+        drifts = any(name.endswith('_drift_s') for name in found.parameters)
+        return Physical(values, 'its drift in the course of the log is not adopted' if drifts else '', nothing)
+    if found.name == 'vibration':
+        amplitude = found.parameters['amplitude_m']
+        return Physical({'amp': [amplitude] * 3, 'frequency': found.parameters['frequency_Hz'],
+                         'amp2': [0.0] * 3, 'frequency2': 10.0},
+                        'the laser sees the shaking along its beam only; taken as alike along X, Y, Z', nothing)
+    active = [a for a in diagnosis.joint.active if a.effect.name == found.name]
+    if not active:
+        return Physical({}, 'it was not fitted to the stops, so there is nothing to adopt', nothing)
+    whole = sum(a.contribution for a in active)
+    if found.name in PHASE:
+        return Physical({}, PHASE[found.name], whole)
+    return _fitted(diagnosis, active, twin)
+
+
+def _fitted(diagnosis: Diagnosis, active: list[Active], twin: Twin) -> Physical:
+    space, effect = diagnosis.joint.parity, type(active[0].effect)
+    own = sum(space.project(a.form) @ (a.coefficients / a.form.scale) for a in active)
+    rest = unexplained(space, diagnosis.joint.active)
+    story = unknown_starts(diagnosis.joint.observation.view)
+    basis = basis_of(story, space)
+    target = rest + own
+    target = target - basis @ (basis.T @ target)
+
+    def missed(values: Values) -> np.ndarray:
+        made = twin.projected(twin.adds(effect(**values)))
+        return target - (made - basis @ (basis.T @ made))
+
+    best, left = min((_refined(effect.parameters, start, missed) for start in _starts(diagnosis, active, effect)),
+                     key=lambda pair: pair[1])
+    # Noise is left in any case; what counts is how much more than the forms leave.
+    noise, nothing = (v - basis @ (basis.T @ v) for v in (rest, target))
+    done = (nothing @ nothing - left) / max(float(nothing @ nothing - noise @ noise), 1e-300)
+    if done < LEAST_DONE:
+        return Physical({}, f'its physical face can do {100 * max(done, 0.0):.0f} % of what was fitted; not adopted',
+                        sum(a.contribution for a in active))
+    notes = [f'the simulator knows a simpler form of it; {100 * (1 - done):.0f} % of what was fitted is lost'] \
+        if done < 1.0 - LOSS else []
+    added = twin.adds(effect(**best))
+    # Where it is the story that differs, the machine must not be made to imitate it.
+    apart = sum(a.contribution for a in active) - added.mean(axis=1)
+    sizes = np.linalg.lstsq(space.stop_part(story), space.stop_part(apart[None])[:, 0], rcond=1e-10)[0]
+    before = np.tensordot(sizes, story, axes=1)
+    told = basis.T @ (rest + own - twin.projected(added))
+    if told @ told > LOSS * float(nothing @ nothing):
+        notes.append('how the axes came to the first stop of a setup is the log\'s own story: until each has moved '
+                     'the simulator differs')
+    notes += [f'{p.name} {np.array2string(np.asarray(best[p.name]), precision=3)} {p.unit} is beyond what is plausible '
+              f'({p.low:g} … {p.high:g})' for p in effect.parameters if not _plausible(p, best[p.name])]
+    return Physical({'file': effect.file, **best} if effect.file else best, '; '.join(notes),
+                    added.mean(axis=1) + before)
+
+
+def _starts(diagnosis: Diagnosis, active: list[Active], effect: type[Effect]) -> Iterator[Values]:
+    """Where fits begin: the guess, and each time of the effect between its bounds beside it."""
+    middle = {p.name: np.full(p.size, 0.5 * (p.low + p.high)) if p.size > 1 else 0.5 * (p.low + p.high)
+              for p in effect.parameters}
+    first = {**middle, **guess(diagnosis, active)}
+    yield first
+    for p in effect.parameters:
+        if p.unit == 's' and p.size == 1 and p.low > 0.0:
+            yield from ({**first, p.name: float(value)} for value in np.geomspace(p.low, p.high, TRIED))
+
+
+def _refined(parameters: tuple[Parameter, ...], start: Values,
+             missed: Callable[[Values], np.ndarray]) -> tuple[Values, float]:
+    """Parameters near ``start`` that miss the least, and the square that is missed; names and numbers of choices stay
+    as they are."""
+    free = [p for p in parameters if p.high > p.low and not isinstance(start[p.name], str)]
+    sizes = [p.size for p in free]
+    scale = np.concatenate([np.full(p.size, p.high - p.low) for p in free])
+    low = np.concatenate([np.full(p.size, 0.2 * p.low if p.unit == 's' and p.low > 0.0 else
+                                  0.0 if p.low == 0.0 else -np.inf) for p in free])
+    high = np.concatenate([np.full(p.size, 5.0 * p.high if p.unit == 's' and p.low > 0.0 else np.inf) for p in free])
+
+    def values(x: np.ndarray) -> Values:
+        parts = np.split(x * scale, np.cumsum(sizes)[:-1])
+        return {**start, **{p.name: part.tolist() if p.size > 1 else float(part[0])
+                            for p, part in zip(free, parts, strict=True)}}
+
+    x0 = np.concatenate([np.broadcast_to(np.asarray(start[p.name], float), (p.size,)) for p in free]) / scale
+    x0 = np.clip(x0, low / scale + 1e-9, high / scale - 1e-9)
+    # What the log does not tell apart, warmth and pressure of air, stays as small as it may: 1 is the plausible range.
+    result = least_squares(lambda x: np.concatenate([missed(values(x)), x]), x0, bounds=(low / scale, high / scale),
+                           x_scale='jac', diff_step=1e-4, max_nfev=TRIALS)
+    return values(result.x), 2.0 * float(result.cost)
+
+
+def _plausible(parameter: Parameter, value: object) -> bool:
+    if isinstance(value, str):
+        return True
+    size = np.abs(np.asarray(value, float))
+    return bool(np.all(size <= 1.5 * max(abs(parameter.low), abs(parameter.high))))
