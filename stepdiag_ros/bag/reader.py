@@ -84,7 +84,7 @@ def build_log(source: BagSource, tables: Tables, namespace: str | None = None,
     mine = {relative: tables.topics.get(f'{name}/{relative}' if name else relative)
             or tables.topics.get(f'/{relative}' if not name else f'{name}/{relative}')
             for relative in TOPICS}
-    warnings = [*source.warnings, *tables.warnings, *_wrong_counts(source, tables)]
+    warnings = [*source.warnings, *tables.warnings, *_wrong_counts(source, tables), *_notes(source)]
     if not tables.checked:
         warnings.append('the file carries no CRCs: a changed byte in it would not be noticed')
     if description is None:
@@ -129,6 +129,14 @@ def build_log(source: BagSource, tables: Tables, namespace: str | None = None,
 def notes_of(warnings: list[str], relative: str) -> str:
     """Warnings about one topic in one line."""
     return '; '.join(w.split(': ', 1)[-1] for w in warnings if relative in w) or 'all blocks are empty'
+
+
+def _notes(source: BagSource) -> list[str]:
+    """What was said when the bag was made of something else: whoever reads it should know."""
+    custom = source.metadata.get('custom_data')
+    if not isinstance(custom, dict):
+        return []
+    return [f'import: {text}' for key, text in custom.items() if 'imported_from' in custom and key.startswith('note_')]
 
 
 def _wrong_counts(source: BagSource, tables: Tables) -> list[str]:

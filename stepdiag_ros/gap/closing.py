@@ -4,7 +4,8 @@ All repeats but one are fitted, with and without the effects, and that one is fo
 its turn, for what one repeat's noise leaves open of a small gap the others settle.  A log of one run, as a table of
 cycles is, is split in time: its last repeats are foretold from those before.  Fits are linear at the joint fit.
 A forecast is judged with its own uncertainty: the noise of the runs foretold and that of what was fitted.  The reset
-of a run that was not fitted is not known and is given free.
+of a run that was not fitted is not known and is given free.  Beside that each setup is foretold from the others, with
+the misalignments of its own no better known than before the log.
 """
 
 from dataclasses import dataclass
@@ -31,6 +32,10 @@ class Closing:
     before_m: float
     after_m: float
     floor_m: float
+
+    def to_json_dict(self) -> dict:
+        return {'before_m': self.before_m, 'after_m': self.after_m, 'noise_floor_m': self.floor_m,
+                'held_out': self.held_out, 'reduced_chi2_before': self.before, 'reduced_chi2_after': self.after}
 
     @property
     def left(self) -> float:
@@ -59,9 +64,21 @@ def closing(joint: Joint, alone: Joint | None = None) -> Closing:
     ``alone``: the fit of the machine without effects.  Where it leaves more than seems to be left at the joint fit, a
     linear step from there does what the machine cannot, and the gap before is that at ``alone``.
     """
-    after, count, freedom, name = _foretold(joint, with_effects=True)
     place = alone if alone is not None and _left(alone) > _left(joint) else joint
-    before = _foretold(place, with_effects=False)[0] if joint.active else after
+    return _closing(joint, place, *_held_out(joint.observation.table))
+
+
+def closing_over_setups(joint: Joint) -> Closing | None:
+    """Fit on all setups but one and foretell that one, each in turn; None where there is but one."""
+    setup = joint.observation.table.setup
+    parts = [setup == s for s in np.unique(setup)]
+    return _closing(joint, joint, parts, 'each setup in turn, foretold from the others') if len(parts) > 1 else None
+
+
+def _closing(joint: Joint, place: Joint, parts: list[np.ndarray], name: str) -> Closing:
+    """``place``: the fit at which the gap before is taken; ``parts``: masks (n,) of the stops held out in turn."""
+    after, count, freedom = _foretold(joint, parts, with_effects=True)
+    before = _foretold(place, parts, with_effects=False)[0] if joint.active else after
     before, after = before / max(freedom, 1), after / max(freedom, 1)
     floor = noise_floor(joint)
     return Closing(before, after, count, float(sum(joint.noise.dof)), name,
@@ -74,10 +91,9 @@ def _left(joint: Joint) -> float:
     return float(data @ data)
 
 
-def _foretold(joint: Joint, with_effects: bool) -> tuple[float, int, int, str]:
-    """χ² of all that is held out, number of readings, degrees of freedom and which part it was."""
+def _foretold(joint: Joint, parts: list[np.ndarray], with_effects: bool) -> tuple[float, int, int]:
+    """χ² of all that is held out, number of readings and degrees of freedom."""
     table = joint.observation.table
-    parts, name = _held_out(table)
     # Whiteners are one a run: rows of a run stay together on either side.
     white = joint.parity._white
     channels = joint.fit.residual.shape[1]
@@ -101,7 +117,7 @@ def _foretold(joint: Joint, with_effects: bool) -> tuple[float, int, int, str]:
         total += _forecast(design, residual, flag, precision)
         freedom += int(flag.sum()) - resets
         count += int(flag.sum())
-    return total, count, freedom, name
+    return total, count, freedom
 
 
 def excess_forecast(how_far: Closing) -> tuple[float, str]:

@@ -16,7 +16,7 @@ import numpy as np
 from stepdiag_ros.effects.base import Effect
 from stepdiag_ros.gap.clocks import Late, set_clocks
 from stepdiag_ros.gap.closing import Closing, closing, excess_forecast
-from stepdiag_ros.gap.diagnosis import Diagnosis, Found
+from stepdiag_ros.gap.diagnosis import AXIS_LIKE, Diagnosis, Found
 from stepdiag_ros.gap.disturbances import disturbed
 from stepdiag_ros.gap.evidence import width_of
 from stepdiag_ros.gap.folded import within_range
@@ -86,7 +86,7 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
     return Diagnosis(
         log, _verdict(found, leftover), how_far, shares(joint, found, bool(leftover)), tuple(found),
         {**names, **outside, NOTHING: nothing * float(np.prod([1.0 - p for p in outside.values()]))},
-        tuple((tuple(sorted((*s.names, *outside))), w) for s, w in zip(sets, weights, strict=True))[:20],
+        tuple((tuple(sorted({*s.names, *outside})), w) for s, w in zip(sets, weights, strict=True))[:20],
         groups, observation, joint, clocks, disturbances.unrest.displacement, leftover,
         log.warnings + observation.table.warnings + ((beyond_range,) if beyond_range else ()), sets, screen, words, run,
         separations(sets, doubtful), hint)
@@ -123,17 +123,19 @@ def _found(name: str, effect: Effect, probability: float, joint: Joint) -> Found
         widest = 0.99 * width_of(active.form) * active.form.scale
         for n, value, s, wide in zip(active.form.names, active.coefficients, sigma, widest, strict=True):
             if s < wide:
-                parameters[n + suffix], spread[n + suffix] = float(value), float(s)
+                # Along an axis there is one size: what one form says of it the next takes back in part.
+                label = n if len(n) < AXIS_LIKE else n + suffix
+                parameters[label] = parameters.get(label, 0.0) + float(value)
+                spread[label] = float(np.hypot(spread.get(label, 0.0), s))
         parameters |= {k + suffix: float(v) for k, v in active.form.shape.items()}
         spread |= {k + suffix: float(v) for k, v in active.shape_sigma.items()}
-    rest = unexplained(joint.parity, joint.active)
-    without, left = float(np.sum((rest + sum(parts)) ** 2)), float(np.sum(rest**2))
-    dof = float(sum(joint.parity.dof))
-    # Within its own scatter the rest is noise; beyond, the floor is what noise alone would leave.
-    floor = left if abs(left - dof) < 3.0 * np.sqrt(2.0 * dof) else min(dof, left)
+    data, rest = joint.parity.data, unexplained(joint.parity, joint.active)
+    without, left = float(np.sum((rest + sum(parts)) ** 2)), float(rest @ rest)
+    # Noise may be less than the freedom says, where it was taken for granted: then it is what is left.
+    floor = min(float(sum(joint.parity.dof)), left)
     return Found(name, effect.title, probability, parameters, spread, mine[order[0]].form.units,
                  ' and '.join(mine[k].form.label for k in order),
-                 float(np.clip((without - left) / max(without - floor, 1e-12), 0.0, 1.0)),
+                 float(np.clip((without - left) / max(float(data @ data) - floor, 1e-12), 0.0, 1.0)),
                  effect.remedy)
 
 

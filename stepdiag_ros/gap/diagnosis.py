@@ -8,7 +8,7 @@ from stepdiag_ros.estimate.evaluate import solution_of
 from stepdiag_ros.estimate.solution import Solution
 from stepdiag_ros.gap.averaged import averaged_solution
 from stepdiag_ros.gap.bands import Band, bands
-from stepdiag_ros.gap.closing import Closing
+from stepdiag_ros.gap.closing import Closing, closing_over_setups
 from stepdiag_ros.gap.hint import Hint
 from stepdiag_ros.gap.inside import Timing
 from stepdiag_ros.gap.joint import Joint
@@ -22,13 +22,16 @@ from stepdiag_ros.gap.volume import VolumeChange, volume_change
 from stepdiag_ros.gap.where import Share
 from stepdiag_ros.model.log import CalibrationLog
 
+AXIS_LIKE = 3
+"""Names of sizes shorter than this are of an axis or a direction: X, y, u."""
 STAMPS = 'clock_skew'
 """The effect that is seen while axes move, and only then."""
 
 
 @dataclass(frozen=True)
 class Found:
-    """An effect of the diagnosis: name, probability, parameters with σ by name, share of the gap closed."""
+    """An effect of the diagnosis: name, probability, parameters with σ by name; ``closes``: by how much of the whole
+    gap's variance above the floor it alone is missed."""
 
     name: str
     title: str
@@ -75,10 +78,8 @@ class Diagnosis:
         """``gap.json`` of the contract, and more beside it."""
         return {
             'verdict': self.verdict,
-            'gap': {'before_m': self.closing.before_m, 'after_m': self.closing.after_m,
-                    'noise_floor_m': self.closing.floor_m, 'held_out': self.closing.held_out,
-                    'reduced_chi2_before': self.closing.before,
-                    'reduced_chi2_after': self.closing.after},
+            'gap': self.closing.to_json_dict(),
+            'over_setups': self.over_setups.to_json_dict() if self.over_setups else None,
             'where': [share.to_json_dict() for share in self.shares],
             'shares': self.margins.to_json_dict() if self.margins else None,
             'bands': [band.to_json_dict() for band in self.bands],
@@ -95,6 +96,7 @@ class Diagnosis:
             'sets': [{'names': list(names), 'probability': p} for names, p in self.sets],
             'volumetric_change': self.volume_change.to_json_dict() if self.volume_change else None,
             'errors': self.solution.to_json_dict()['errors'],
+            'errors_before': self.plain.to_json_dict()['errors'] if self.joint.active else None,
             'noise': {'position_repeatability_m': self.joint.noise.position,
                       'angle_repeatability_rad': self.joint.noise.angle,
                       'source': self.joint.noise.source},
@@ -118,6 +120,11 @@ class Diagnosis:
     def bands(self) -> tuple[Band, ...]:
         """What stands out of the noise, by channel and frequency, before and after the effects."""
         return bands(self.joint)
+
+    @cached_property
+    def over_setups(self) -> Closing | None:
+        """How far the gap closes where each setup is foretold from the others; None of a log of one setup."""
+        return closing_over_setups(self.joint)
 
     @cached_property
     def volume_change(self) -> VolumeChange | None:

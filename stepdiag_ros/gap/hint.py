@@ -1,11 +1,11 @@
-"""Between nothing and a finding: what is likelier than nothing where that is not enough for a claim."""
+"""Between nothing and a finding: what was worth following up and is not enough for a claim."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from stepdiag_ros.gap.screen import Screen
 from stepdiag_ros.gap.search import EffectSet, log_prior
-from stepdiag_ros.gap.thresholds import ALARM
+from stepdiag_ros.gap.thresholds import ALARM, SUSPICION
 
 
 @dataclass(frozen=True)
@@ -23,10 +23,10 @@ class Hint:
 
 
 def hint_of(sets: Sequence[EffectSet], effects: int, screen: Screen) -> Hint | None:
-    """The hint in the ``sets`` thought of, best first, of ``effects`` possible ones; None where nothing is likelier."""
+    """The hint in the ``sets`` thought of, best first, of ``effects`` possible ones; None where none is worth it."""
     found, none = sets[0], EffectSet((), 0.0)
     ahead = found.log_bayes + log_prior(found, effects) - log_prior(none, effects)
-    if not found.members or ahead <= 0.0:
+    if found.log_bayes < SUSPICION or ahead <= 0.0:
         return None
     # Of several forms the first explains the most.
     forms = {m.effect: screen.candidates[m.candidate].form.label for m in reversed(found.members)}

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from stepdiag_ros.gap.joint import Joint
 from stepdiag_ros.gap.longer import Ways
 from stepdiag_ros.gap.next_run import NextRun, recommend
+from stepdiag_ros.model.description import LINEAR, path_of
 
 WORTH = 3.0
 """A further run is advised from this expected log evidence: from even odds to 95 %; one that
@@ -30,7 +31,7 @@ SPECIAL = {
 }
 """Pairs that one well-known trick separates where no run of the same kind does."""
 
-FOR_UNKNOWN = ('Repeat the diagonal with the largest share of the gap at once and again after half an hour: '
+FOR_UNKNOWN = ('Repeat the {path} with the largest share of the gap at once and again after half an hour: '
                'what stays belongs to the place, what changes belongs to time.')
 
 FOR_HINT = 'Do the whole calibration once more: what acts will speak as loud again, what was chance will not.'
@@ -54,4 +55,6 @@ def advise(joint: Joint, rivals: Sequence[Ways], groups: Sequence[Sequence[str]]
         for pair, text in SPECIAL.items():
             if pair <= set(group):
                 return text, run
-    return (run.text if run else FOR_UNKNOWN if unknown or groups else None), run
+    lines = all(path_of(name) in LINEAR for name in joint.observation.table.setup_names)
+    repeat = FOR_UNKNOWN.format(path='line' if lines else 'diagonal')
+    return (run.text if run else repeat if unknown or groups else None), run

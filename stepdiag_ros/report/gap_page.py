@@ -73,7 +73,7 @@ def _budget(diagnosis: Diagnosis) -> str:
                diagnosis.closing.held_out.startswith('none') else
                f'on {escape(diagnosis.closing.held_out)} — a part of the log that took no part in the fit.')
             + '</p>')
-    return text + budget_svg(labels, floor)
+    return text + budget_svg(labels, floor) + f'<p>{escape(gap_words.over_setups_words(diagnosis))}</p>'
 
 
 def budget_svg(rows: list[tuple[str, float]], floor: float) -> str:
@@ -143,7 +143,7 @@ def _cause_row(diagnosis: Diagnosis, found: Found) -> list[str]:
     what = (f'<b>{escape(title(found.name))}</b><br>{escape(found.title)}<br>'
             f'<small>{escape(found.name)}; form: {escape(found.form)}</small>')
     sure = (f'<b>{certainty(found.probability)}</b><br>{percent(found.probability)}<br>'
-            f'<small>{escape(gap_words.closes_words(diagnosis, found))}</small>')
+            f'<small>{escape(gap_words.closes_words(found))}</small>')
     return [what, sure, numbers, escape(found.remedy) or '–']
 
 
@@ -294,7 +294,7 @@ def _errors(diagnosis: Diagnosis) -> str:
         text += ('<p>A plain evaluation would have put part of the trouble into the machine\'s errors. With '
                  f'{taken} taken out these change most:</p>')
         text += table(['error', '>changes by', '>in standard deviations'],
-                      [[n, quantity(c, 'm' if len(n) == 3 and n[1] in 'XYZ' else 'rad'),
+                      [[n, quantity(c, 'm' if len(n) == 3 and n[1] in 'XYZ' else 'rad', abs(c) / s),
                         plain(s) if s < FAR else f'more than {FAR:.0f}']
                        for n, c, s in moved[:6]])
     else:

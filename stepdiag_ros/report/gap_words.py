@@ -6,7 +6,7 @@ import numpy as np
 
 from stepdiag_ros.estimate.solution import Solution
 from stepdiag_ros.gap.closing import closing
-from stepdiag_ros.gap.diagnosis import Diagnosis, Found
+from stepdiag_ros.gap.diagnosis import AXIS_LIKE, Diagnosis, Found
 from stepdiag_ros.gap.margins import AT_REST, MOVING, SETTLING
 from stepdiag_ros.gap.thresholds import ALARM, CONFUSED
 from stepdiag_ros.gap.unknown import NAME as UNKNOWN
@@ -33,8 +33,6 @@ SIGNIFICANT = 3.0
 SPEAKING = ('angle', 'jump', 'both', 'all')
 """Names of parameters longer than a letter or two that a sentence can take as they are."""
 LEAST_REACH_M = 1e-9
-AXIS_LIKE = 3
-"""Names shorter than this are of an axis or a direction: X, y, u."""
 NAMED = 3
 """Most sizes in a sentence."""
 HARDLY = 1.15
@@ -68,27 +66,13 @@ def sizes(found: Found) -> list[tuple[str, str]]:
 
 def size_words(found: Found) -> str:
     """The largest sizes that count: ``X 5.71 µm, Y 5.15 µm``."""
-    known = _together(found)
+    known = {name: (value, found.sigma[name]) for name, value in found.parameters.items() if name in found.sigma}
     counted = [(abs(value), name) for name, (value, sigma) in known.items()
                if _speaks(name) and abs(value) > SIGNIFICANT * sigma > 0.0]
     counted.sort(reverse=True)
     chosen = [name for _, name in counted[:NAMED]]
     return ', '.join(f'{parameter_name(n)} {quantity(v, parameter_unit(n, found.units))}'
                      for n, (v, _) in known.items() if n in chosen)
-
-
-def _together(found: Found) -> dict[str, tuple[float, float]]:
-    """Sizes that have a σ, with it; along an axis those of several forms are one: what each form alone says may be
-    twice of it, and taken back by the next."""
-    result: dict[str, tuple[float, float]] = {}
-    for name, value in found.parameters.items():
-        if name not in found.sigma:
-            continue
-        first = name.split(' (')[0]
-        key = first if len(first) < AXIS_LIKE else name
-        so_far, sigma = result.get(key, (0.0, 0.0))
-        result[key] = so_far + value, float(np.hypot(sigma, found.sigma[name]))
-    return result
 
 
 def _speaks(name: str) -> bool:
@@ -213,10 +197,21 @@ def how_far(diagnosis: Diagnosis) -> str:
             f'{micrometres(gap.floor_m)}): {closed_percent(share or 0.0)} of it is gone, {rest}.')
 
 
-def closes_words(diagnosis: Diagnosis, found: Found) -> str:
-    """How much of the gap a cause closes; among several, of what the others leave open."""
-    rest = 'the gap' if len(diagnosis.effects) < 2 else 'what the others leave of the gap'
-    return f'closes {closed_percent(found.closes)} of {rest}'
+def over_setups_words(diagnosis: Diagnosis) -> str:
+    """The same where whole setups are held out; '' of a log of one."""
+    over = diagnosis.over_setups
+    if over is None:
+        return ''
+    if not diagnosis.joint.active:
+        return (f'Where whole setups are held out, each foretold from the others, they differ by '
+                f'{micrometres(over.before_m)} (noise alone: {micrometres(over.floor_m)}).')
+    return (f'Where whole setups are held out, each foretold from the others, the gap falls from '
+            f'{micrometres(over.before_m)} to {micrometres(over.after_m)} (noise alone: {micrometres(over.floor_m)}).')
+
+
+def closes_words(found: Found) -> str:
+    """How much of the gap a cause closes."""
+    return f'closes {closed_percent(found.closes) if found.closes > 0.005 else "less than 1 %"} of the gap'
 
 
 def steps(diagnosis: Diagnosis) -> list[tuple[str, float]]:
@@ -321,7 +316,7 @@ def summary(diagnosis: Diagnosis, name: str, adoption: tuple[str, ...] = ()) -> 
     for found in diagnosis.effects:
         lines.append('')
         lines.append(f'  {title(found.name)} [{found.name}]: {certainty(found.probability)} '
-                     f'({percent(found.probability)}), {closes_words(diagnosis, found)}')
+                     f'({percent(found.probability)}), {closes_words(found)}')
         rows = sizes(found)
         width = max(len(n) for n, _ in rows) if rows else 0
         lines += [f'      {n:<{width}}  {text}' for n, text in rows[:8]]

@@ -94,8 +94,8 @@ def _fitted(diagnosis: Diagnosis, active: list[Active], twin: Twin) -> Physical:
     if told @ told > LOSS * float(nothing @ nothing):
         notes.append('how the axes came to the first stop of a setup is the log\'s own story: until each has moved '
                      'the simulator differs')
-    notes += [f'{p.name} {np.array2string(np.asarray(best[p.name]), precision=3)} {p.unit} is beyond what is plausible '
-              f'({p.low:g} … {p.high:g})' for p in effect.parameters if not _plausible(p, best[p.name])]
+    notes += [f'{p.name} of {", ".join(f"{v:.3g}" for v in np.atleast_1d(best[p.name]))} {p.unit} is beyond what is '
+              f'plausible ({p.low:g} … {p.high:g})' for p in effect.parameters if not _plausible(p, best[p.name])]
     return Physical({'file': effect.file, **best} if effect.file else best, '; '.join(notes),
                     added.mean(axis=1) + before)
 

@@ -8,7 +8,7 @@ history and those alone.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -25,6 +25,8 @@ from stepdiag_ros.virtual.scene import SensorScene
 
 WALK_LIMIT = 4.0e-3
 """Return beam's walk [m] at which the interferometer's contrast has fallen to 1/e."""
+UNTOLD_STANDOFF = 0.1
+"""Standoff [m] where a description has none."""
 CONTRAST = 96.0
 """Signal quality of a beam that returns into itself."""
 
@@ -53,7 +55,9 @@ class World:
                  effects: Sequence[Effect] | None = None):
         self.cell, self.history, self.epoch_ns = cell, history, epoch_ns
         description = cell.description
-        self._scenes = {name: SensorScene.of_setup(description.machine, setup)
+        # A standoff of 0 was not told: no mirror stands in the laser.
+        self._scenes = {name: SensorScene.of_setup(description.machine,
+                                                   replace(setup, standoff=setup.standoff or UNTOLD_STANDOFF))
                         for name, setup in description.setups.items()}
         self.effects = create_effects(cell) if effects is None else list(effects)
         self._draws = {effect.name: Draws(cell.seed, effect.name) for effect in self.effects}

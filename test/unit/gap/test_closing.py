@@ -6,7 +6,7 @@ import pytest
 from stepdiag_ros.bag.import_csv import import_csv
 from stepdiag_ros.effects import all_effects, effect_class
 from stepdiag_ros.gap import diagnose
-from stepdiag_ros.gap.closing import Closing, closing
+from stepdiag_ros.gap.closing import Closing, closing, closing_over_setups
 
 
 def test_every_repeat_is_foretold_once(case):
@@ -24,6 +24,16 @@ def test_an_effect_found_closes_the_gap(case):
     assert found.after_m < found.before_m
 
 
+def test_each_setup_is_foretold_from_the_others(case):
+    quiet, moved = case.diagnose(), case.diagnose(effect_class('backlash')(B=[4e-6, 0.0, 3e-6]))
+    found = closing_over_setups(quiet.joint)
+    assert found.count == int(quiet.joint.fit.present.sum()) and 'each setup' in found.held_out
+    assert found.before == found.after == pytest.approx(1.0, abs=5.0 * np.sqrt(2.0 / found.count))
+    found = moved.over_setups
+    assert found.before > 1.2 and found.after < 1.0 + 0.1 * (found.before - 1.0) + 5.0 * np.sqrt(2.0 / found.count)
+    assert moved.to_json_dict()['over_setups'] == found.to_json_dict()
+
+
 def test_the_last_cycles_of_an_only_run_are_foretold_from_those_before(tmp_path):
     """A table of five cycles with 20 µm of lost motion and 1 µm of noise."""
     rng = np.random.default_rng(2)
@@ -35,7 +45,7 @@ def test_the_last_cycles_of_an_only_run_are_foretold_from_those_before(tmp_path)
     found = diagnose(import_csv(file).log, [kind() for kind in all_effects().values()])
     assert [e.name for e in found.effects] == ['backlash']
     assert found.closing.held_out == 'the last 2 of 5 repeats, foretold from those before'
-    assert found.closing.count == 36
+    assert found.closing.count == 36 and found.over_setups is None
     assert found.closing.before > 50.0
     assert found.closing.after == pytest.approx(1.0, abs=5.0 * np.sqrt(2.0 / 36))
 
