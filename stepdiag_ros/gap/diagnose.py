@@ -4,9 +4,9 @@ The steps, each in a file of its own: :mod:`observe` (reduce, fit), :mod:`inside
 :mod:`folded` (spots beyond reach), :mod:`disturbances` with :mod:`unrest`, :mod:`dwells`, :mod:`lines`, :mod:`steady`
 and :mod:`hops` (what shakes, boils or hops), :mod:`gross` (where to begin), :mod:`turns` with :mod:`parity`,
 :mod:`screen`, :mod:`search` and :mod:`joint` (evidence for sets of effects, machine and effects together),
-:mod:`scatter` (what has no pattern), :mod:`closing` (the part held out), :mod:`where` and :mod:`bands` (shares,
-frequencies), :mod:`hint`, :mod:`rivals`, :mod:`next_measurement` and :mod:`next_run` (what the log leaves open),
-:mod:`averaged` (the 21 errors).
+:mod:`scatter` (what has no pattern), :mod:`correlates` (with what a nameless one goes), :mod:`closing` (the part held
+out), :mod:`where` and :mod:`bands` (shares, frequencies), :mod:`hint`, :mod:`rivals`, :mod:`next_measurement` and
+:mod:`next_run` (what the log leaves open), :mod:`averaged` (the 21 errors).
 """
 
 from collections.abc import Iterable, Mapping

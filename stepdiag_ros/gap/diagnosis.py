@@ -9,6 +9,7 @@ from stepdiag_ros.estimate.solution import Solution
 from stepdiag_ros.gap.averaged import averaged_solution
 from stepdiag_ros.gap.bands import Band, bands
 from stepdiag_ros.gap.closing import Closing, closing_over_setups
+from stepdiag_ros.gap.correlates import Correlate, correlates
 from stepdiag_ros.gap.hint import Hint
 from stepdiag_ros.gap.inside import Timing
 from stepdiag_ros.gap.joint import Joint
@@ -92,6 +93,7 @@ class Diagnosis:
             'next_measurement': self.next_measurement,
             'next_run': self.next_run.to_json_dict() if self.next_run else None,
             'unknown': self.leftover or None,
+            'correlates': [one.to_json_dict() for one in self.correlates],
             'ranking': dict(sorted(self.ranking.items(), key=lambda item: -item[1])),
             'sets': [{'names': list(names), 'probability': p} for names, p in self.sets],
             'volumetric_change': self.volume_change.to_json_dict() if self.volume_change else None,
@@ -125,6 +127,11 @@ class Diagnosis:
     def over_setups(self) -> Closing | None:
         """How far the gap closes where each setup is foretold from the others; None of a log of one setup."""
         return closing_over_setups(self.joint)
+
+    @cached_property
+    def correlates(self) -> tuple[Correlate, ...]:
+        """With what a structure without a name goes; none where there is no such."""
+        return correlates(self.joint) if self.leftover else ()
 
     @cached_property
     def volume_change(self) -> VolumeChange | None:

@@ -124,7 +124,8 @@ def _causes(diagnosis: Diagnosis) -> str:
             what = 'to which this log gives no sure name' if gap_words.stand_ins(diagnosis) else \
                 'that is none of the known causes'
             text += (f'<div class="todo warn2"><b>Something is there {what}.</b> '
-                     f'What it looks like: {escape(leftover_words(diagnosis.leftover))}. No name was put on '
+                     f'What it looks like: {escape(leftover_words(diagnosis.leftover))}. '
+                     f'{escape(gap_words.correlates_words(diagnosis))} No name was put on '
                      'it, because none foretells it better than a shapeless pattern does.</div>')
     text += _apart(diagnosis)
     text += '<div class="cols"><div><h3>Probability of each cause</h3>' + _ranking(diagnosis) + '</div><div>'

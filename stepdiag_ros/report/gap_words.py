@@ -123,6 +123,14 @@ def headline(diagnosis: Diagnosis) -> str:
     return text + '.'
 
 
+def correlates_words(diagnosis: Diagnosis) -> str:
+    """With what a structure without a name goes; '' where nothing stands out."""
+    said = [f'{one.quantity} ({SHORT_CHANNELS[one.channel]}, {closed_percent(one.share)})'
+            for one in diagnosis.correlates]
+    return f'It goes with {", ".join(said)}: share of its variance at the stops that one alone would follow.' \
+        if said else ''
+
+
 def separation_words(diagnosis: Diagnosis, group: tuple[str, ...]) -> str:
     """How well the log separates what it cannot tell apart."""
     said = [f'{np.exp(behind):.2g} to one against “{title(name)}”'
@@ -330,7 +338,7 @@ def summary(diagnosis: Diagnosis, name: str, adoption: tuple[str, ...] = ()) -> 
     if diagnosis.hint:
         lines += ['', f'  {hint_words(diagnosis)}']
     if diagnosis.leftover:
-        lines += ['', f'  Not explained: {leftover_words(diagnosis.leftover)}.']
+        lines += ['', f'  Not explained: {leftover_words(diagnosis.leftover)}. {correlates_words(diagnosis)}'.rstrip()]
     if diagnosis.shares:
         lines += ['', f'  Where: {where_words(diagnosis)}']
     for group in diagnosis.indistinguishable:
