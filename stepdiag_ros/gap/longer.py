@@ -62,7 +62,7 @@ class Run:
             f', which this log does not hold, and measure it at {self.setup.stops} stops'
         said += f', {self.how}.' if self.how else '.'
         if self.watch:
-            said += f' Before it moves, let it stand at its first stop for {self.watch / 60.0:.0f} min while both ' \
+            said += f' Before it moves, let it stand at its first stop for {self.watch / 60.0:.0f} min while the ' \
                     'sensors record.'
         if self.again_after is not None:
             later = f'after {self.again_after / 60.0:.0f} min' if self.again_after else 'at once'
