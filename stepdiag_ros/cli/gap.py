@@ -150,6 +150,7 @@ def _diagnose_bag(job: Job) -> Outcome:
     from stepdiag_ros.model.joined import joined
     from stepdiag_ros.report.gap_page import gap_page
     from stepdiag_ros.report.gap_words import summary
+    from stepdiag_ros.report.series import replayed
 
     logs, known = [], ()
     for bag in (job.bag, *job.further):
@@ -161,13 +162,16 @@ def _diagnose_bag(job: Job) -> Outcome:
     log = reduce(joined, logs)
     diagnosis = diagnose(log, [kind() for kind in all_effects(job.effects).values()])
     notes: tuple[str, ...] = known
+    again = None
     if job.adopt is not None:
-        notes += _adopt(job, diagnosis)
+        adopted = _adopt(job, diagnosis)
+        notes += (f'cell written to {job.adopt}', *adopted.notes)
+        again = replayed(diagnosis, adopted.made, adopted.left)
     document = diagnosis.to_json_dict()
     try:
         job.out.mkdir(parents=True, exist_ok=True)
         (job.out / 'gap.json').write_text(json.dumps(document, indent=1), encoding='utf-8')
-        (job.out / 'index.html').write_text(gap_page(diagnosis, job.name, notes), encoding='utf-8')
+        (job.out / 'index.html').write_text(gap_page(diagnosis, job.name, notes, again), encoding='utf-8')
     except OSError as error:
         raise StepdiagError(f'{job.out}: cannot be written: {error.strerror or error}; '
                             'name another folder with --out') from None
@@ -175,18 +179,18 @@ def _diagnose_bag(job: Job) -> Outcome:
     return Outcome(job.name, document, text)
 
 
-def _adopt(job: Job, diagnosis) -> tuple[str, ...]:
+def _adopt(job: Job, diagnosis):
     import yaml
 
-    from stepdiag_ros.twin.adopt import adopted_cell
+    from stepdiag_ros.twin.adopt import adopt
 
     base = None if job.cell is None else yaml.safe_load(job.cell.read_text(encoding='utf-8'))
-    cell, notes = adopted_cell(diagnosis, base)
+    adopted = adopt(diagnosis, base)
     head = f'# Cell as found in {job.name} by `stepdiag gap --adopt`.\n'
-    head += ''.join(f'# {note}\n' for note in notes)
+    head += ''.join(f'# {note}\n' for note in adopted.notes)
     try:
-        job.adopt.write_text(head + yaml.safe_dump(cell, sort_keys=False, default_flow_style=None,
+        job.adopt.write_text(head + yaml.safe_dump(adopted.cell, sort_keys=False, default_flow_style=None,
                                                    width=110), encoding='utf-8')
     except OSError as error:
         raise StepdiagError(f'{job.adopt}: cannot be written: {error.strerror or error}') from None
-    return (f'cell written to {job.adopt}', *notes)
+    return adopted

@@ -12,7 +12,7 @@ from stepdiag_ros.gap.thresholds import LEAST_SHARE
 from stepdiag_ros.gap.unknown import NAME as UNKNOWN
 from stepdiag_ros.report import gap_figures, gap_words
 from stepdiag_ros.report.page import bars, figure, page, table
-from stepdiag_ros.report.series import inside, series, spectra
+from stepdiag_ros.report.series import Series, inside, series, spectra
 from stepdiag_ros.report.words import (
     SHORT_CHANNELS,
     certainty,
@@ -35,10 +35,11 @@ LEAST_INSIDE = 0.15
 """Share of the gap inside the stops from which a picture of it is shown."""
 
 
-def gap_page(diagnosis: Diagnosis, name: str, notes: tuple[str, ...] = ()) -> str:
-    """The HTML of one diagnosis; ``notes`` are told among the warnings."""
+def gap_page(diagnosis: Diagnosis, name: str, notes: tuple[str, ...] = (), again: Series | None = None) -> str:
+    """The HTML of one diagnosis; ``notes`` are told among the warnings; ``again``: what the adopted simulator shows
+    along the moves of the log."""
     sections = [_head(diagnosis, name), _budget(diagnosis), _causes(diagnosis), _where(diagnosis),
-                _pictures(diagnosis), _errors(diagnosis), _warnings(diagnosis, notes),
+                _pictures(diagnosis), _again(diagnosis, again), _errors(diagnosis), _warnings(diagnosis, notes),
                 _small_print(diagnosis)]
     return page(f'{name}: {gap_words.headline(diagnosis)}', '\n'.join(s for s in sections if s))
 
@@ -260,6 +261,20 @@ def _pictures(diagnosis: Diagnosis) -> str:
             + '<h3>What is left over time</h3>'
             + figure(gap_figures.over_time(parts, stops),
                      'The same, in the order in which it was measured.', 3) + _inside(diagnosis) + _swings(diagnosis))
+
+
+def _again(diagnosis: Diagnosis, parts: Series | None) -> str:
+    """The adopted simulator against the log; '' where none was."""
+    if parts is None:
+        return ''
+    stops = diagnosis.nominal.table
+    return ('<h2>The adopted simulator</h2><p>The simulator that was written was run along the moves of this log, '
+            'with the errors, misalignments and effects of its file.</p>'
+            + figure(gap_figures.along_stops(parts, stops, True),
+                     'Points: the machine, less the simulator without its effects. Line: what the simulator\'s '
+                     'effects do.', 7)
+            + figure(gap_figures.along_stops(parts, stops, False),
+                     'Log minus simulator: before, without effects, as it was fitted; after, as it was adopted.', 8))
 
 
 def _inside(diagnosis: Diagnosis) -> str:

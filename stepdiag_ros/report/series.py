@@ -1,6 +1,6 @@
 """What the pictures of a diagnosis show: readings before and after, the effects' part, noise, by stop."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -45,6 +45,20 @@ def series(diagnosis: Diagnosis) -> Series:
     sigma = np.sqrt(variance).reshape(real.shape)
     return Series(*(part[:, keep] for part in (diagnosis.nominal.fit.residual, after, real - mean,
                                                simulated - mean, sigma)))
+
+
+def replayed(diagnosis: Diagnosis, made: np.ndarray, left: np.ndarray) -> Series:
+    """The same of a simulator that was run along the moves of the log: what its effects ``made`` there and what of the
+    log it ``left`` (n, c) [m]."""
+    table, shown = diagnosis.nominal.table, series(diagnosis)
+    beams = table.displacement.shape[1]
+    mean = np.zeros_like(made)
+    for run in np.unique(table.run):
+        rows = table.run == run
+        mean[rows, :beams] = made[rows, :beams].mean(axis=0)
+    keep = [0, beams, beams + 1]
+    left = np.where(diagnosis.joint.fit.present, left, np.nan)
+    return replace(shown, after=left[:, keep], real=(left + made - mean)[:, keep], simulated=(made - mean)[:, keep])
 
 
 def reach(diagnosis: Diagnosis, name: str) -> tuple[float, float]:

@@ -9,7 +9,7 @@ it is there.
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import yaml
@@ -33,9 +33,18 @@ FAST = 1000.0
 """Jerk [m/s³] high enough not to matter: a log tells how long moves take, hardly how they begin."""
 
 
-def adopted_cell(diagnosis: Diagnosis, base: Mapping[str, Any] | None = None
-                 ) -> tuple[dict[str, Any], tuple[str, ...]]:
-    """The cell as a mapping for YAML, and notes: one line for all that has no counterpart there.
+class Adopted(NamedTuple):
+    """The ``cell`` as a mapping for YAML; ``notes``: one line for all that has no counterpart there; run along the
+    moves of the log: what the effects ``made`` there and what of the log is ``left`` (n, c) [m]."""
+
+    cell: dict[str, Any]
+    notes: tuple[str, ...]
+    made: np.ndarray
+    left: np.ndarray
+
+
+def adopt(diagnosis: Diagnosis, base: Mapping[str, Any] | None = None) -> Adopted:
+    """The simulator that gives the log again.
 
     ``base``: the cell file that the log was held against, as parsed.
     """
@@ -75,7 +84,8 @@ def adopted_cell(diagnosis: Diagnosis, base: Mapping[str, Any] | None = None
     fit = _machine_without(diagnosis, taken)
     cell['geometry'] = _geometry(fit)
     cell['misalignments'] = {'given': _misalignments(fit, base)}
-    chi2 = Twin(diagnosis, _bare(cell, fit, base)).disagreement(adopted)
+    twin = Twin(diagnosis, _bare(cell, fit, base))
+    left, chi2 = twin.left(adopted)
     notes.append(f'run along the moves of the log this simulator leaves {np.sqrt(chi2):.2f} times its noise at the '
                  f'stops (reduced chi2 {chi2:.2f})')
     if diagnosis.leftover:
@@ -83,7 +93,8 @@ def adopted_cell(diagnosis: Diagnosis, base: Mapping[str, Any] | None = None
     if diagnosis.solution.unidentifiable:
         notes.append('directions that the log leaves open are held near zero: '
                      + ', '.join(sorted({n for u in diagnosis.solution.unidentifiable for n in u.names})[:8]))
-    return cell, tuple(notes)
+    made = sum((twin.adds(effect).mean(axis=1) for effect in adopted), np.zeros_like(left))
+    return Adopted(cell, tuple(notes), made, left)
 
 
 def _bare(cell: Mapping[str, Any], fit: Fit, base: Mapping[str, Any] | None) -> Cell:

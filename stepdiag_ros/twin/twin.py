@@ -41,8 +41,8 @@ class Twin:
         """What an effect adds to the readings (n, b, c) [m] in the bins of the dwells."""
         return self._seen(self._replay.world([effect])) - self.bare
 
-    def disagreement(self, effects: Sequence[Effect]) -> float:
-        """Reduced χ² of the log's stops against the cell's with ``effects``, in the log's noise.
+    def left(self, effects: Sequence[Effect]) -> tuple[np.ndarray, float]:
+        """The log's stops less the cell's with ``effects`` (n, c) [m], and their reduced χ² in the log's noise.
 
         Free are the reset of each run, as for the laser, and how the axes came to the first stops.
         """
@@ -56,12 +56,12 @@ class Twin:
         white = whiteners(observation.table, noise, fit.arrival, fit.present)
         z = np.concatenate([w(difference.ravel()) for w in white])
         columns = np.concatenate([w(free.reshape(len(free), -1).T) for w in white])
-        basis, sizes, _ = np.linalg.svd(columns, full_matrices=False)
-        basis = basis[:, sizes > 1e-9 * sizes[0]]
+        sizes, _, rank, _ = np.linalg.lstsq(columns, z, rcond=1e-9)
+        white_left = z - columns @ sizes
         # The machine was fitted to the same stops.
-        unknown = basis.shape[1] - len(resets)
-        left = z - basis @ (basis.T @ z)
-        return float(left @ left / (self._diagnosis.joint.parity.dof[0] - unknown))
+        unknown = int(rank) - len(resets)
+        return (difference - np.tensordot(sizes, free, axes=1),
+                float(white_left @ white_left / (self._diagnosis.joint.parity.dof[0] - unknown)))
 
     def _seen(self, world: World) -> np.ndarray:
         length, spot = self._replay.seen(world, self._time, self._run)

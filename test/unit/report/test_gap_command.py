@@ -1,6 +1,7 @@
 """``stepdiag gap``, ``report`` and ``compensate`` as commands: many bags, bad ones among them, adoption."""
 
 import json
+import re
 
 import pytest
 import yaml
@@ -65,6 +66,10 @@ def test_adopted_cell_is_written_and_loads(folder, capsys):
                  '--out', str(folder / 'adopt')]) == 0
     out, err = capsys.readouterr()
     assert f'cell written to {new}' in out and err == ''
+    page = (folder / 'adopt/played/index.html').read_text(encoding='utf-8')
+    assert 'was run along the moves of this log' in page
+    ids = re.findall(r' id="([^"]+)"', page)
+    assert len(ids) == len(set(ids))
     cell = load_cell(new)
     assert cell.effects['backlash']['B'] == pytest.approx([4e-6, 3e-6, 5e-6], abs=8e-7)
     assert cell.seed == load_cell(folder / 'nominal.yaml').seed

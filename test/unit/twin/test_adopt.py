@@ -11,7 +11,7 @@ from stepdiag_ros.estimate.noise import whiteners
 from stepdiag_ros.estimate.reduce import reduce_log
 from stepdiag_ros.gap.diagnosis import Diagnosis
 from stepdiag_ros.model.description import Noise
-from stepdiag_ros.twin.adopt import adopted_cell
+from stepdiag_ros.twin.adopt import adopt
 from stepdiag_ros.virtual.cell import Cell, parse_cell
 from stepdiag_ros.virtual.offline import simulate_log
 
@@ -27,7 +27,7 @@ FLOOR = 1.15
 
 
 def adopted(diagnosis: Diagnosis, **without: None) -> tuple[Cell, dict, tuple[str, ...]]:
-    written, notes = adopted_cell(diagnosis)
+    written, notes = adopt(diagnosis)[:2]
     text = yaml.safe_dump(written, sort_keys=False)     # what cannot be written as YAML fails here
     cell = parse_cell(text, 'adopted.yaml')
     return replace(cell, **without) if without else cell, written, notes
@@ -88,8 +88,8 @@ def test_a_given_cell_is_the_base(diagnosed):
     diagnosis = diagnosed('backlash', CASES['backlash'])
     base = yaml.safe_load(diagnosis.log.description.to_yaml()) | {
         'seed': 77, 'motion': {'dwell': 0.1, 'mount': 20.0}, 'air': {'temperature': 23.0}, 'effects': None}
-    written, _ = adopted_cell(diagnosis, base)
+    written, _ = adopt(diagnosis, base)[:2]
     assert (written['seed'], written['air'], written['motion']) == (77, base['air'], base['motion'])
     assert list(written['effects']) == ['backlash']
     with pytest.raises(StepdiagError, match='backlash already'):
-        adopted_cell(diagnosis, base | {'effects': {'backlash': {'B': 1e-6}}})
+        adopt(diagnosis, base | {'effects': {'backlash': {'B': 1e-6}}})

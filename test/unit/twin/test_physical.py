@@ -6,7 +6,7 @@ import yaml
 
 from stepdiag_ros.effects import effects_in_file
 from stepdiag_ros.gap.diagnose import diagnose
-from stepdiag_ros.twin.adopt import adopted_cell
+from stepdiag_ros.twin.adopt import adopt
 from stepdiag_ros.twin.against import without_known
 from stepdiag_ros.virtual.cell import parse_cell
 from stepdiag_ros.virtual.offline import simulate_log
@@ -40,7 +40,7 @@ def _note(notes, start):
 
 def test_a_servo_that_was_fitted_with_several_times_has_one(diagnosed):
     found = diagnosed('servo_settling', {'amp': 6e-6, 'tau': 0.13}, None, 0.5)
-    written, notes = adopted_cell(found)
+    written, notes = adopt(found)[:2]
     assert written['effects']['servo_settling']['amp'] == pytest.approx(6e-6, rel=0.03)
     assert written['effects']['servo_settling']['tau'] == pytest.approx(0.13, rel=0.03)
     assert not any(note.startswith('servo_settling') for note in notes)
@@ -50,7 +50,7 @@ def test_a_servo_that_was_fitted_with_several_times_has_one(diagnosed):
 def test_what_the_log_does_not_tell_apart_stays_plausible(diagnosed):
     """Warmth and pressure of the air change the same index: no log tells 4 K from 1500 Pa."""
     found = diagnosed('air_refraction_drift', {'dT': 4.0, 'dP': -600.0, 'tau': 400.0}, None, 2.0)
-    values = adopted_cell(found)[0]['effects']['air_refraction_drift']
+    values = adopt(found).cell['effects']['air_refraction_drift']
     assert abs(values['dT']) < 7.5 and abs(values['dP']) < 1500.0
     assert values['tau'] == pytest.approx(400.0, rel=0.3)
 
@@ -65,7 +65,7 @@ def test_an_effect_of_ones_own_is_adopted_and_then_known(tmp_path):
     log = simulate_log(parse_cell(yaml.safe_dump(text), str(tmp_path / 'cell.yaml')))
     kind, = effects_in_file(str(file))
     found = diagnose(log, [kind()])
-    written, notes = adopted_cell(found)
+    written, notes = adopt(found)[:2]
     values = written['effects']['spindle_growth']
     assert values['file'] == str(file)
     assert values['amp'] == pytest.approx(4e-5, rel=0.2) and values['tau'] == pytest.approx(500.0, rel=0.3)
@@ -83,7 +83,7 @@ def test_what_the_physical_face_cannot_do_is_told(tmp_path, diagnosed):
     drift = diagnosed('structural_thermal_drift', {'amp': [2e-4, 0.0, 0.0], 'tau': 300.0}, None, 2.0)
     found = diagnose(drift.log, [kind()])
     assert [f.name for f in found.effects] == ['spindle_growth']
-    written, notes = adopted_cell(found)
+    written, notes = adopt(found)[:2]
     assert written['effects'] == {} and 'not adopted' in _note(notes, 'spindle_growth')
 
 
@@ -93,8 +93,8 @@ def test_the_disagreement_is_that_of_the_machine_without_its_effect(diagnosed):
     from stepdiag_ros.twin.twin import Twin
 
     found = diagnosed('backlash', {'B': [4e-6, 3e-6, 5e-6]})
-    written, notes = adopted_cell(found)
+    written, notes = adopt(found)[:2]
     told = float(_note(notes, 'run along').split('chi2 ')[1].rstrip(')'))
     cell = parse_cell(yaml.safe_dump({**written, 'effects': {}}), 'adopted')
-    assert told < 1.15 and Twin(found, cell).disagreement([]) > 2.0
-    assert np.isfinite(Twin(found, _bare(written, found.joint.fit, None)).disagreement([]))
+    assert told < 1.15 and Twin(found, cell).left([])[1] > 2.0
+    assert np.isfinite(Twin(found, _bare(written, found.joint.fit, None)).left([])[1])
