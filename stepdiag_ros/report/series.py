@@ -6,6 +6,7 @@ import numpy as np
 
 from stepdiag_ros.estimate.enhanced import readings_of
 from stepdiag_ros.estimate.noise import whiteners
+from stepdiag_ros.estimate.reduce import StopTable
 from stepdiag_ros.gap.diagnosis import Diagnosis
 from stepdiag_ros.gap.steady import Spectrum, spectrum
 from stepdiag_ros.gap.unrest import dwells_by_channel
@@ -35,10 +36,7 @@ def series(diagnosis: Diagnosis) -> Series:
     simulated = sum((a.contribution for a in joint.active), np.zeros_like(readings_of(table)))
     after = joint.fit.residual
     real = after + simulated
-    mean = np.zeros_like(real)
-    for run in np.unique(table.run):
-        rows = table.run == run
-        mean[rows, :beams] = simulated[rows, :beams].mean(axis=0)
+    mean = _mean_of_runs(simulated, table)
     variance = np.full(real.size, np.nan)
     for white in whiteners(table, joint.noise, joint.fit.arrival, joint.fit.present):
         variance[white.rows] = np.sum(white.factor**2, axis=1)
@@ -47,15 +45,21 @@ def series(diagnosis: Diagnosis) -> Series:
                                                simulated - mean, sigma)))
 
 
+def _mean_of_runs(values: np.ndarray, table: StopTable) -> np.ndarray:
+    """Mean (n, c) of the lengths in the run of each stop; 0 for the spot, which no reset counts from."""
+    beams, mean = table.displacement.shape[1], np.zeros_like(values)
+    for run in np.unique(table.run):
+        rows = table.run == run
+        mean[rows, :beams] = values[rows, :beams].mean(axis=0)
+    return mean
+
+
 def replayed(diagnosis: Diagnosis, made: np.ndarray, left: np.ndarray) -> Series:
     """The same of a simulator that was run along the moves of the log: what its effects ``made`` there and what of the
     log it ``left`` (n, c) [m]."""
     table, shown = diagnosis.nominal.table, series(diagnosis)
     beams = table.displacement.shape[1]
-    mean = np.zeros_like(made)
-    for run in np.unique(table.run):
-        rows = table.run == run
-        mean[rows, :beams] = made[rows, :beams].mean(axis=0)
+    mean = _mean_of_runs(made, table)
     keep = [0, beams, beams + 1]
     left = np.where(diagnosis.joint.fit.present, left, np.nan)
     return replace(shown, after=left[:, keep], real=(left + made - mean)[:, keep], simulated=(made - mean)[:, keep])

@@ -77,9 +77,8 @@ def adopt(diagnosis: Diagnosis, base: Mapping[str, Any] | None = None) -> Adopte
                 raise StepdiagError(f'the cell has {found.name} already; take it out of the file that --cell '
                                     'names, the diagnosis finds its whole size')
             effects[found.name] = values
-            kind = next((type(a.effect) for a in diagnosis.joint.active if a.effect.name == found.name), None)
-            if kind is not None:
-                adopted.append(kind(**{key: value for key, value in values.items() if key != 'file'}))
+            if said.effect is not None:
+                adopted.append(said.effect)
     cell['effects'] = effects
     fit = _machine_without(diagnosis, taken)
     cell['geometry'] = _geometry(fit)

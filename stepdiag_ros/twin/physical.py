@@ -26,19 +26,20 @@ LEAST_DONE = 0.1
 TRIED = 5
 """Values of a time tried, evenly in logarithm between its bounds, where a fit may begin."""
 TRIALS = 60
-"""Most simulations of one fit for each parameter."""
+"""Most steps of one fit."""
 PHASE = {'cyclic_nonlinearity': 'its phase at a stop turns with every 0.3 µm, which no simulator foretells; not '
                                 'adopted'}
 
 
 @dataclass(frozen=True)
 class Physical:
-    """Physical parameters of an effect (empty: not adopted), a note (empty: nothing is lost), and what the
-    simulator will make of it at the log's stops (n, c) [m]."""
+    """Physical parameters of an effect (empty: not adopted), a note (empty: nothing is lost), what the simulator will
+    make of it at the log's stops (n, c) [m], and the effect with these parameters where it acts there."""
 
     values: Values
     note: str
     contribution: np.ndarray
+    effect: Effect | None = None
 
 
 def physical(diagnosis: Diagnosis, found: Found, twin: Twin) -> Physical:
@@ -85,7 +86,8 @@ def _fitted(diagnosis: Diagnosis, active: list[Active], twin: Twin) -> Physical:
                         sum(a.contribution for a in active))
     notes = [f'the simulator knows a simpler form of it; {100 * (1 - done):.0f} % of what was fitted is lost'] \
         if done < 1.0 - LOSS else []
-    added = twin.adds(effect(**best))
+    fitted = effect(**best)
+    added = twin.adds(fitted)
     # Where it is the story that differs, the machine must not be made to imitate it.
     apart = sum(a.contribution for a in active) - added.mean(axis=1)
     sizes = np.linalg.lstsq(space.stop_part(story), space.stop_part(apart[None])[:, 0], rcond=1e-10)[0]
@@ -97,7 +99,7 @@ def _fitted(diagnosis: Diagnosis, active: list[Active], twin: Twin) -> Physical:
     notes += [f'{p.name} of {", ".join(f"{v:.3g}" for v in np.atleast_1d(best[p.name]))} {p.unit} is beyond what is '
               f'plausible ({p.low:g} … {p.high:g})' for p in effect.parameters if not _plausible(p, best[p.name])]
     return Physical({'file': effect.file, **best} if effect.file else best, '; '.join(notes),
-                    added.mean(axis=1) + before)
+                    added.mean(axis=1) + before, fitted)
 
 
 def _starts(diagnosis: Diagnosis, active: list[Active], effect: type[Effect]) -> Iterator[Values]:
@@ -107,7 +109,7 @@ def _starts(diagnosis: Diagnosis, active: list[Active], effect: type[Effect]) ->
     first = {**middle, **guess(diagnosis, active)}
     yield first
     for p in effect.parameters:
-        if p.unit == 's' and p.size == 1 and p.low > 0.0:
+        if _is_time(p) and p.size == 1:
             yield from ({**first, p.name: float(value)} for value in np.geomspace(p.low, p.high, TRIED))
 
 
@@ -118,9 +120,9 @@ def _refined(parameters: tuple[Parameter, ...], start: Values,
     free = [p for p in parameters if p.high > p.low and not isinstance(start[p.name], str)]
     sizes = [p.size for p in free]
     scale = np.concatenate([np.full(p.size, p.high - p.low) for p in free])
-    low = np.concatenate([np.full(p.size, 0.2 * p.low if p.unit == 's' and p.low > 0.0 else
-                                  0.0 if p.low == 0.0 else -np.inf) for p in free])
-    high = np.concatenate([np.full(p.size, 5.0 * p.high if p.unit == 's' and p.low > 0.0 else np.inf) for p in free])
+    low = np.concatenate([np.full(p.size, 0.2 * p.low if _is_time(p) else 0.0 if p.low == 0.0 else -np.inf)
+                          for p in free])
+    high = np.concatenate([np.full(p.size, 5.0 * p.high if _is_time(p) else np.inf) for p in free])
 
     def values(x: np.ndarray) -> Values:
         parts = np.split(x * scale, np.cumsum(sizes)[:-1])
@@ -133,6 +135,11 @@ def _refined(parameters: tuple[Parameter, ...], start: Values,
     result = least_squares(lambda x: np.concatenate([missed(values(x)), x]), x0, bounds=(low / scale, high / scale),
                            x_scale='jac', diff_step=1e-4, max_nfev=TRIALS)
     return values(result.x), 2.0 * float(result.cost)
+
+
+def _is_time(parameter: Parameter) -> bool:
+    """Whether it is a time constant or a period: positive, and known in order of magnitude."""
+    return parameter.unit == 's' and parameter.low > 0.0
 
 
 def _plausible(parameter: Parameter, value: object) -> bool:

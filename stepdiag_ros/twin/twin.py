@@ -6,7 +6,6 @@ from functools import cached_property
 import numpy as np
 
 from stepdiag_ros.effects.base import Effect, Form
-from stepdiag_ros.estimate.noise import whiteners
 from stepdiag_ros.gap.diagnosis import Diagnosis
 from stepdiag_ros.twin.story import unknown_starts
 from stepdiag_ros.virtual.cell import Cell
@@ -46,22 +45,19 @@ class Twin:
 
         Free are the reset of each run, as for the laser, and how the axes came to the first stops.
         """
-        observation, noise = self._diagnosis.joint.observation, self._diagnosis.joint.noise
-        fit, view = observation.fit, observation.view
+        space, view = self._diagnosis.joint.parity, self._diagnosis.joint.observation.view
         difference = view.reading - self._seen(self._replay.world(effects)).mean(axis=1)
         resets = view.zeros(len(view.run_ids))
         for run in range(len(view.run_ids)):
             resets[run, view.run == run, :view.beams] = 1.0
         free = np.concatenate([resets, unknown_starts(view)])
-        white = whiteners(observation.table, noise, fit.arrival, fit.present)
-        z = np.concatenate([w(difference.ravel()) for w in white])
-        columns = np.concatenate([w(free.reshape(len(free), -1).T) for w in white])
+        z, columns = space.white_part(difference[None])[:, 0], space.white_part(free)
         sizes, _, rank, _ = np.linalg.lstsq(columns, z, rcond=1e-9)
         white_left = z - columns @ sizes
         # The machine was fitted to the same stops.
         unknown = int(rank) - len(resets)
         return (difference - np.tensordot(sizes, free, axes=1),
-                float(white_left @ white_left / (self._diagnosis.joint.parity.dof[0] - unknown)))
+                float(white_left @ white_left / (space.dof[0] - unknown)))
 
     def _seen(self, world: World) -> np.ndarray:
         length, spot = self._replay.seen(world, self._time, self._run)
