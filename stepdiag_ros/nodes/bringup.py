@@ -264,7 +264,7 @@ class Bringup:
                                     f'{self._last_words(child.name)}')
             self._say(f'{child.name} {how}; starting it again')
             if child.node == 'recorder':
-                self._spare_bag(child)
+                self._keep_bag(child)
             self._spawn(child)
             self._activate(child)
             self.restarts += 1
@@ -272,18 +272,17 @@ class Bringup:
             revived.append(child.name)
         return revived
 
-    def _spare_bag(self, recorder: _Child) -> None:
-        """A recorder that is started again writes beside the bag that its death tore."""
+    def _keep_bag(self, recorder: _Child) -> None:
+        """A recorder that is started again goes on in the bag that its death tore, once that is mended."""
         machine = next(m for m in self.machines if m.namespace == recorder.namespace)
         status = self.operator_of(recorder.namespace).recorder
         torn = Path(status.bag) if status is not None and status.bag else machine.bag
         if torn is None:
             return
-        number = 2
-        while (after := torn.parent / f'{torn.name}_{number}').exists():
-            number += 1
-        self._say(f'{torn} is torn; mend it with: stepdiag recover {torn}; going on in {after}')
-        recorder.command = [*self._command(machine, 'recorder'), '-p', f'bag:={after}']
+        if not torn.exists():
+            return
+        self._say(f'{torn} is torn; it is mended, and recording goes on in it')
+        recorder.command = [*self._command(machine, 'recorder'), '-p', f'bag:={torn}', '-p', 'go_on:=true']
 
     # -- stop --------------------------------------------------------------------
 
