@@ -42,6 +42,7 @@ class Recorder(StepdiagNode):
         self._writer: BagWriter | None = None
         self._ears: Ears | None = None
         self._bag = ''
+        self._file = 0
         self._earlier: dict[str, int] = {}
         self._announced: set[str] = set()
 
@@ -64,6 +65,7 @@ class Recorder(StepdiagNode):
             self.set_parameters([Parameter('go_on', value=False)])
         else:
             self._writer = BagWriter(path, compression=self.value('compression'))
+        self._file = self._writer.number
         self._bag = str(path)
         self._ears = Ears(self, TOPICS, self._write, latched=(DESCRIPTION,),
                           depth=self.value('queue_depth'))
@@ -119,7 +121,7 @@ class Recorder(StepdiagNode):
         lost = ears.lost if ears is not None else {}
         status = RecorderStatus(
             recording=self._writer is not None and not self._trouble(), bag=self._bag,
-            topics=[names(t) for t in received], received=list(received.values()),
+            file=self._file, topics=[names(t) for t in received], received=list(received.values()),
             lost=list(lost.values()), hears=[names(t) for t in ears.heard.split()] if ears is not None else [])
         status.header.stamp = stamp_of(time.time_ns())
         self._status.publish(status)

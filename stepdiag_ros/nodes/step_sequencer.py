@@ -135,7 +135,7 @@ class StepSequencer(StepdiagNode):
         self._broken: list[str] = []
         self._clock_steps: list[float] = []
         # Events published by this process since the bag was opened, and the repeats in it.
-        self._bag = ''
+        self._bag, self._file = '', 0
         self._published = 0
         self._repeats: dict[str, int] = {}
 
@@ -224,7 +224,7 @@ class StepSequencer(StepdiagNode):
     def _on_recorder(self, status: RecorderStatus) -> None:
         self._watch.recorder(Recording(
             time.monotonic(), status.recording, status.bag, frozenset(status.hears),
-            dict(zip(status.topics, status.received, strict=True)), int(sum(status.lost))))
+            dict(zip(status.topics, status.received, strict=True)), int(sum(status.lost)), status.file))
 
     def _on_diagnostics(self, array: DiagnosticArray) -> None:
         for status in array.status:
@@ -383,6 +383,7 @@ class StepSequencer(StepdiagNode):
             completed=[*handle.request.completed, *self._progress.completed]))
         if wants := self._wait_until_ready(handle, timeout_s, bag):
             raise StepdiagError(f'{error}; waited {timeout_s:g} s to repeat {run.run_id}: {"; ".join(wants)}')
+        self._file = self._watch.recording.file
         self._ready_control()
         repeated = once_more(run)
         self._broken.append(run.run_id)
@@ -415,7 +416,7 @@ class StepSequencer(StepdiagNode):
 
         ``resumed``: runs of a sequencer that has ended, whose calibration this one takes over.
         """
-        self._broken = []
+        self._broken, self._file = [], self._watch.recording.file
         if bag != self._bag:
             self._bag, self._published, self._repeats = bag, 0, {}
         if resumed:
@@ -468,6 +469,8 @@ class StepSequencer(StepdiagNode):
             self._clock_steps.append(step_s)
             self._watch.begin()
         self._watch.check(bag, setup)
+        if self._watch.recording.file != self._file:
+            raise Interrupted('the recorder was started again during the run')
         return step_s
 
     def _caught_up(self, bag: str, setup: str, time_ns: int, handle: ServerGoalHandle) -> None:
