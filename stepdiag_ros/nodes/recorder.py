@@ -1,7 +1,7 @@
 """The recorder's node: every contract topic of a machine into a rosbag2 directory.
 
 Active is recording: activating opens a bag, deactivating closes it.  ``recorder/status``
-says twice a second what is heard and what was lost by sequence number.  On SIGTERM it
+says five times a second what is heard and what was lost by sequence number.  On SIGTERM it
 stops taking in, drains what has arrived and closes; ``kill -9`` costs what came in
 since the writer's last flush, a quarter of a second.
 """
@@ -23,7 +23,7 @@ from stepdiag_ros.nodes.base import DEPTH, ERROR, OK, WARN, Health, StepdiagNode
 from stepdiag_ros.nodes.ears import HEARS, Ears, Heard
 from stepdiag_ros.nodes.stamps import stamp_of
 
-STATUS_PERIOD_S = 0.5
+STATUS_PERIOD_S = 0.2
 
 
 class Recorder(StepdiagNode):

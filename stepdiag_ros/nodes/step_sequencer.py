@@ -384,6 +384,7 @@ class StepSequencer(StepdiagNode):
         if wants := self._wait_until_ready(handle, timeout_s, bag):
             raise StepdiagError(f'{error}; waited {timeout_s:g} s to repeat {run.run_id}: {"; ".join(wants)}')
         self._file = self._watch.recording.file
+        self._published -= self._unrecorded()      # what is lost is measured again
         self._ready_control()
         repeated = once_more(run)
         self._broken.append(run.run_id)
@@ -421,9 +422,8 @@ class StepSequencer(StepdiagNode):
             self._bag, self._published, self._repeats = bag, 0, {}
         if resumed:
             self._repeats = first_repeats(resumed)
-            return
-        held = self._watch.recording.received.get(self.resolve_topic_name(STEP), 0)
-        if held > self._published:
+            self._published -= self._unrecorded()
+        if self._unrecorded() < 0:
             raise StepdiagError(f'refused to start: {bag} holds runs of a sequencer that has ended '
                                 'since; begin a new bag (stepdiag calibrate does)')
 
@@ -474,12 +474,19 @@ class StepSequencer(StepdiagNode):
         return step_s
 
     def _caught_up(self, bag: str, setup: str, time_ns: int, handle: ServerGoalHandle) -> None:
-        """Wait until all sources have delivered up to ``time_ns`` and see light; or end the run."""
-        while self._watch.delivered_until() < time_ns or self._watch.dark():
+        """Wait until all sources have delivered up to ``time_ns``, see light, and all is recorded; or end the run."""
+        end = time.monotonic() + self.value('source_timeout')
+        while self._watch.delivered_until() < time_ns or self._watch.dark() or self._unrecorded() > 0:
             self._alive(handle)
             time_ns += round(self._check(bag, setup) * 1e9)
+            if time.monotonic() > end and (missing := self._unrecorded()) > 0:
+                raise Interrupted(f'the recorder has not confirmed {missing} step events')
             time.sleep(0.01)
         self._check(bag, setup)
+
+    def _unrecorded(self) -> int:
+        """Step events that were published into the bag and that the recorder has not confirmed."""
+        return self._published - self._watch.recording.received.get(self.resolve_topic_name(STEP), 0)
 
     def _call(self, client, request, name: str) -> None:
         """Call a service from the worker's thread."""
@@ -510,15 +517,11 @@ class StepSequencer(StepdiagNode):
     def _closing_word(self, outcome: Outcome) -> str:
         """Wait until samples and recorder have caught up, and say what was done."""
         now, end = HOST.now_ns(), time.monotonic() + self.value('source_timeout')
-        step = self.resolve_topic_name(STEP)
-        while time.monotonic() < end:
-            said = self._watch.recording
-            if self._watch.delivered_until() >= now and said.received.get(step, 0) >= self._published:
-                break
+        while time.monotonic() < end and (self._watch.delivered_until() < now or self._unrecorded() > 0):
             time.sleep(0.05)
         said = self._watch.recording
         word = f'{outcome.stops} stops in {len(outcome.run_ids)} runs'
-        missing = self._published - said.received.get(step, 0)
+        missing = self._unrecorded()
         if missing > 0:
             word += f'; the recorder has not confirmed {missing} of {self._published} step events'
         if self._broken:

@@ -65,4 +65,5 @@ def test_a_calibration_goes_on_where_a_node_s_death_broke_it_off(ros_domain, cel
     assert (tmp_path / 'log' / 'log_0.mcap').exists()
     again = evaluate(log)
     agree(again, solution)
-    assert live['dof'] == again.to_json_dict()['dof']
+    if node != 'recorder':     # the solver has received what the recorder has not
+        assert live['dof'] == again.to_json_dict()['dof']
