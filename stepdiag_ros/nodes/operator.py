@@ -108,7 +108,7 @@ class Operator:
         self.node.create_subscription(ParameterEvent, '/parameter_events', self._on_parameters, 1000)
         self._action = ActionClient(self.node, RunStepDiagonal, ACTION)
         self._lease = self.node.create_publisher(UUID, LEASE, lease_qos())
-        self.node.create_timer(LEASE_PERIOD_S, self._renew_lease)
+        self.node.create_timer(LEASE_PERIOD_S, self._renew_lease, clock=base.steady_clock())
         self._stop = threading.Event()
         self._thread = threading.Thread(
             target=base.spin, args=(self._executor, self._stop.is_set), name='operator', daemon=True)

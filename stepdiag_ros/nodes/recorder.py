@@ -38,7 +38,7 @@ class Recorder(StepdiagNode):
         self.text('go_on', False, 'go on in the bag, which exists: its recorder has died')
         self.count('queue_depth', 10_000, 'messages of a topic that may wait to be written', 1, 1_000_000)
         self._status = self.create_publisher(RecorderStatus, 'recorder/status', reliable(10))
-        self._timer = self.create_timer(STATUS_PERIOD_S, self._publish_status)
+        self._timer = self.every(STATUS_PERIOD_S, self._publish_status)
         self._writer: BagWriter | None = None
         self._ears: Ears | None = None
         self._bag = ''
