@@ -115,7 +115,7 @@ class Instruments:
     machine_files: tuple[str, ...] = ()
     switch: Endpoint = Endpoint()
     detector: Detector = Detector()
-    watchdog: float = 0.5
+    watchdog: float = 1.0
 
 
 @dataclass(frozen=True)
