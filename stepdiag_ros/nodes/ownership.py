@@ -30,8 +30,8 @@ class Ownership:
             if error.errno != errno.EADDRINUSE:
                 raise StepdiagError(f'{self.namespace}: its ownership cannot be marked: {error.strerror}') from None
             raise StepdiagError(
-                f'{self.namespace} is up already in ROS domain {self.domain} on this computer; end it, or '
-                'choose another --namespace or ROS_DOMAIN_ID') from None
+                f'{self.namespace} is up already in ROS domain {self.domain} on this computer; calibrate it with '
+                f'stepdiag calibrate {self.namespace}, or end it, or choose another ROS_DOMAIN_ID') from None
 
     def release(self) -> None:
         """Somebody else may have it."""

@@ -239,3 +239,16 @@ def test_a_second_client_takes_over(control):
     control.close()
     control.connect()
     assert control.position().shape == (3,)
+
+
+def test_a_stop_finds_a_connection_of_its_own(control):
+    go(control, [0.0, 0.0, 0.0])
+    control.move(np.array([0.2, 0.0, 0.0]), 0.02)
+    time.sleep(0.4)
+    control._link.close()      # what a cut of the network leaves behind
+    control.stop()
+    place = control.position()
+    assert 0.0 < place[0] < 0.15
+    time.sleep(0.3)
+    np.testing.assert_allclose(control.position(), place, atol=1.1e-6)
+    go(control, [0.01, 0.0, 0.0])

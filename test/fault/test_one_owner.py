@@ -133,3 +133,13 @@ def test_an_open_network_is_said_loudly(ros_domain, small, tmp_path):
     small.write_text(DEMO + '\nnetwork: open\n', encoding='utf-8')
     with Up(small, tmp_path, ROS_AUTOMATIC_DISCOVERY_RANGE='LOCALHOST', FASTRTPS_DEFAULT_PROFILES_FILE='') as up:
         assert any('WARNING: the network is OPEN' in line for line in up.lines), up.lines
+
+
+def test_a_second_sequencer_of_a_namespace_ends_at_once(ros_domain, small, tmp_path):
+    with Up(small, tmp_path) as up:
+        second = subprocess.run(
+            [sys.executable, '-m', 'stepdiag_ros.nodes.step_sequencer', '--ros-args', '-r', '__ns:=/demo',
+             '--params-file', str(up.runtime / 'parameters.yaml'), '-p', 'autostart:=true'],
+            capture_output=True, text=True, timeout=60.0)
+    assert second.returncode == 2
+    assert second.stderr.splitlines()[-1].startswith('stepdiag: /demo is up already in ROS domain')
