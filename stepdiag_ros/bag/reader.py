@@ -99,6 +99,7 @@ def build_log(source: BagSource, tables: Tables, namespace: str | None = None,
     setup_names = tuple(description.setups)
     steps, notes = _steps(mine[STEP], setup_names)
     warnings += notes
+    warnings += _repeated(steps.run_ids)
     displacement, notes = displacement_samples(mine[DISPLACEMENT], setup_names)
     warnings += notes
     for found, relative in ((steps, STEP), (displacement, DISPLACEMENT)):
@@ -139,6 +140,12 @@ def _notes(source: BagSource) -> list[str]:
     if not isinstance(custom, dict):
         return []
     return [f'import: {text}' for key, text in custom.items() if 'imported_from' in custom and key.startswith('note_')]
+
+
+def _repeated(run_ids: tuple[str, ...]) -> list[str]:
+    """Runs that were broken off, by a node that died or an instrument that was lost, and repeated: ``ppp/0/+/2``."""
+    return [f'run {run_id.rpartition("/")[0]} was broken off and repeated as {run_id}; complete stops of both count'
+            for run_id in run_ids if run_id.count('/') == 3 and run_id.rpartition('/')[2].isdigit()]
 
 
 def _wrong_counts(source: BagSource, tables: Tables) -> list[str]:

@@ -59,6 +59,8 @@ def test_a_calibration_goes_on_where_a_node_s_death_broke_it_off(ros_domain, cel
     done = {run: set(log.steps.index[(log.steps.run == k) & (log.steps.phase == DONE)])
             for k, run in enumerate(log.steps.run_ids)}
     assert all(done[run] == done[RUNS[0] if 'ppp' in run else RUNS[2]] for run in outcome.run_ids)
+    if node != 'evaluation_solver':
+        assert any(w.startswith('run ppp/0/- was broken off and repeated as ppp/0/-/2') for w in log.warnings)
     if node == 'recorder':
         assert len(open_bag(tmp_path / 'log').files) == 2
         assert any('lost before the recorder' in w for w in log.warnings)
