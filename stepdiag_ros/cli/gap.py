@@ -43,6 +43,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help='print gap.json (of several bags: an object by name)')
     parser.add_argument('--adopt', metavar='NEW_CELL.yaml', type=Path,
                         help='write a cell file with the errors and effects found (one bag only)')
+    parser.add_argument('--explain', action='store_true',
+                        help='list every set of causes that was weighed: its evidence, its prior probability, and why '
+                             'one may not be claimed')
     parser.add_argument('--jobs', metavar='N', type=int, default=1, help='bags at a time (default: 1)')
     parser.add_argument('--namespace', help="the machine's namespace where a log holds several")
 
@@ -59,6 +62,7 @@ class Job:
     adopt: Path | None
     namespace: str | None
     further: tuple[str, ...] = ()
+    explain: bool = False
 
 
 @dataclass(frozen=True)
@@ -85,7 +89,7 @@ def run(args: argparse.Namespace) -> int:
         from stepdiag_ros.virtual.cell import load_cell
         load_cell(args.cell)
     jobs = [Job(bag, name, args.out / name, args.cell, tuple(args.effect), args.adopt, args.namespace,
-                tuple(args.further))
+                tuple(args.further), args.explain)
             for bag, name in zip(args.bags, _names(args.bags), strict=True)]
     bar = Bar('gap', quiet=not sys.stderr.isatty())
     outcomes: dict[str, Outcome] = {}
@@ -147,6 +151,7 @@ def _diagnose_bag(job: Job) -> Outcome:
     from stepdiag_ros.bag.reader import read_log
     from stepdiag_ros.effects import all_effects
     from stepdiag_ros.gap.diagnose import diagnose
+    from stepdiag_ros.gap.summary.explain import table
     from stepdiag_ros.model.joined import joined
     from stepdiag_ros.report.gap_page import gap_page
     from stepdiag_ros.report.gap_words import summary
@@ -176,6 +181,8 @@ def _diagnose_bag(job: Job) -> Outcome:
         raise StepdiagError(f'{job.out}: cannot be written: {error.strerror or error}; '
                             'name another folder with --out') from None
     text = summary(diagnosis, job.name, notes) + f'\n  page: {job.out / "index.html"}'
+    if job.explain:
+        text += f'\n\n{table(diagnosis.weighed)}'
     return Outcome(job.name, document, text)
 
 
