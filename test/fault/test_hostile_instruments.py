@@ -28,10 +28,12 @@ ANSWERS = {
     'result empty list': b'{"id":%d,"result":[]}', 'result empty object': b'{"id":%d,"result":{}}',
     'result null': b'{"id":%d,"result":null}', 'result short': b'{"id":%d,"result":[0]}',
     'result of nulls': b'{"id":%d,"result":[0,null,null]}', 'result of texts': b'{"id":%d,"result":[0,"x","y"]}',
-    'result infinite': b'{"id":%d,"result":[0,1e999,1e999]}', 'result not a number': b'{"id":%d,"result":[0,NaN,NaN]}',
+    'result infinite': b'{"id":%d,"result":[0,1e999,1e999]}',
+    'result not a number': b'{"id":%d,"result":[0,NaN,NaN]}',
     'result beyond floats': b'{"id":%d,"result":[0,' + b'9' * 400 + b',' + b'9' * 400 + b']}',
     'result of too many digits': b'{"id":%d,"result":[0,' + b'9' * 6000 + b']}',
-    'error null': b'{"id":%d,"error":null}', 'error list': b'{"id":%d,"error":[[]]}', 'error number': b'{"id":%d,"error":7}',
+    'error null': b'{"id":%d,"error":null}', 'error list': b'{"id":%d,"error":[[]]}',
+    'error number': b'{"id":%d,"error":7}',
     'deep lists': b'[' * DEEP, 'deep and closed': b'[' * DEEP + b']' * DEEP, 'deep objects': b'{"a":' * DEEP,
     'deep result': b'{"id":%d,"result":' + b'[' * 5000 + b']' * 5000 + b'}', 'no text': b'\xff\x00\xfe',
 }
@@ -103,7 +105,8 @@ def survives(client, relay: Relay, spoil, samples: int = 20) -> None:
     """Sampling goes on, meets the spoilt answers, says so in one line, and goes on when they are over."""
     blocks: list = []
     said: list[str] = []
-    work = Acquisition(client, lambda: client.read_block(samples, 1e-3), lambda block: samples, blocks.append, said.append)
+    work = Acquisition(client, lambda: client.read_block(samples, 1e-3), lambda block: samples, blocks.append,
+                       said.append)
     client.connect()
     work.start()
     try:
@@ -145,11 +148,14 @@ def test_an_interferometer_that_answers_nonsense(endpoints, kind):
 
 MODBUS = {
     'cut short': lambda data: data[:-3], 'function of another kind': lambda data: data[:7] + b'\x11' + data[8:],
-    'a byte count that lies': lambda data: data[:8] + b'\xff' + data[9:], 'no length': lambda data: data[:4] + b'\x00\x00',
-    'empty registers': lambda data: data[:4] + b'\x00\x03' + data[6:8] + b'\x00', 'zeros': lambda data: bytes(len(data)),
+    'a byte count that lies': lambda data: data[:8] + b'\xff' + data[9:],
+    'no length': lambda data: data[:4] + b'\x00\x00',
+    'empty registers': lambda data: data[:4] + b'\x00\x03' + data[6:8] + b'\x00',
+    'zeros': lambda data: bytes(len(data)),
     'an error without code': lambda data: data[:4] + b'\x00\x02' + data[6:7] + bytes([data[7] | 0x80]),
     'one register': lambda data: data[:4] + b'\x00\x05' + data[6:8] + b'\x02\x00\x00',
-    'not a number': lambda data: data[:9] + b'\x7f\xc0\x00\x00' * ((len(data) - 9) // 4), 'text': lambda data: b'220 smtp\r\n',
+    'not a number': lambda data: data[:9] + b'\x7f\xc0\x00\x00' * ((len(data) - 9) // 4),
+    'text': lambda data: b'220 smtp\r\n',
 }
 
 
