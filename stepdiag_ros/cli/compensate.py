@@ -7,10 +7,10 @@ manual says, measure again, and see that the errors have shrunk before you rely 
 """
 
 import argparse
-import json
 from pathlib import Path
 
 from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.guard.jsontext import to_json
 
 NAME = 'compensate'
 HELP = 'compensation tables for a control'
@@ -40,8 +40,8 @@ def run(args: argparse.Namespace) -> int:
     except OSError as error:
         raise StepdiagError(f'{args.out}: cannot be written: {error.strerror or error}') from None
     if args.json:
-        print(json.dumps({'format': args.format, 'files': [str(args.out / name) for name in files],
-                          'reduced_chi2': solution.reduced_chi2, 'warnings': list(solution.warnings)}, indent=1))
+        print(to_json({'format': args.format, 'files': [str(args.out / name) for name in files],
+                          'reduced_chi2': solution.reduced_chi2, 'warnings': list(solution.warnings)}))
         return 0
     for name in files:
         print(args.out / name)

@@ -12,7 +12,6 @@ cannot be read costs one line and status 2, the others are still done.
 """
 
 import argparse
-import json
 import sys
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
@@ -22,6 +21,9 @@ from pathlib import Path
 
 from stepdiag_ros.cli.progress import Bar
 from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.guard import limits, strict_yaml
+from stepdiag_ros.guard.files import read_text
+from stepdiag_ros.guard.jsontext import to_json
 
 NAME = 'gap'
 HELP = 'where log and simulator disagree, why, and how far it closes'
@@ -108,7 +110,7 @@ def run(args: argparse.Namespace) -> int:
                      if outcomes[job.name].document is not None}
         if len(jobs) > 1 or documents:
             shown = documents if len(jobs) > 1 else next(iter(documents.values()))
-            print(json.dumps(shown, indent=1))
+            print(to_json(shown))
     return 2 if any(o.error for o in outcomes.values()) else 0
 
 
@@ -175,7 +177,7 @@ def _diagnose_bag(job: Job) -> Outcome:
     document = diagnosis.to_json_dict()
     try:
         job.out.mkdir(parents=True, exist_ok=True)
-        (job.out / 'gap.json').write_text(json.dumps(document, indent=1), encoding='utf-8')
+        (job.out / 'gap.json').write_text(to_json(document), encoding='utf-8')
         (job.out / 'index.html').write_text(gap_page(diagnosis, job.name, notes, again), encoding='utf-8')
     except OSError as error:
         raise StepdiagError(f'{job.out}: cannot be written: {error.strerror or error}; '
@@ -191,7 +193,9 @@ def _adopt(job: Job, diagnosis):
 
     from stepdiag_ros.twin.adopt import adopt
 
-    base = None if job.cell is None else yaml.safe_load(job.cell.read_text(encoding='utf-8'))
+    base = None
+    if job.cell is not None:
+        base = strict_yaml.load(read_text(job.cell, limits.YAML_BYTES, 'cell file'), str(job.cell))
     adopted = adopt(diagnosis, base)
     head = f'# Cell as found in {job.name} by `stepdiag gap --adopt`.\n'
     head += ''.join(f'# {note}\n' for note in adopted.notes)

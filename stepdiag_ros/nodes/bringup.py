@@ -22,6 +22,7 @@ from pathlib import Path
 import yaml
 
 from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.guard.show import escaped
 from stepdiag_ros.nodes import environment
 from stepdiag_ros.nodes.graph import LISTENERS, NODES, PARAMETERS, hardware_endpoints, namespace_of, write_graph
 from stepdiag_ros.virtual.cell import Cell, load_cell
@@ -308,7 +309,7 @@ def run(arguments: argparse.Namespace) -> int:
         signal.signal(number, lambda got, _frame: asked.append(got))
 
     def say(text: str) -> None:
-        print(f'stepdiag: {text}', flush=True)
+        print(escaped(f'stepdiag: {text}'), flush=True)
 
     with Bringup(arguments.cell, hardware=arguments.hardware, namespace=arguments.namespace,
                  bag=arguments.bag, bag_folder=arguments.bag_folder, runtime=arguments.runtime,
@@ -331,7 +332,7 @@ def main() -> int:
     try:
         return run(parser.parse_args(remove_ros_args(sys.argv)[1:]))
     except StepdiagError as error:
-        print(f'stepdiag: {error}', file=sys.stderr)
+        print(escaped(f'stepdiag: {error}'), file=sys.stderr)
         return 2
 
 
