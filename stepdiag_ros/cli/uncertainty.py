@@ -12,14 +12,13 @@ with all correlations; --draws adds Monte Carlo (GUM Supplement 1) through the f
 
 import argparse
 import json
-from importlib import resources
 from pathlib import Path
 
 import numpy as np
 
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate import montecarlo
-from stepdiag_ros.estimate.budget import Budget
+from stepdiag_ros.model.budget import Budget
 from stepdiag_ros.estimate.enhanced import WIDTH_LASER_RAD, fit
 from stepdiag_ros.estimate.evaluate import solution_of
 from stepdiag_ros.estimate.methods import METHODS
@@ -36,6 +35,8 @@ from stepdiag_ros.estimate.reduce import StopTable, reduce_log
 from stepdiag_ros.estimate.solution import Solution
 from stepdiag_ros.model.log import CalibrationLog
 from stepdiag_ros.model.machine import CURVES, SQUARENESS
+from stepdiag_ros.model.standard_budget import TEXT as STANDARD
+from stepdiag_ros.model.standard_budget import standard_budget
 
 NAME = 'uncertainty'
 HELP = 'an uncertainty budget carried to every error and to any point of the volume'
@@ -55,14 +56,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--print-budget', action='store_true', help='print the shipped budget and end')
 
 
-def default_budget() -> str:
-    """The shipped budget as text."""
-    return resources.files('stepdiag_ros').joinpath('budgets/default.yaml').read_text(encoding='utf-8')
-
-
 def run(args: argparse.Namespace) -> int:
     if args.print_budget:
-        print(default_budget(), end='')
+        print(STANDARD, end='')
         return 0
     if args.bag is None:
         raise StepdiagError('no log given; name a rosbag2 folder or .mcap file')
@@ -87,7 +83,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _budget(path: Path | None) -> Budget:
     if path is None:
-        return Budget.from_yaml(default_budget(), 'default budget')
+        return standard_budget()
     try:
         return Budget.from_yaml(path.read_text(encoding='utf-8'), str(path))
     except (OSError, UnicodeDecodeError) as error:

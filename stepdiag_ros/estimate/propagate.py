@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import linalg, sparse, stats
 
-from stepdiag_ros.estimate.budget import Budget, Contributor
+from stepdiag_ros.model.budget import Budget, Contributor
 from stepdiag_ros.estimate.enhanced import Fit, readings_of
 from stepdiag_ros.estimate.gauge import reporting_matrix
 from stepdiag_ros.estimate.noise import NoiseModel, arrivals

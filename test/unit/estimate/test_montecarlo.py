@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from stepdiag_ros.cli.uncertainty import default_budget
+from stepdiag_ros.model.standard_budget import standard_budget
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate import montecarlo
-from stepdiag_ros.estimate.budget import Budget
+from stepdiag_ros.model.budget import Budget
 from stepdiag_ros.estimate.enhanced import fit
 from stepdiag_ros.estimate.evaluate import solution_of
 from stepdiag_ros.estimate.gauge import reporting_matrix, to_reference_lines
@@ -30,7 +30,7 @@ def case(plan_of, draw_errors, misaligned):
     result = fit(description, table, NoiseModel(3e-7, 2e-7, sensor, 'repeats', (400, 400)), linear_laser=1e-4)
     solution = solution_of(result, table)
     setting = Setting.of_fit(description, table, result, Conditions(scales=(21.0, 21.0, 21.5)))
-    budget = Budget.from_yaml(default_budget(), 'default')
+    budget = standard_budget()
     return truth, misalignments, result, setting, propagate(budget, setting, result, solution)
 
 
