@@ -22,13 +22,13 @@ import scipy
 from estimate_case import Case, best_of, make_case, peak_mb
 from scipy import linalg, optimize
 
-from stepdiag_ros.model.standard_budget import standard_budget
 from stepdiag_ros.estimate import montecarlo, multilateration, regulated_beam
-from stepdiag_ros.model.budget import Budget
 from stepdiag_ros.estimate.enhanced import fit
 from stepdiag_ros.estimate.evaluate import solution_of
 from stepdiag_ros.estimate.gauge import to_reference_lines
 from stepdiag_ros.estimate.propagate import Conditions, Setting, propagate
+from stepdiag_ros.model.budget import Budget
+from stepdiag_ros.model.standard_budget import standard_budget
 from stepdiag_ros.virtual.scene import SensorScene
 
 PAGE = Path(__file__).resolve().parents[1] / 'docs' / 'bench' / 'montecarlo.md'

@@ -18,25 +18,20 @@ import numpy as np
 
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate import montecarlo
-from stepdiag_ros.model.budget import Budget
-from stepdiag_ros.estimate.enhanced import WIDTH_LASER_RAD, fit
-from stepdiag_ros.estimate.evaluate import solution_of
+from stepdiag_ros.estimate.evaluate import evaluate_in_full
 from stepdiag_ros.estimate.methods import METHODS
 from stepdiag_ros.estimate.prediction import predict
 from stepdiag_ros.estimate.propagate import (
-    Conditions,
     Setting,
     coverage_factor,
-    propagate,
-    with_budget,
 )
 from stepdiag_ros.estimate.readings import readings_of_stops
-from stepdiag_ros.estimate.reduce import StopTable, reduce_log
+from stepdiag_ros.estimate.reduce import StopTable
 from stepdiag_ros.estimate.solution import Solution
+from stepdiag_ros.model.budget import Budget
 from stepdiag_ros.model.log import CalibrationLog
 from stepdiag_ros.model.machine import CURVES, SQUARENESS
 from stepdiag_ros.model.standard_budget import TEXT as STANDARD
-from stepdiag_ros.model.standard_budget import standard_budget
 
 NAME = 'uncertainty'
 HELP = 'an uncertainty budget carried to every error and to any point of the volume'
@@ -72,8 +67,9 @@ def run(args: argparse.Namespace) -> int:
     log = read_log(args.bag, args.namespace)
     points = np.array([_point(text) for text in args.at]) if args.at else \
         np.array([[0.5], [1.0]]) * np.array(log.description.machine.volume)
-    table, found, setting = evaluate_with(log, budget)
-    drawn = None if args.draws is None else _draw(args, log, table, found, setting)
+    full = evaluate_in_full(log, budget)
+    found, setting = (full.fit, full.uncertainty), full.setting
+    drawn = None if args.draws is None else _draw(args, log, setting.table, found, setting)
     if args.json:
         print(json.dumps(document(log, found, points, drawn), indent=1))
     else:
@@ -81,9 +77,9 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _budget(path: Path | None) -> Budget:
+def _budget(path: Path | None) -> Budget | None:
     if path is None:
-        return standard_budget()
+        return None
     try:
         return Budget.from_yaml(path.read_text(encoding='utf-8'), str(path))
     except (OSError, UnicodeDecodeError) as error:
@@ -99,22 +95,6 @@ def _point(words: str) -> list[float]:
     if len(numbers) != 3 or not np.all(np.isfinite(numbers)):
         raise StepdiagError(f'--at is {words!r}; give three numbers in metres, such as 0.1,0.2,0.05')
     return numbers
-
-
-def evaluate_with(log: CalibrationLog, budget: Budget) -> tuple[StopTable, tuple, Setting]:
-    """Evaluate a log with the weights that the budget implies, and propagate the budget.
-
-    Returns the stops, (fit, uncertainty), and the setting of the causes.
-    """
-    table = reduce_log(log)
-    first = fit(log.description, table)
-    cosine = [c.standard for c in budget.contributors if c.kind == 'cosine' and c.standard]
-    width = max(cosine, default=WIDTH_LASER_RAD)
-    result = fit(log.description, table, with_budget(first.noise, budget, table, log.description),
-                 linear_laser=width)
-    solution = solution_of(result, table, log.warnings + table.warnings)
-    setting = Setting.of_fit(log.description, table, result, Conditions.of_environment(log.environment))
-    return table, (result, propagate(budget, setting, result, solution)), setting
 
 
 def _draw(args: argparse.Namespace, log: CalibrationLog, table: StopTable, found: tuple,

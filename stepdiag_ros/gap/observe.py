@@ -134,14 +134,8 @@ def _quality(log: CalibrationLog, table: StopTable) -> np.ndarray:
 
 
 def _interpolate(series: ScalarSeries, table: StopTable) -> np.ndarray:
-    """A quantity at the stops, smoothed over a few readings so that sensor noise stays out."""
-    time = (series.time_ns - table.dwell_ns[0]) * 1e-9
-    value = series.value
-    if len(value) >= 15:
-        kernel = np.hanning(13)[1:-1]
-        padded = np.concatenate([2 * value[0] - value[5:0:-1], value, 2 * value[-1] - value[-2:-7:-1]])
-        value = np.convolve(padded, kernel / kernel.sum(), mode='valid')
-    return np.interp(table.time_s, time, value)
+    """A quantity at the stops."""
+    return series.at((table.dwell_ns + table.done_ns) // 2)
 
 
 def _air(log: CalibrationLog, table: StopTable) -> tuple[np.ndarray | None, float | None]:

@@ -33,6 +33,7 @@ KINDS: dict[str, tuple[str, str]] = {
     'air_pressure': ('Pa', 'index of air, through the pressure sensor'),
     'humidity': ('1', 'index of air, through the humidity sensor (relative, 0 to 1)'),
     'index_formula': ('1', 'index of air, through the equation and the CO2 content'),
+    'air_variation': ('1', 'change of the index within a run and from run to run, acting on the whole path'),
     'dead_path': ('1', 'change of the index within a run, acting on the path before the first stop'),
     'cyclic': ('m', 'swing of the interferometer with the fringe, anew at each stop'),
     'cosine': ('rad', 'beam against axis in the linear setups, about each of two axes'),
@@ -150,7 +151,8 @@ class Budget:
         for number, body in enumerate(raw):
             contributor = _contributor(body, partial(wrong, number))
             if contributor.name in [c.name for c in found]:
-                raise wrong(number, 'name', f'{contributor.name!r} comes twice; give each contributor a name of its own')
+                raise wrong(number, 'name',
+                            f'{contributor.name!r} comes twice; give each contributor a name of its own')
             found.append(contributor)
         return cls(tuple(found), source)
 

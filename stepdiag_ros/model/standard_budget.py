@@ -25,7 +25,8 @@ contributors:
   - {name: humidity, kind: humidity, type: B, distribution: rectangular, value: 0.03, unit: "1"}
   # Ciddor states 2e-8 to 5e-8; with 100 ppm that the CO2 of a workshop differs.
   - {name: index formula, kind: index_formula, type: B, distribution: normal, value: 2.9e-8, unit: "1"}
-  # 0.1 K and 10 Pa within a run that sensors at one place do not show.
+  # What sensors at one place do not show of the air: 0.05 K along the beam, and 0.1 K at the base unit in a run.
+  - {name: air variation, kind: air_variation, type: B, distribution: rectangular, value: 5.0e-8, unit: "1"}
   - {name: dead path, kind: dead_path, type: B, distribution: rectangular, value: 1.0e-7, unit: "1"}
   # Alignment of beam to axis over the travel: 0.1 mm in 0.5 m.
   - {name: cosine, kind: cosine, type: B, distribution: normal, value: 2.0e-4, unit: rad}

@@ -3,8 +3,6 @@
 import numpy as np
 import pytest
 
-from stepdiag_ros.model.standard_budget import standard_budget
-from stepdiag_ros.model.budget import Budget
 from stepdiag_ros.estimate.enhanced import fit
 from stepdiag_ros.estimate.evaluate import solution_of
 from stepdiag_ros.estimate.noise import NoiseModel
@@ -19,6 +17,8 @@ from stepdiag_ros.estimate.propagate import (
     propagate,
 )
 from stepdiag_ros.model.air import refractive_index
+from stepdiag_ros.model.budget import Budget
+from stepdiag_ros.model.standard_budget import standard_budget
 
 SCALES = (21.0, 20.5, 22.0)
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from stepdiag_ros.model.standard_budget import standard_budget
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.model.budget import KINDS, Budget
+from stepdiag_ros.model.standard_budget import standard_budget
 
 LINE = '  - {name: a, kind: scale, type: B, distribution: normal, value: 2.0e-8, unit: m/m}'
 
