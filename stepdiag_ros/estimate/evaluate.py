@@ -66,14 +66,15 @@ def evaluate_in_full(log: CalibrationLog, budget: Budget | None = None) -> Evalu
     found = propagate(budget, setting, result, solution, np.sqrt(max(solution.reduced_chi2, 1.0)))
     source = 'cell' if own and log.description.budget is not None else 'standard' if own else 'given'
     return Evaluation(metres, result, setting, replace(
-        found, solution=_tied(found.solution, metres, index_sigma(budget, metres.conditions), source)))
+        found, solution=_tied(found.solution, log.source, metres, index_sigma(budget, metres.conditions), source)))
 
 
-def _tied(solution: Solution, metres: Metres, unit_sigma: float, budget: str) -> Solution:
+def _tied(solution: Solution, source: str, metres: Metres, unit_sigma: float, budget: str) -> Solution:
     """``solution`` with how it is tied to the metre and to 20 °C; what must not be overlooked is in its status."""
     tied = metres.traceability(solution, unit_sigma, budget)
     status = WORDS[NOBODY] if solution.status == 'ok' and not tied.traceable else solution.status
-    return replace(solution, traceability=tied, status=status, warnings=(*solution.warnings, *tied.remarks))
+    remarks = (f'{source}: {remark}' for remark in tied.remarks)
+    return replace(solution, traceability=tied, status=status, warnings=(*solution.warnings, *remarks))
 
 
 def solution_of(result: Fit, table: StopTable, warnings: tuple[str, ...] = ()) -> Solution:

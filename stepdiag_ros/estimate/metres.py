@@ -138,9 +138,9 @@ class _Known:
         values, source, doubt, remarks = [], [], [], []
         for quantity in QUANTITIES:
             series, said = log.environment.get(TOPIC[quantity]), getattr(cell, quantity)
-            told, why = _told(series, middle, LIMITS[quantity])
+            told, why = _told(series, log, middle, LIMITS[quantity])
             if why:
-                remarks.append(f'{log.source}: environment/{TOPIC[quantity]}: {why}')
+                remarks.append(f'environment/{TOPIC[quantity]}: {why}')
             if told is not None:
                 values.append(told)
                 source.append('topic')
@@ -155,11 +155,17 @@ class _Known:
                    CO2 if cell.co2 is None else cell.co2, tuple(remarks))
 
 
-def _told(series: ScalarSeries | None, middle: np.ndarray,
+def _told(series: ScalarSeries | None, log: CalibrationLog, middle: np.ndarray,
           limits: tuple[float, float]) -> tuple[np.ndarray | None, str]:
-    """A topic's quantity at the stops (n,), None where it does not tell; and what is wrong with it."""
-    if series is None:
+    """A topic's quantity at the stops (n,), None where it does not tell; and what is wrong with it.
+
+    Only readings between the log's first and last step count: a live log and its bag differ beyond them.
+    """
+    if series is None or not len(series.value):
         return None, ''
+    inside = (series.time_ns >= log.steps.time_ns[0]) & (series.time_ns <= log.steps.time_ns[-1])
+    if inside.any():
+        series = ScalarSeries(series.time_ns[inside], series.value[inside], series.variance[inside])
     good = np.isfinite(series.value)
     if not good.any():
         return None, 'holds no number; it is left out'
@@ -187,28 +193,28 @@ def _air(log: CalibrationLog, table: StopTable) -> tuple[StopTable, Conditions, 
         if _follows(table):
             index, unknown = float(divided.mean()), 0.0
             if known.by_topics:
-                unknown = _contradiction(log, conditions, index - conditions.index, remarks)
+                unknown = _contradiction(conditions, index - conditions.index, remarks)
             return table, replace(conditions, unknown=unknown), INSTRUMENT, index, remarks
         if not known.by_topics:
             unseen = min(spread, UNSEEN_VARIATION) if (log.description.air or AirValues()).sigma else UNSEEN_VARIATION
-            remarks.append(f'{log.source}: {WORDS[CONSTANT]}; record environment/air_temperature and '
+            remarks.append(f'{WORDS[CONSTANT]}; record environment/air_temperature and '
                            'environment/air_pressure')
             return (table, replace(conditions, unknown=unseen, variation=unseen), CONSTANT, float(divided.mean()),
                     remarks)
     elif not known.enough:
-        remarks.append(f'{log.source}: {WORDS[NOBODY]}: the samples are vacuum lengths (refractive_index 1.0), and '
+        remarks.append(f'{WORDS[NOBODY]}: the samples are vacuum lengths (refractive_index 1.0), and '
                        'neither environment topics nor air: in the cell description say what the index of air was; '
                        'record the topics or give air:')
         return (table, replace(conditions, unknown=NO_AIR, variation=UNSEEN_VARIATION), NOBODY, 1.0, remarks)
     for quantity, source in zip(QUANTITIES, known.source, strict=True):
         if source == 'nobody':
             value, width = PLAUSIBLE[quantity]
-            remarks.append(f'{log.source}: the {quantity} of the air is told neither by environment/'
+            remarks.append(f'the {quantity} of the air is told neither by environment/'
                            f'{TOPIC[quantity]} nor by air.{quantity}; {value:g} with a standard uncertainty of '
                            f'{width:.2g} counts')
     told = 'topic' in known.source[:2]
     if not told:
-        remarks.append(f'{log.source}: {WORDS[CELL]}, for the whole log alike')
+        remarks.append(f'{WORDS[CELL]}, for the whole log alike')
     variation = 0.0 if known.by_topics else spread
     corrected = divided_by(log.description, table, known.index)
     return (corrected, replace(conditions, doubt=tuple(known.doubt), variation=variation), TOPICS if told else CELL,
@@ -220,12 +226,12 @@ def _follows(table: StopTable) -> bool:
     return any(np.ptp(table.refractive_index[table.run == run]) > FOLLOWS for run in np.unique(table.run))
 
 
-def _contradiction(log: CalibrationLog, conditions: Conditions, apart: float, remarks: list[str]) -> float:
+def _contradiction(conditions: Conditions, apart: float, remarks: list[str]) -> float:
     """How much an instrument that follows the air and the topics contradict each other [1]; 0 where they agree."""
     agreed = np.hypot(conditions.index_sigma(0.1, 30.0, 0.03), 3.0e-8)
     if abs(apart) <= APART * agreed:
         return 0.0
-    remarks.append(f'{log.source}: the instrument divided by an index that is {apart * 1e6:+.2f}e-6 from the one of '
+    remarks.append(f'the instrument divided by an index that is {apart * 1e6:+.2f}e-6 from the one of '
                    f'the environment topics (at {conditions.wavelength * 1e6:.3g} µm); the difference counts as '
                    'uncertainty, check the sensors and air.wavelength')
     return abs(apart)
@@ -263,7 +269,7 @@ def _referred(log: CalibrationLog, table: StopTable,
     scales, measured = list(conditions.scales), {}
     expansion, sigma = list(conditions.expansion), list(conditions.expansion_sigma)
     for axis, letter in enumerate('xyz'):
-        told, _ = _told(log.environment.get(f'scale_temperature/{letter}'), middle, LIMITS['temperature'])
+        told, _ = _told(log.environment.get(f'scale_temperature/{letter}'), log, middle, LIMITS['temperature'])
         if told is not None:
             scales[axis] = measured[letter] = float(told.mean())
         material = description.scales.get(letter)

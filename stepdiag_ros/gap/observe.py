@@ -1,8 +1,9 @@
 """Everything that the diagnosis looks at, brought into one shape.
 
-A log is reduced to stops, the rigid-body model is fitted, and what an effect may depend on is laid
-beside: times, directions of approach, strikes on the mirror, derivatives, the environment.  Inside
-each dwell the samples are averaged in a few bins, so that what creeps or settles is kept.
+A log is reduced to stops, as recorded: vacuum lengths are divided by one index of air, and what the air does during
+the log stays in, for the diagnosis to find.  The rigid-body model is fitted, and what an effect may depend on is laid
+beside: times, directions of approach, strikes on the mirror, derivatives, the environment.  Inside each dwell the
+samples are averaged in a few bins, so that what creeps or settles is kept.
 """
 
 from dataclasses import dataclass
@@ -11,6 +12,7 @@ import numpy as np
 
 from stepdiag_ros.effects.base import StopView
 from stepdiag_ros.estimate.enhanced import Fit, fit, readings_of
+from stepdiag_ros.estimate.metres import with_one_index
 from stepdiag_ros.estimate.reduce import StopTable, reduce_log
 from stepdiag_ros.model.air import refractive_index
 from stepdiag_ros.model.log import CalibrationLog, ScalarSeries
@@ -49,7 +51,7 @@ class Observation:
 
 def observe(log: CalibrationLog) -> Observation:
     """Reduce, fit and lay out; raises :class:`~stepdiag_ros.errors.StepdiagError` as the reduction does."""
-    table = reduce_log(log, cut=True)
+    table = with_one_index(log, reduce_log(log, cut=True))
     nominal = sane_fit(log, table)
     bins, sigma, time = _bins(log, table)
     return Observation(log, table, nominal, view_of(log, table, nominal, time), bins, sigma)
