@@ -11,7 +11,6 @@ from stepdiag_ros.estimate.metres import Metres, in_metres
 from stepdiag_ros.estimate.propagate import Setting, Uncertainty, index_sigma, propagate, with_budget
 from stepdiag_ros.estimate.reduce import StopTable
 from stepdiag_ros.estimate.solution import Residuals, Solution
-from stepdiag_ros.estimate.traceability import NOBODY, WORDS
 from stepdiag_ros.model.budget import MEASURED, Budget
 from stepdiag_ros.model.description import Description
 from stepdiag_ros.model.log import CalibrationLog
@@ -21,12 +20,18 @@ from stepdiag_ros.model.standard_budget import standard_budget
 
 @dataclass(frozen=True)
 class Evaluation:
-    """A log evaluated in full: stops in metres, fit, what the causes were computed from, uncertainty."""
+    """A log evaluated in full: stops in metres, fit, what the causes were computed from, uncertainty.
+
+    ``source`` names the log; ``lines`` are the budget's, ``budget`` says whose they are.
+    """
 
     metres: Metres
     fit: Fit
     setting: Setting
     uncertainty: Uncertainty
+    source: str
+    lines: Budget
+    budget: str
 
     @property
     def solution(self) -> Solution:
@@ -64,17 +69,23 @@ def evaluate_in_full(log: CalibrationLog, budget: Budget | None = None) -> Evalu
     setting = Setting.of_fit(log.description, table, result, metres.conditions)
     # Residuals larger than the noise says: whatever it is, repeats alone do not show how uncertain the errors are.
     found = propagate(budget, setting, result, solution, np.sqrt(max(solution.reduced_chi2, 1.0)))
-    source = 'cell' if own and log.description.budget is not None else 'standard' if own else 'given'
-    return Evaluation(metres, result, setting, replace(
-        found, solution=_tied(found.solution, log.source, metres, index_sigma(budget, metres.conditions), source)))
+    whose = 'cell' if own and log.description.budget is not None else 'standard' if own else 'given'
+    unit_sigma = index_sigma(budget, metres.conditions)
+    return Evaluation(metres, result, setting, replace(found, solution=tied(
+        found.solution, log.source, metres, unit_sigma, whose)), log.source, budget, whose)
 
 
-def _tied(solution: Solution, source: str, metres: Metres, unit_sigma: float, budget: str) -> Solution:
+def index_sigma_of(evaluation: Evaluation) -> float:
+    """Standard uncertainty [1] of the unit of length of an evaluation."""
+    return index_sigma(evaluation.lines, evaluation.metres.conditions)
+
+
+def tied(solution: Solution, source: str, metres: Metres, unit_sigma: float, budget: str) -> Solution:
     """``solution`` with how it is tied to the metre and to 20 °C; what must not be overlooked is in its status."""
-    tied = metres.traceability(solution, unit_sigma, budget)
-    status = WORDS[NOBODY] if solution.status == 'ok' and not tied.traceable else solution.status
-    remarks = (f'{source}: {remark}' for remark in tied.remarks)
-    return replace(solution, traceability=tied, status=status, warnings=(*solution.warnings, *remarks))
+    traceability = metres.traceability(solution, unit_sigma, budget)
+    status = traceability.status if solution.status == 'ok' else solution.status
+    remarks = (f'{source}: {remark}' for remark in traceability.remarks)
+    return replace(solution, traceability=traceability, status=status, warnings=(*solution.warnings, *remarks))
 
 
 def solution_of(result: Fit, table: StopTable, warnings: tuple[str, ...] = ()) -> Solution:

@@ -47,6 +47,11 @@ class Traceability:
         return self.air != NOBODY
 
     @property
+    def status(self) -> str:
+        """``ok``, or that the lengths are none: the status of a result that is good otherwise."""
+        return 'ok' if self.traceable else WORDS[NOBODY]
+
+    @property
     def temperature_words(self) -> str:
         """At which temperature the result holds, in words."""
         if self.reference_temperature is not None:
