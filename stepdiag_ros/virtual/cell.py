@@ -24,6 +24,7 @@ from stepdiag_ros.model.description import (
 from stepdiag_ros.model.machine import GeometricErrors
 from stepdiag_ros.model.sensor import Misalignment
 from stepdiag_ros.virtual import drawn
+from stepdiag_ros.virtual.surroundings import BELIEVED, believed_air, budget, scales
 from stepdiag_ros.virtual.yamlreader import Reader, parse_yaml, read_yaml
 
 SCHEMA = 1
@@ -165,8 +166,8 @@ def parse_cell(text: str, source: str = 'cell') -> Cell:
 
 def _cell(top: Reader) -> Cell:
     keys = top.mapping(('schema', 'seed', 'machine', 'plan', 'setups', 'noise', 'geometry',
-                        'misalignments', 'air', 'motion', 'effects', 'instruments', 'sampling',
-                        'faults'))
+                        'misalignments', 'air', 'material', 'budget', 'motion', 'effects', 'instruments',
+                        'sampling', 'faults'))
     if 'schema' in keys and keys['schema'].count() != SCHEMA:
         raise keys['schema'].fail(f'must be {SCHEMA} for this version')
     for needed in ('machine', 'plan', 'setups'):
@@ -175,7 +176,8 @@ def _cell(top: Reader) -> Cell:
     seed = keys['seed'].count() if 'seed' in keys else 0
     machine = _machine(keys['machine'])
     setups = _setups(keys['setups'], machine)
-    description = Description(machine, _plan(keys['plan']), setups, _noise(keys.get('noise')))
+    description = Description(machine, _plan(keys['plan']), setups, _noise(keys.get('noise')),
+                              believed_air(keys.get('air')), scales(keys.get('material')), budget(keys.get('budget')))
     misalignments, zero = drawn.misalignments(keys.get('misalignments'), seed, tuple(setups))
     motion = _fill(Motion, keys.get('motion'), {
         'feed': {'above': 0.0, 'unit': 'm/s'}, 'acceleration': {'above': 0.0, 'unit': 'm/s²'},
@@ -192,7 +194,7 @@ def _cell(top: Reader) -> Cell:
 
 
 def _machine(node: Reader) -> Machine:
-    keys = node.mapping(('name', 'chain', 'volume', 'tool'))
+    keys = node.mapping(('name', 'chain', 'volume', 'tool', 'origin'))
     if 'volume' not in keys:
         raise node.fail("the key 'volume' is missing; give the travels of X, Y, Z [m]")
     chain = keys['chain'].text().upper() if 'chain' in keys else 'FXYZ'
@@ -200,7 +202,8 @@ def _machine(node: Reader) -> Machine:
         raise keys['chain'].fail(f"is {chain!r}; write F, X, Y and Z once each, e.g. 'FXYZ'")
     tool = keys['tool'].vector(3) if 'tool' in keys else (0.0, 0.0, 0.0)
     name = keys['name'].text() if 'name' in keys else 'machine'
-    return Machine(name, chain, keys['volume'].vector(3, above=0.0), tool)
+    origin = keys['origin'].vector(3) if 'origin' in keys else None
+    return Machine(name, chain, keys['volume'].vector(3, above=0.0), tool, origin)
 
 
 def _plan(node: Reader) -> Plan:
@@ -254,7 +257,7 @@ def _air(node: Reader | None) -> Air:
     if node is None or node.is_null:
         return Air()
     keys = node.mapping(('temperature', 'pressure', 'humidity', 'drift', 'compensated', 'sensors',
-                         'scale_temperature', 'scale_drift', 'period'))
+                         'scale_temperature', 'scale_drift', 'period', *BELIEVED))
     given: dict[str, Any] = {}
     for key, rule in {'temperature': {'minimum': -20.0, 'maximum': 60.0, 'unit': '°C'},
                       'pressure': {'minimum': 5.0e4, 'maximum': 1.2e5, 'unit': 'Pa'},
