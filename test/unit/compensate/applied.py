@@ -108,7 +108,7 @@ def heidenhain(files: Mapping[str, str], target: np.ndarray, direction: int, **_
 
 def model(curves: Mapping[str, tuple[np.ndarray, np.ndarray]], target: np.ndarray, machine: Machine,
           tool: np.ndarray | None = None) -> np.ndarray:
-    """A control that takes a model off: shifts and small turns, from the tool to the foundation, machine coordinates."""
+    """A control that takes a model off: shifts and small turns, tool to foundation, in machine coordinates."""
     place = target + ORIGIN
     point = np.tile(np.asarray(machine.tool if tool is None else tool, float), (len(target), 1))
     ideal = point + place
