@@ -202,7 +202,7 @@ def _machine(node: Reader) -> Machine:
         raise keys['chain'].fail(f"is {chain!r}; write F, X, Y and Z once each, e.g. 'FXYZ'")
     tool = keys['tool'].vector(3) if 'tool' in keys else (0.0, 0.0, 0.0)
     name = keys['name'].text() if 'name' in keys else 'machine'
-    origin = keys['origin'].vector(3) if 'origin' in keys else None
+    origin = keys['origin'].vector(3, unit='m') if 'origin' in keys else None
     return Machine(name, chain, keys['volume'].vector(3, above=0.0), tool, origin)
 
 
