@@ -19,6 +19,7 @@ from stepdiag_ros.bag.blocks import (
     text,
 )
 from stepdiag_ros.bag.check import lost_messages, stop_warnings
+from stepdiag_ros.bag.clocksteps import put_right
 from stepdiag_ros.bag.schemas import (
     DESCRIPTION,
     DISPLACEMENT,
@@ -93,7 +94,8 @@ def build_log(source: BagSource, tables: Tables, namespace: str | None = None,
     mine = {relative: tables.topics.get(f'{name}/{relative}' if name else relative)
             or tables.topics.get(f'/{relative}' if not name else f'{name}/{relative}')
             for relative in TOPICS}
-    warnings = [*source.warnings, *tables.warnings, *_wrong_counts(source, tables), *_notes(source)]
+    warnings = [*source.warnings, *tables.warnings, *_wrong_counts(source, tables), *_notes(source),
+                *put_right(mine)]
     if not tables.checked:
         warnings.append('the file carries no CRCs: a changed byte in it would not be noticed')
     if description is None:

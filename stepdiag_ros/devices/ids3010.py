@@ -17,6 +17,7 @@ from collections import deque
 import numpy as np
 
 from stepdiag_ros.devices.base import DeviceError, DisplacementBlock
+from stepdiag_ros.devices.hostclock import HOST
 from stepdiag_ros.devices.jsonstream import JsonStream
 from stepdiag_ros.devices.link import Link
 from stepdiag_ros.devices.optical_switch import OpticalSwitch
@@ -131,7 +132,7 @@ class Ids3010:
             self._encode(f'{self._namespace}.displacement.getAxisSignalQuality', [axis])
             for axis in axes) + self._encode(self._index_method, [0]))
         rows.extend(self._row(answer) for answer in self._answers(samples - len(rows)))
-        arrived += [time.time()] * (samples - len(arrived))
+        arrived += [HOST.now()] * (samples - len(arrived))
         contrast = min(self._number(self._result(answer)) for answer in self._answers(self._beams))
         index = self._index(self._answers(1)[0])
         self._next_s = begin + samples * period_s
@@ -142,22 +143,27 @@ class Ids3010:
                                  (table[:, 1:] - self._zero_pm) * 1e-12,
                                  quality.astype(np.uint8), index)
 
+    def shift_time(self, step_s: float) -> None:
+        """The host's clock has jumped by ``step_s`` [s] since the last block."""
+        if self._next_s is not None:
+            self._next_s += step_s
+
     def _begin(self, length_s: float) -> float:
         """Time [s] of a block's first sample: seamless after the last block where that is possible."""
-        now = time.time()
+        now = HOST.now()
         if self._next_s is not None and -length_s < now - self._next_s < LATE_S:
             return self._next_s
         return now
 
     def _wait_until(self, due_s: float, rows: list, arrived: list[float]) -> None:
         """Until ``due_s`` take in answers and when they came."""
-        while (left := due_s - time.time()) > 0.0:
+        while (left := due_s - HOST.now()) > 0.0:
             data = self._link.receive(wait_s=left)
             if data:
                 self._take(data)
                 while self._waiting:
                     rows.append(self._row(self._waiting.popleft()))
-                    arrived.append(time.time())
+                    arrived.append(HOST.now())
 
     def environment(self) -> dict[str, float]:
         readings = {}

@@ -14,6 +14,7 @@ from pymodbus.client import ModbusTcpClient
 
 from stepdiag_ros.devices import t7
 from stepdiag_ros.devices.base import DeviceError, SpotBlock
+from stepdiag_ros.devices.hostclock import HOST
 from stepdiag_ros.devices.link import FIRST_PAUSE_S, Link
 from stepdiag_ros.devices.psd_signal import SpotOptics
 
@@ -99,17 +100,23 @@ class ModbusPsd:
         spot, intensity = self._optics.spot(volts)
         return SpotBlock(round(stamp_s * 1e9), period_s, spot[:, 0], spot[:, 1], intensity)
 
+    def shift_time(self, step_s: float) -> None:
+        """The host's clock has jumped by ``step_s`` [s] since the last block."""
+        if self._next_s is not None:
+            self._next_s += step_s
+        self._origin_s += step_s
+
     # -- by request
 
     def _polled(self, samples: int, period_s: float) -> tuple[float, np.ndarray]:
-        now = time.time()
+        now = HOST.now()
         begin = self._next_s if self._next_s is not None and \
             abs(now - self._next_s) < max(0.05, period_s) else now
         first, last = min(self._channels), max(self._channels)
         columns = [channel - first for channel in self._channels]
         volts = np.empty((samples, len(columns)))
         for i in range(samples):
-            due = begin + i * period_s - time.time()
+            due = begin + i * period_s - HOST.now()
             if due > 0.0:
                 time.sleep(due)
             registers = self._read(t7.AIN0 + 2 * first, 2 * (last - first + 1))
@@ -123,7 +130,7 @@ class ModbusPsd:
 
     def _streamed(self, samples: int, period_s: float) -> tuple[float, np.ndarray]:
         stale = self._next_s is not None and \
-            time.time() - self._next_s > max(1.0, 5.0 * samples * period_s)
+            HOST.now() - self._next_s > max(1.0, 5.0 * samples * period_s)
         if self._period_s != period_s or stale:
             self._start_stream(period_s, samples)
         while len(self._raw) < samples:
@@ -156,13 +163,13 @@ class ModbusPsd:
         self._transaction = 0
         self._taken = 0       # scans handed out
         self._arrived = 0     # scans received
-        asked = time.time()
+        asked = HOST.now()
         self._write(t7.STREAM_ENABLE, t7.uint_registers(1))
-        self._origin_s = 0.5 * (asked + time.time())
+        self._origin_s = 0.5 * (asked + HOST.now())
         self._period_s = period_s
 
     def _take(self, data: bytes) -> None:
-        now = time.time()
+        now = HOST.now()
         try:
             packets = self._packets.feed(data)
         except ValueError as error:

@@ -102,7 +102,8 @@ class Instruments:
     ``namespace`` is the firmware's (``ids`` before 1.9, ``sen`` since); ``newline`` whether it ends
     an answer with one.  ``multiplexer`` names the machines that share the interferometer through an
     optical ``switch``, this one first (empty: it is this one's alone); ``machine_files`` are the cell
-    files of the others.
+    files of the others.  ``watchdog`` [s]: the virtual control brakes when its client has said nothing
+    for so long while the axes move.
     """
 
     interferometer: Endpoint = Endpoint()
@@ -115,6 +116,18 @@ class Instruments:
     machine_files: tuple[str, ...] = ()
     switch: Endpoint = Endpoint()
     detector: Detector = Detector()
+    watchdog: float = 0.5
+
+
+@dataclass(frozen=True)
+class Client:
+    """Whoever commands a calibration must live: ``lease`` [s] that it renews, and what ends its run when it is lost.
+
+    ``lost``: ``next_stop`` ends the run when the stop has been measured, ``at_once`` stops the axes too.
+    """
+
+    lease: float = 5.0
+    lost: str = 'next_stop'
 
 
 @dataclass(frozen=True)
@@ -133,7 +146,8 @@ class Cell:
 
     ``description`` is what the log will say; the rest is the truth behind it.
     ``misalignments`` and ``psd_zero`` [m] are by setup; ``effects`` maps the contract's
-    names to parameters; ``faults`` are injected by the servers (tests).
+    names to parameters; ``faults`` are injected by the servers (tests).  ``network``: whom the nodes
+    talk to, ``loopback`` (this computer alone) or ``open``.
     """
 
     source: str
@@ -148,6 +162,8 @@ class Cell:
     instruments: Instruments = Instruments()
     sampling: Sampling = Sampling()
     faults: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    client: Client = Client()
+    network: str = 'loopback'
 
     @property
     def setup_names(self) -> tuple[str, ...]:
@@ -167,7 +183,7 @@ def parse_cell(text: str, source: str = 'cell') -> Cell:
 def _cell(top: Reader) -> Cell:
     keys = top.mapping(('schema', 'seed', 'machine', 'plan', 'setups', 'noise', 'geometry',
                         'misalignments', 'air', 'material', 'budget', 'motion', 'effects', 'instruments',
-                        'sampling', 'faults'))
+                        'sampling', 'faults', 'network', 'client'))
     if 'schema' in keys and keys['schema'].count() != SCHEMA:
         raise keys['schema'].fail(f'must be {SCHEMA} for this version')
     for needed in ('machine', 'plan', 'setups'):
@@ -190,7 +206,8 @@ def _cell(top: Reader) -> Cell:
                 motion=motion, effects=_named_mappings(keys.get('effects')),
                 instruments=_instruments(keys.get('instruments'), machine.name),
                 sampling=_sampling(keys.get('sampling')),
-                faults=_named_mappings(keys.get('faults')))
+                faults=_named_mappings(keys.get('faults')), client=_client(keys.get('client')),
+                network=keys['network'].text(('loopback', 'open')) if 'network' in keys else 'loopback')
 
 
 def _machine(node: Reader) -> Machine:
@@ -318,7 +335,10 @@ def _instruments(node: Reader | None, name: str) -> Instruments:
             detector['channels'] = channels
         given['detector'] = Detector(**detector)
     if 'cnc' in top:
-        given['cnc'] = _endpoint(top['cnc'].mapping(('host', 'port')))
+        keys = top['cnc'].mapping(('host', 'port', 'watchdog'))
+        given['cnc'] = _endpoint(keys)
+        if 'watchdog' in keys:
+            given['watchdog'] = keys['watchdog'].number(minimum=0.05, maximum=10.0, unit='s')
     return Instruments(**given)
 
 
@@ -342,6 +362,18 @@ def _multiplexer(node: Reader, name: str) -> dict[str, Any]:
         names.append(other.description.machine.name)
         files.append(str(file))
     return {'multiplexer': tuple(names), 'machine_files': tuple(files), 'switch': _endpoint(keys)}
+
+
+def _client(node: Reader | None) -> Client:
+    if node is None or node.is_null:
+        return Client()
+    keys = node.mapping(('lease', 'lost'))
+    given: dict[str, Any] = {}
+    if 'lease' in keys:
+        given['lease'] = keys['lease'].number(minimum=0.5, maximum=3600.0, unit='s')
+    if 'lost' in keys:
+        given['lost'] = keys['lost'].text(('next_stop', 'at_once'))
+    return Client(**given)
 
 
 def _sampling(node: Reader | None) -> Sampling:
