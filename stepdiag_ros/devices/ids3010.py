@@ -10,6 +10,7 @@ trip.  Requests are therefore sent in small groups on the block's time grid with
 waiting, and the answers read meanwhile.
 """
 
+import math
 import time
 from collections import deque
 
@@ -78,7 +79,7 @@ class Ids3010:
     def _start_measuring(self, answer: dict) -> None:
         end = time.monotonic() + max(self._timeout_s, 30.0)
         started = False
-        while (mode := str(answer['result'][-1])) != 'measurement running':
+        while (mode := str(self._result(answer)[-1])) != 'measurement running':
             if time.monotonic() > end:
                 raise self._link.fail(f'does not start to measure, its mode is {mode!r}; '
                                       'align the beams')
@@ -131,7 +132,7 @@ class Ids3010:
             for axis in axes) + self._encode(self._index_method, [0]))
         rows.extend(self._row(answer) for answer in self._answers(samples - len(rows)))
         arrived += [time.time()] * (samples - len(arrived))
-        contrast = min(float(self._result(answer)[1]) for answer in self._answers(self._beams))
+        contrast = min(self._number(self._result(answer)) for answer in self._answers(self._beams))
         index = self._index(self._answers(1)[0])
         self._next_s = begin + samples * period_s
         table = self._table(rows)
@@ -168,18 +169,19 @@ class Ids3010:
             # Without an environmental unit the device answers with an error: no sensor.
             if isinstance(result, list) and len(result) > 1 and not result[0] \
                     and isinstance(result[1], int | float):
-                readings[name] = result[1] * scale
+                readings[name] = self._number(result) * scale
         return readings
 
     def _index(self, answer: dict) -> float:
-        if answer.get('error', {}).get('code') == METHOD_NOT_FOUND \
+        error = answer.get('error')
+        if isinstance(error, dict) and error.get('code') == METHOD_NOT_FOUND \
                 and self._index_method.endswith('ForCompensation'):
             self._index_method = 'com.attocube.ecu.getRefractiveIndex'
             answer = self._ask(self._index_method)
         result = answer.get('result')
         if not (isinstance(result, list) and len(result) > 1):
             return 1.0
-        index = float(result[1])
+        index = self._number(result)
         if not 0.999 < index < 1.01:
             raise self._link.fail(f'reports a refractive index of {index!r}; check its sensors')
         return index
@@ -193,12 +195,22 @@ class Ids3010:
     def _table(self, rows: list[list[float]]) -> np.ndarray:
         try:
             table = np.array(rows, float)
-        except ValueError:
+        except (TypeError, ValueError, OverflowError):
             raise self._link.fail('answers nonsense (positions that are no numbers); '
                                   'restart it') from None
         if not np.all(np.isfinite(table)):
             raise self._link.fail('answers positions that are not finite; restart it')
         return table
+
+    def _number(self, result: list) -> float:
+        """The first number of an answer, behind its error number."""
+        try:
+            value = float(result[1])
+        except (IndexError, TypeError, ValueError, OverflowError):
+            value = math.nan
+        if not math.isfinite(value):
+            raise self._link.fail(f'answers nonsense ({str(result)[:60]!r} where a number belongs); restart it')
+        return value
 
     def _encode(self, method: str, params: list | None = None) -> bytes:
         number, self._next_id = self._next_id, self._next_id + 1
@@ -233,7 +245,7 @@ class Ids3010:
         if 'error' in answer:
             error = answer['error']
             text = error.get('message', error) if isinstance(error, dict) else error
-            raise self._link.fail(f'refuses a request: {text}')
+            raise self._link.fail(f'refuses a request: {" ".join(str(text)[:200].split())}')
         result = answer.get('result')
         if not isinstance(result, list) or not result \
                 or not all(isinstance(value, int | float | str | bool) for value in result):

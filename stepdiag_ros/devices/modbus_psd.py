@@ -10,7 +10,6 @@ import time
 
 import numpy as np
 from pymodbus.client import ModbusTcpClient
-from pymodbus.exceptions import ModbusException
 
 from stepdiag_ros.devices import t7
 from stepdiag_ros.devices.base import DeviceError, SpotBlock
@@ -69,7 +68,8 @@ class ModbusPsd:
             self._write(t7.INTERNAL_FLASH_READ_POINTER, t7.uint_registers(t7.CALIBRATION_ADDRESS))
             constants = self._read(t7.INTERNAL_FLASH_READ, 8)
             self._calibration = t7.Calibration.unpack(np.array(constants, '>u2').tobytes())
-            if not 1e-5 < self._calibration.positive_slope < 1e-2:
+            if not (1e-5 < self._calibration.positive_slope < 1e-2
+                    and np.isfinite(self._calibration.volts(np.arange(4) * 20_000)).all()):
                 raise self._fail('has no valid calibration constants in its flash; '
                                  'use mode poll or have it calibrated')
 
@@ -210,18 +210,18 @@ class ModbusPsd:
         asked = time.monotonic()
         try:
             answer = request()
-        except (ModbusException, OSError) as error:
+        except Exception as error:   # besides its own the library passes on what decoding a bad answer raises
             if time.monotonic() - asked > 0.8 * self._timeout_s:
                 raise self._fail(f'stalls: no answer to {what} for {self._timeout_s:g} s; '
                                  'restart it') from None
-            text = str(error).removeprefix('Modbus Error: ')
+            text = ' '.join(str(error).removeprefix('Modbus Error: ').split())[:200]
             raise self._fail(f'dropped the connection or answered nonsense while {what} '
                              f'({text}); reconnect') from None
         if answer.isError():
             if must:
                 raise self._fail(f'refuses {what} ({answer}); is it a T7?')
-        elif count is not None and len(answer.registers) != count:
-            raise self._fail(f'answers nonsense: {len(answer.registers)} registers for {count} '
+        elif count is not None and len(getattr(answer, 'registers', ())) != count:
+            raise self._fail(f'answers nonsense: {len(getattr(answer, "registers", ()))} registers for {count} '
                              f'while {what}; restart it')
         return answer
 
