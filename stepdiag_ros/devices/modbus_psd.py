@@ -5,6 +5,7 @@ clock and send packets, tens of thousands of scans a second; ``poll`` reads the 
 by request, some hundreds a second, and works with any box that has float32 registers.
 """
 
+import inspect
 import logging
 import time
 
@@ -21,6 +22,10 @@ PACKET_S = 5.0e-3
 """Packets of about this time span: short enough for steady stamps, long enough to be few."""
 CLOCK_DRIFT = 1.0e-4
 """How much slower [s/s] than ours the box's clock may be taken to run."""
+
+# pymodbus called its unit `slave` before 3.10.
+UNIT = next(name for name in ('device_id', 'slave')
+            if name in inspect.signature(ModbusTcpClient.read_holding_registers).parameters)
 
 # pymodbus logs what it also raises; the nodes say it once, in one line.
 logging.getLogger('pymodbus').setLevel(logging.CRITICAL)
@@ -197,12 +202,12 @@ class ModbusPsd:
 
     def _read(self, address: int, count: int) -> list[int]:
         return self._exchange(lambda: self._client.read_holding_registers(
-            address, count=count, device_id=self._unit), f'reading register {address}',
+            address, count=count, **{UNIT: self._unit}), f'reading register {address}',
             count).registers
 
     def _write(self, address: int, registers: list[int], must: bool = True) -> None:
         self._exchange(lambda: self._client.write_registers(
-            address, registers, device_id=self._unit), f'writing register {address}', must=must)
+            address, registers, **{UNIT: self._unit}), f'writing register {address}', must=must)
 
     def _exchange(self, request, what: str, count: int | None = None, must: bool = True):
         if self._client is None:

@@ -1,20 +1,17 @@
 """A virtual PSD behind a LabJack T7: Modbus registers, and stream packets on a second port."""
 
 import asyncio
-import logging
 import struct
 import time
 from pathlib import Path
 
 import numpy as np
-from pymodbus.constants import ExcCodes
-from pymodbus.server import ModbusTcpServer
-from pymodbus.simulator import DataType, SimData, SimDevice
 
 from stepdiag_ros.devices import t7
 from stepdiag_ros.devices.psd_signal import SpotOptics
 from stepdiag_ros.virtual.cell import Cell
 from stepdiag_ros.virtual.faults import Faults
+from stepdiag_ros.virtual.modbus import ILLEGAL_VALUE, READ, ModbusServer
 from stepdiag_ros.virtual.offline import DARK_V
 from stepdiag_ros.virtual.serving import announce, open_world, serve
 from stepdiag_ros.virtual.world import World
@@ -24,7 +21,6 @@ TICK_S = 0.002
 """How often the stream looks for scans that are due."""
 BACKLOG_BYTES = 1 << 22
 """What a client may leave unread before scans are skipped, as in the box's own buffer."""
-READ_FUNCTIONS = (3, 4)
 BLOCKS = ((t7.AIN0, 2 * INPUTS), (t7.STREAM_SCANRATE_HZ, 22),
           (t7.STREAM_SCANLIST_ADDRESS0, 256), (t7.STREAM_ENABLE, 2), (t7.AIN0_RANGE, 2 * INPUTS),
           (t7.AIN0_NEGATIVE_CH, INPUTS), (t7.INTERNAL_FLASH_READ_POINTER, 2),
@@ -66,31 +62,29 @@ class Box:
         """(n, channels) raw readings, as streamed."""
         return self._calibration.raw(self.volts(times)[:, channels])
 
-    async def access(self, function: int, start: int, address: int, count: int,
-                     registers: list[int], values: list | None) -> ExcCodes | None:
-        """pymodbus asks before each access: bring registers up to date, act on what is written."""
+    async def access(self, function: int, address: int, registers: list[int], values: list[int] | None) -> int | None:
+        """Before each access: bring registers up to date, act on what is written."""
         while self.faults.kind == 'stall':
             await asyncio.sleep(0.02)
-        if function in READ_FUNCTIONS:
+        if function in READ:
             if address < t7.AIN0 + 2 * INPUTS:
                 volts = self.volts(np.array([time.time_ns()]))[0].astype('>f4')
-                registers[t7.AIN0 - start:t7.AIN0 - start + 2 * INPUTS] = \
-                    volts.view('>u2').tolist()
+                registers[t7.AIN0:t7.AIN0 + 2 * INPUTS] = volts.view('>u2').tolist()
             elif address == t7.INTERNAL_FLASH_READ:
-                pointer = self._uint(registers, t7.INTERNAL_FLASH_READ_POINTER - start)
+                pointer = self._uint(registers, t7.INTERNAL_FLASH_READ_POINTER)
                 if pointer != t7.CALIBRATION_ADDRESS:
-                    return ExcCodes.ILLEGAL_VALUE
+                    return ILLEGAL_VALUE
                 words = np.frombuffer(self._calibration.pack() * 8, '>u2').tolist()
-                registers[address - start:address - start + len(words)] = words
+                registers[address:address + len(words)] = words
         elif values and address == t7.STREAM_ENABLE:
-            return self._enable(start, registers, list(values))
+            return self._enable(registers, values)
         return None
 
     @staticmethod
     def _uint(registers: list[int], at: int) -> int:
         return (registers[at] << 16) | registers[at + 1]
 
-    def _enable(self, start: int, registers: list[int], values: list[int]) -> ExcCodes | None:
+    def _enable(self, registers: list[int], values: list[int]) -> int | None:
         if self.stream is not None:
             self.stream.task.cancel()
             self.stream = None
@@ -98,8 +92,8 @@ class Box:
             return None
 
         def uint(address: int) -> int:
-            return self._uint(registers, address - start)
-        at = t7.STREAM_SCANRATE_HZ - start
+            return self._uint(registers, address)
+        at = t7.STREAM_SCANRATE_HZ
         rate = struct.unpack('>f', struct.pack('>2H', *registers[at:at + 2]))[0]
         width, per_packet = uint(t7.STREAM_NUM_ADDRESSES), uint(t7.STREAM_SAMPLES_PER_PACKET)
         addresses = [uint(t7.STREAM_SCANLIST_ADDRESS0 + 2 * i) for i in range(min(width, 128))]
@@ -107,7 +101,7 @@ class Box:
                 and width <= per_packet <= t7.MAX_SAMPLES_PER_PACKET
                 and uint(t7.STREAM_AUTO_TARGET) == t7.TARGET_ETHERNET
                 and all(a % 2 == 0 and a < 2 * INPUTS for a in addresses)):
-            return ExcCodes.ILLEGAL_VALUE
+            return ILLEGAL_VALUE
         self.stream = Stream(self, rate, [a // 2 for a in addresses], per_packet // width)
         return None
 
@@ -157,15 +151,7 @@ class Stream:
                 client.write(b'\xff' * 64 if fault == 'nonsense' else bytes(data))
 
 
-def device(box: Box) -> SimDevice:
-    """The registers as pymodbus serves them."""
-    data = [SimData(first, count=count, values=0, datatype=DataType.REGISTERS)
-            for first, count in sorted(BLOCKS)]
-    return SimDevice(0, simdata=data, action=box.access)
-
-
 async def main(cell: Cell, runtime: Path) -> None:
-    logging.getLogger('pymodbus').setLevel(logging.CRITICAL)
     world = await open_world(cell, runtime)
     box = Box(cell, world, Faults(runtime, 'psd', cell.faults))
 
@@ -180,24 +166,23 @@ async def main(cell: Cell, runtime: Path) -> None:
             box.clients.discard(writer)
             writer.close()
 
-    def packet(sending: bool, data: bytes) -> bytes:
+    def tamper(answer: bytes) -> bytes:
         if box.faults.kind == 'drop':
-            for connection in tuple(server.active_connections.values()):
-                connection.transport.abort()
-        return b'\xde\xad\xbe\xef' * 4 if sending and box.faults.kind == 'nonsense' else data
+            server.drop()
+        return b'\xde\xad\xbe\xef' * 4 if box.faults.kind == 'nonsense' else answer
 
     where, stream_where = cell.instruments.psd, cell.instruments.psd_stream
     stream_server = await asyncio.start_server(listener, stream_where.host, stream_where.port)
-    server = ModbusTcpServer(device(box), address=(where.host, where.port), trace_packet=packet)
-    await server.serve_forever(background=True)
+    server = ModbusServer(BLOCKS, box.access, tamper)
+    port = await server.start(where.host, where.port)
     announce(runtime, 'psd', {
-        'host': where.host, 'port': server.transport.sockets[0].getsockname()[1],
+        'host': where.host, 'port': port,
         'stream_port': stream_server.sockets[0].getsockname()[1]})
     try:
         async with stream_server:
             await stream_server.serve_forever()
     finally:
-        await server.shutdown()
+        server.close()
 
 
 if __name__ == '__main__':
