@@ -24,6 +24,7 @@ from stepdiag_ros.model.description import (
 from stepdiag_ros.model.machine import GeometricErrors
 from stepdiag_ros.model.sensor import Misalignment
 from stepdiag_ros.virtual import drawn
+from stepdiag_ros.virtual.noise import NoiseLaw, NoiseLaws, Spread
 from stepdiag_ros.virtual.yamlreader import Reader, parse_yaml, read_yaml
 
 SCHEMA = 1
@@ -132,7 +133,8 @@ class Cell:
 
     ``description`` is what the log will say; the rest is the truth behind it.
     ``misalignments`` and ``psd_zero`` [m] are by setup; ``effects`` maps the contract's
-    names to parameters; ``faults`` are injected by the servers (tests).
+    names to parameters; ``noise_law`` says how the noise falls, ``description.noise`` how large it is;
+    ``faults`` are injected by the servers (tests).
     """
 
     source: str
@@ -147,6 +149,7 @@ class Cell:
     instruments: Instruments = Instruments()
     sampling: Sampling = Sampling()
     faults: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    noise_law: NoiseLaws = field(default_factory=NoiseLaws)
 
     @property
     def setup_names(self) -> tuple[str, ...]:
@@ -166,7 +169,7 @@ def parse_cell(text: str, source: str = 'cell') -> Cell:
 def _cell(top: Reader) -> Cell:
     keys = top.mapping(('schema', 'seed', 'machine', 'plan', 'setups', 'noise', 'geometry',
                         'misalignments', 'air', 'motion', 'effects', 'instruments', 'sampling',
-                        'faults'))
+                        'faults', 'noise_law'))
     if 'schema' in keys and keys['schema'].count() != SCHEMA:
         raise keys['schema'].fail(f'must be {SCHEMA} for this version')
     for needed in ('machine', 'plan', 'setups'):
@@ -188,7 +191,7 @@ def _cell(top: Reader) -> Cell:
                 motion=motion, effects=_named_mappings(keys.get('effects')),
                 instruments=_instruments(keys.get('instruments'), machine.name),
                 sampling=_sampling(keys.get('sampling')),
-                faults=_named_mappings(keys.get('faults')))
+                faults=_named_mappings(keys.get('faults')), noise_law=_noise_laws(keys.get('noise_law')))
 
 
 def _machine(node: Reader) -> Machine:
@@ -240,6 +243,28 @@ def _setups(node: Reader, machine: Machine) -> dict[str, Setup]:
 
 def _noise(node: Reader | None) -> Noise:
     return _fill(Noise, node, {key: {'minimum': 0.0} for key in vars(Noise())})
+
+
+SPREAD: dict[str, dict] = {'dof': {'above': 2.0}, 'correlation': {'minimum': -0.999, 'maximum': 0.999}}
+SHARE = {'minimum': 0.0, 'maximum': 0.9}
+SENSOR_LAW: dict[str, dict] = SPREAD | {
+    'quantum': {'minimum': 0.0, 'unit': 'm'}, 'dropouts': SHARE, 'burst': {'minimum': 1}, 'spikes': SHARE,
+    'spike_size': {'minimum': 0.0}, 'duplicates': SHARE, 'late': {'minimum': 0.0, 'maximum': 1.0},
+    'delay': {'minimum': 0.0, 'maximum': 1.0, 'unit': 's'}}
+
+
+def _noise_laws(node: Reader | None) -> NoiseLaws:
+    if node is None or node.is_null:
+        return NoiseLaws()
+    laws: dict[str, Any] = {}
+    for name, child in node.mapping(('displacement', 'spot', 'position', 'angle')).items():
+        sensor = name in ('displacement', 'spot')
+        rules = SENSOR_LAW if sensor else SPREAD
+        given = {} if child.is_null else {
+            key: value.count(**rules[key]) if key == 'burst' else value.number(**rules[key])
+            for key, value in child.mapping(tuple(rules)).items()}
+        laws[name] = NoiseLaw(**given) if sensor else Spread(**given)
+    return NoiseLaws(**laws)
 
 
 def _fill(kind: type, node: Reader | None, rules: dict[str, dict]) -> Any:

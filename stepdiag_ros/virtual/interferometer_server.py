@@ -129,13 +129,13 @@ class Instrument:
         if setup is None or not self._measuring or self.faults.kind == 'no_signal':
             rows[:, 0] = NO_SIGNAL_WARNING
             return rows.astype(np.int64).tolist()
-        reading = self.world.read(times - self._late_ns, setup)
+        noise = self.world.displacement
+        reading = self.world.read(times - self._late_ns - noise.delays_ns(first, count), setup)
         beams = reading.length.shape[1]
-        noise = self.world.displacement_noise(first, count, beams)
-        rows[:, 1:1 + beams] = (reading.length + noise) * 1e12
+        rows[:, 1:1 + beams] = noise.readings(reading.length, first) * 1e12
         if zero is not None:
             rows[:, 1:1 + beams] -= zero[:beams]
-        rows[:, 0] = np.where(reading.quality < 1.0, NO_SIGNAL_WARNING, 0)
+        rows[:, 0] = np.where((reading.quality < 1.0) | noise.dark(first, count), NO_SIGNAL_WARNING, 0)
         return np.rint(rows).astype(np.int64).tolist()
 
     def _now(self) -> np.ndarray:

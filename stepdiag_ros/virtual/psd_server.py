@@ -15,11 +15,11 @@ from stepdiag_ros.devices import t7
 from stepdiag_ros.devices.psd_signal import SpotOptics
 from stepdiag_ros.virtual.cell import Cell
 from stepdiag_ros.virtual.faults import Faults
+from stepdiag_ros.virtual.offline import DARK_V
 from stepdiag_ros.virtual.serving import announce, open_world, serve
 from stepdiag_ros.virtual.world import World
 
 INPUTS = 14
-DARK_V = 0.001
 TICK_S = 0.002
 """How often the stream looks for scans that are due."""
 BACKLOG_BYTES = 1 << 22
@@ -55,10 +55,11 @@ class Box:
         first, self._taken = self._taken, self._taken + len(times)
         inputs[:, self._channels] = DARK_V
         if setup is not None and self.faults.kind != 'no_signal':
-            reading = self.world.read(times - self._late_ns, setup)
-            spot = reading.spot + self.world.spot_noise(first, len(times))
-            inputs[:, self._channels] = np.maximum(
-                self._optics.volts(spot, reading.intensity), DARK_V)
+            noise = self.world.spot
+            reading = self.world.read(times - self._late_ns - noise.delays_ns(first, len(times)), setup)
+            spot = noise.readings(reading.spot, first)
+            light = np.where(noise.dark(first, len(times)), 0.0, reading.intensity)
+            inputs[:, self._channels] = np.maximum(self._optics.volts(spot, light), DARK_V)
         return inputs
 
     def raw(self, times: np.ndarray, channels: list[int]) -> np.ndarray:
