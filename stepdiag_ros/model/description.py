@@ -25,12 +25,16 @@ def path_of(setup: str) -> str:
 
 @dataclass(frozen=True)
 class Machine:
-    """A three-axis machine: name, kinematic chain, working volume [m], tool vector [m]."""
+    """A three-axis machine: name, kinematic chain, working volume [m], tool vector [m].
+
+    ``origin`` (3,) [m]: machine coordinates of the volume's lower corner; None where nobody said them.
+    """
 
     name: str
     chain: str
     volume: tuple[float, float, float]
     tool: tuple[float, float, float]
+    origin: tuple[float, float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -112,7 +116,8 @@ class Description:
                                 "write the letters F, X, Y, Z once each, e.g. 'FXYZ'")
         machine = Machine(str(m.get('name', 'machine')), chain,
                           get.vector(m, 'machine.volume', 3, positive=True),
-                          get.vector(m, 'machine.tool', 3, default=(0.0, 0.0, 0.0)))
+                          get.vector(m, 'machine.tool', 3, default=(0.0, 0.0, 0.0)),
+                          None if m.get('origin') is None else get.vector(m, 'machine.origin', 3))
         p = get.mapping(data.get('plan'), 'plan')
         order = str(p.get('order', 'XYZ')).upper()
         if sorted(order) != ['X', 'Y', 'Z']:
@@ -142,9 +147,11 @@ class Description:
                             'beams': [list(b) for b in s.beams]}
             if s.is_linear:
                 setups[name] |= {'length': s.length, 'stops': s.stops}
-        return {'schema': SCHEMA,
-                'machine': {'name': self.machine.name, 'chain': self.machine.chain,
-                            'volume': list(self.machine.volume), 'tool': list(self.machine.tool)},
+        machine = {'name': self.machine.name, 'chain': self.machine.chain,
+                   'volume': list(self.machine.volume), 'tool': list(self.machine.tool)}
+        if self.machine.origin is not None:
+            machine['origin'] = list(self.machine.origin)
+        return {'schema': SCHEMA, 'machine': machine,
                 'plan': {'steps': self.plan.steps, 'order': self.plan.order,
                          'repeats': self.plan.repeats},
                 'setups': setups,

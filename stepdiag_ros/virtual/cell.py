@@ -192,7 +192,7 @@ def _cell(top: Reader) -> Cell:
 
 
 def _machine(node: Reader) -> Machine:
-    keys = node.mapping(('name', 'chain', 'volume', 'tool'))
+    keys = node.mapping(('name', 'chain', 'volume', 'tool', 'origin'))
     if 'volume' not in keys:
         raise node.fail("the key 'volume' is missing; give the travels of X, Y, Z [m]")
     chain = keys['chain'].text().upper() if 'chain' in keys else 'FXYZ'
@@ -200,7 +200,8 @@ def _machine(node: Reader) -> Machine:
         raise keys['chain'].fail(f"is {chain!r}; write F, X, Y and Z once each, e.g. 'FXYZ'")
     tool = keys['tool'].vector(3) if 'tool' in keys else (0.0, 0.0, 0.0)
     name = keys['name'].text() if 'name' in keys else 'machine'
-    return Machine(name, chain, keys['volume'].vector(3, above=0.0), tool)
+    origin = keys['origin'].vector(3, unit='m') if 'origin' in keys else None
+    return Machine(name, chain, keys['volume'].vector(3, above=0.0), tool, origin)
 
 
 def _plan(node: Reader) -> Plan:
