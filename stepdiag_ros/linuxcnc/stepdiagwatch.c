@@ -4,10 +4,11 @@
  *
  *   addf stepdiagwatch.update servo-thread
  *
- * While `armed` and `moving`, `beat` must change at least every `timeout` seconds.  If it does not, `inhibit`
- * (for motion.feed-inhibit) becomes true in the same servo cycle, the axes brake within their limits, and
- * `abort` (for halui.abort) ends the move so that nothing goes on afterwards.  Both stay until the axes stand
- * and the client gives signs of life again.
+ * `beat` changes with every sign of life of the client.  A move that begins with one, or sees one, is the
+ * client's: from then on `beat` must change at least every `timeout` seconds until `moving` is false.  If it
+ * does not, `inhibit` (for motion.feed-inhibit) becomes true in the same servo cycle, the axes brake within
+ * their limits, and `abort` (for halui.abort) ends the move so that nothing goes on afterwards.  Moves that
+ * somebody makes at the machine, without a client, are left alone.
  */
 #include "rtapi.h"
 #include "rtapi_app.h"
@@ -20,10 +21,11 @@ MODULE_LICENSE("Dual Apache-2.0/GPL");
 
 typedef struct {
     hal_u32_t *beat;             /* in: changes with every sign of life */
-    hal_bit_t *armed;            /* in: a remote client has the machine */
     hal_bit_t *moving;           /* in: a commanded move is under way */
     hal_float_t *timeout;        /* in: longest silence [s] */
     hal_float_t *silent;         /* out: present silence [s] */
+    hal_bit_t *hold;             /* in: hold the motion for another reason */
+    hal_bit_t *guarded;          /* out: the present move is the client's */
     hal_bit_t *inhibit;          /* out: hold the motion */
     hal_bit_t *abort;            /* out: end the move */
     hal_u32_t *trips;            /* out: how often so far */
@@ -31,8 +33,8 @@ typedef struct {
 
 static pins_t *pins;
 static hal_u32_t last_beat;
-static double silent;
-static int tripped, comp_id;
+static double silent = 1.0e9;    /* nobody was there yet */
+static int guarded, tripped, was_moving, comp_id;
 
 static void update(void *arg, long period)
 {
@@ -41,14 +43,17 @@ static void update(void *arg, long period)
     (void)arg;
     last_beat = *pins->beat;
     silent = alive ? 0.0 : silent + period * 1e-9;
-    if (!tripped && *pins->armed && *pins->moving && silent > *pins->timeout) {
+    if (!*pins->moving) guarded = tripped = 0;
+    else if (alive || (!was_moving && silent <= *pins->timeout)) guarded = 1;
+    was_moving = *pins->moving;
+    if (guarded && !tripped && silent > *pins->timeout) {
         tripped = 1;
         ++*pins->trips;
-    } else if (tripped && !*pins->moving && (alive || !*pins->armed))
-        tripped = 0;
+    }
     *pins->silent = silent;
-    *pins->inhibit = tripped;
-    *pins->abort = tripped && *pins->moving;
+    *pins->guarded = guarded;
+    *pins->inhibit = tripped || *pins->hold;
+    *pins->abort = tripped;
 }
 
 int rtapi_app_main(void)
@@ -61,10 +66,11 @@ int rtapi_app_main(void)
     if (!pins) { hal_exit(comp_id); return -1; }
     memset(pins, 0, sizeof *pins);
     bad |= hal_pin_u32_newf(HAL_IN, &pins->beat, comp_id, "stepdiagwatch.beat");
-    bad |= hal_pin_bit_newf(HAL_IN, &pins->armed, comp_id, "stepdiagwatch.armed");
     bad |= hal_pin_bit_newf(HAL_IN, &pins->moving, comp_id, "stepdiagwatch.moving");
     bad |= hal_pin_float_newf(HAL_IN, &pins->timeout, comp_id, "stepdiagwatch.timeout");
     bad |= hal_pin_float_newf(HAL_OUT, &pins->silent, comp_id, "stepdiagwatch.silent");
+    bad |= hal_pin_bit_newf(HAL_IN, &pins->hold, comp_id, "stepdiagwatch.hold");
+    bad |= hal_pin_bit_newf(HAL_OUT, &pins->guarded, comp_id, "stepdiagwatch.guarded");
     bad |= hal_pin_bit_newf(HAL_OUT, &pins->inhibit, comp_id, "stepdiagwatch.inhibit");
     bad |= hal_pin_bit_newf(HAL_OUT, &pins->abort, comp_id, "stepdiagwatch.abort");
     bad |= hal_pin_u32_newf(HAL_OUT, &pins->trips, comp_id, "stepdiagwatch.trips");
