@@ -6,21 +6,21 @@ from functools import cached_property
 
 from stepdiag_ros.estimate.evaluate import solution_of
 from stepdiag_ros.estimate.solution import Solution
-from stepdiag_ros.gap.averaged import averaged_solution
-from stepdiag_ros.gap.bands import Band, bands
-from stepdiag_ros.gap.closing import Closing, closing_over_setups
-from stepdiag_ros.gap.correlates import Correlate, correlates
-from stepdiag_ros.gap.hint import Hint
-from stepdiag_ros.gap.inside import Timing
-from stepdiag_ros.gap.joint import Joint
-from stepdiag_ros.gap.lines import Vibration
-from stepdiag_ros.gap.margins import Margins, margins
-from stepdiag_ros.gap.next_run import NextRun
-from stepdiag_ros.gap.observe import Observation
-from stepdiag_ros.gap.screen import Screen
-from stepdiag_ros.gap.search import EffectSet
-from stepdiag_ros.gap.volume import VolumeChange, volume_change
-from stepdiag_ros.gap.where import Share
+from stepdiag_ros.gap.experiment_design.next_run import NextRun
+from stepdiag_ros.gap.inference.averaged import averaged_solution
+from stepdiag_ros.gap.inference.candidates import Screen
+from stepdiag_ros.gap.inference.joint import Joint
+from stepdiag_ros.gap.inference.search import EffectSet
+from stepdiag_ros.gap.noise.incoherent_lines import Vibration
+from stepdiag_ros.gap.preprocess.observe import Observation
+from stepdiag_ros.gap.preprocess.timing import Timing
+from stepdiag_ros.gap.summary.bands import Band, bands
+from stepdiag_ros.gap.summary.correlates import Correlate, correlates
+from stepdiag_ros.gap.summary.cross_validation import Closing, closing_over_setups
+from stepdiag_ros.gap.summary.hint import Hint
+from stepdiag_ros.gap.summary.margins import Margins, margins
+from stepdiag_ros.gap.summary.volume import VolumeChange, volume_change
+from stepdiag_ros.gap.summary.where import Share
 from stepdiag_ros.model.log import CalibrationLog
 
 AXIS_LIKE = 3

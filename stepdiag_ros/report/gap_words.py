@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 
 from stepdiag_ros.estimate.solution import Solution
-from stepdiag_ros.gap.closing import closing
+from stepdiag_ros.gap.alternatives.unmodelled import NAME as UNKNOWN
+from stepdiag_ros.gap.constants import ALARM, CONFUSED
 from stepdiag_ros.gap.diagnosis import AXIS_LIKE, Diagnosis, Found
-from stepdiag_ros.gap.margins import AT_REST, MOVING, SETTLING
-from stepdiag_ros.gap.thresholds import ALARM, CONFUSED
-from stepdiag_ros.gap.unknown import NAME as UNKNOWN
-from stepdiag_ros.gap.volume import VolumeChange
+from stepdiag_ros.gap.summary.cross_validation import closing
+from stepdiag_ros.gap.summary.margins import AT_REST, MOVING, SETTLING
+from stepdiag_ros.gap.summary.volume import VolumeChange
 from stepdiag_ros.model.machine import CURVES, SQUARENESS
 from stepdiag_ros.report.series import reach
 from stepdiag_ros.report.words import (

@@ -1,0 +1,105 @@
+"""What no effect of the vocabulary does is not given the name of one, and what one does keeps its name."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from stepdiag_ros.effects import effect_class
+from stepdiag_ros.effects.base import Effect
+from stepdiag_ros.effects.cyclic_nonlinearity import DECOYS, WAVELENGTHS
+from stepdiag_ros.gap.alternatives.known_physics import BEARINGS, beyond_families
+from stepdiag_ros.gap.alternatives.unmodelled import inconsistent_forms
+from stepdiag_ros.gap.constants import SCATTER_ALARM
+from stepdiag_ros.gap.summary.cross_validation import Closing, excess_forecast
+
+
+class Leak(Effect):
+    """The spot leaks into the length and saturates."""
+
+    name = 'leak'
+
+    def after_light(self, moment):
+        moment.length = moment.length + 4e-5 * np.tanh(moment.spot[:, :1] / 5e-4)
+
+
+class Twist(Effect):
+    """The head turns with the direction of Z."""
+
+    name = 'twist'
+
+    def before_pose(self, moment):
+        moment.turn = moment.turn + 4e-6 * moment.approach[:, [2]] * np.array([1.0, 0.5, 0.0])
+
+
+class Bow(Effect):
+    """Y's guideway bends into an S in the course of the log."""
+
+    name = 'bow'
+
+    def before_pose(self, moment):
+        place = moment.commanded[:, 1] / 0.4
+        size = 6e-6 * (1.0 - np.exp(-moment.seconds / 400.0)) * np.sin(2.0 * np.pi * place)
+        moment.shift = moment.shift + size[:, None] * np.eye(3)[2]
+
+
+@pytest.mark.parametrize(('kind', 'words'), [(Leak, 'follows the spot'), (Twist, 'turned by the direction of Z'),
+                                             (Bow, 'changes its shape')])
+def test_physics_of_no_name_is_not_named(case, kind, words):
+    found = case.diagnose(kind())
+    assert not found.effects, [(e.name, e.probability) for e in found.effects]
+    assert found.verdict == 'unexplained'
+    assert words in found.leftover
+
+
+def test_a_fringe_keeps_its_name(case):
+    given = effect_class('cyclic_nonlinearity')(amp=1.2e-7, amp2=0.0, phase=0.4, wavelength=1.53e-6)
+    found = case.diagnose(given)
+    assert [e.name for e in found.effects] == ['cyclic_nonlinearity']
+    assert found.verdict == 'explained'
+
+
+def test_what_lives_in_one_group_cannot_differ_between_groups(case):
+    view = case.observe().view
+    slip = effect_class('count_slip')().appearance(view)[0]
+    assert not list(inconsistent_forms(view, [slip]))
+    everywhere = effect_class('psd_rotation')().appearance(view)[0]
+    assert {'setup', 'repeat'} <= {form.label.split()[-1] for form in inconsistent_forms(view, [everywhere])}
+
+
+def test_a_bad_forecast_is_seen_beyond_its_scatter():
+    def gain(ratio, count=530):
+        return excess_forecast(Closing(ratio, ratio, count, 530.0, 'repeat 1', 0.0, 0.0, 0.0))[0]
+    assert gain(0.8) == 0.0
+    assert gain(1.0 + 3.0 * np.sqrt(2.0 / 530)) < SCATTER_ALARM < gain(1.8)
+    assert gain(1.6, 20) < SCATTER_ALARM
+
+
+def test_decoys_are_of_no_laser():
+    """Neither a wavelength nor its half or double: those a real swing shows at too."""
+    for wavelength in WAVELENGTHS:
+        for factor in (0.5, 1.0, 2.0):
+            assert min(abs(d / (factor * wavelength) - 1.0) for d in DECOYS) > 0.02
+
+
+def test_columns_fit_their_log(case):
+    view = case.observe().view
+    for family, forms in beyond_families(view).items():
+        for form in forms:
+            assert form.columns.shape[1:] == view.reading.shape, family
+            assert np.all(np.isfinite(form.columns)) and np.any(form.columns), form.label
+
+
+def test_a_leak_between_two_bearings_is_followed(case):
+    """The net of bearings is coarse; half a mesh away hardly anything of a leak must be left."""
+    view = case.observe().view
+    across = np.stack([np.linspace(-8e-4, 8e-4, len(view.time)), 4e-4 * np.sin(np.arange(len(view.time)))], axis=1)
+    reading = view.model.copy()
+    reading[:, view.beams:] = across
+    angle = 0.5 * np.pi / BEARINGS
+    leak = np.tanh(across @ (np.cos(angle), np.sin(angle)) / 1e-3)
+    left = []
+    for form in beyond_families(replace(view, model=reading))['leak']:
+        columns = form.columns[:, :, 0].T
+        left.append(np.linalg.norm(leak - columns @ np.linalg.lstsq(columns, leak, rcond=None)[0]))
+    assert min(left) < 0.01 * np.linalg.norm(leak)
