@@ -101,7 +101,8 @@ class Instruments:
     ``namespace`` is the firmware's (``ids`` before 1.9, ``sen`` since); ``newline`` whether it ends
     an answer with one.  ``multiplexer`` names the machines that share the interferometer through an
     optical ``switch``, this one first (empty: it is this one's alone); ``machine_files`` are the cell
-    files of the others.
+    files of the others.  ``control`` of a virtual cell: ``virtual``, or ``linuxcnc`` for a real one;
+    ``config`` is the folder of its configuration, ``watch_port`` where its watchdog takes signs of life.
     """
 
     interferometer: Endpoint = Endpoint()
@@ -113,6 +114,9 @@ class Instruments:
     multiplexer: tuple[str, ...] = ()
     machine_files: tuple[str, ...] = ()
     switch: Endpoint = Endpoint()
+    control: str = 'virtual'
+    config: str = ''
+    watch_port: int = 0
     detector: Detector = Detector()
 
 
@@ -316,7 +320,14 @@ def _instruments(node: Reader | None, name: str) -> Instruments:
             detector['channels'] = channels
         given['detector'] = Detector(**detector)
     if 'cnc' in top:
-        given['cnc'] = _endpoint(top['cnc'].mapping(('host', 'port')))
+        keys = top['cnc'].mapping(('host', 'port', 'control', 'config', 'watch_port'))
+        given['cnc'] = _endpoint(keys)
+        if 'control' in keys:
+            given['control'] = keys['control'].text(('virtual', 'linuxcnc'))
+        if 'config' in keys:
+            given['config'] = keys['config'].text()
+        if 'watch_port' in keys:
+            given['watch_port'] = keys['watch_port'].count(0, 65535)
     return Instruments(**given)
 
 

@@ -43,7 +43,8 @@ class Machine:
         self.cell, self.history = cell, history
         self.estop, self.on, self.mode, self.error = True, False, 'MANUAL', 'OK'
         self.homed = [False] * 3
-        self._target = np.zeros(3)
+        self._origin = np.array(cell.description.machine.origin or (0.0, 0.0, 0.0))
+        self._target = np.zeros(3)    # in the volume, as the history has it
         self._end_ns = time.time_ns()
         self._feed = 0.0
         self._unit = 1e-3
@@ -57,10 +58,10 @@ class Machine:
         return time.time_ns() >= self._end_ns
 
     def position(self, actual: bool = True) -> np.ndarray:
-        """(3,) [m] now, of the axes or of the command."""
+        """(3,) [m] now, of the axes or of the command, in machine coordinates."""
         _, commanded, followed, _ = self.history.locate(np.array([time.time_ns()]),
                                                         self.cell.motion.settling)
-        return (followed if actual else commanded)[0]
+        return (followed if actual else commanded)[0] + self._origin
 
     # -- motion
 
@@ -91,7 +92,7 @@ class Machine:
         if 4 in g:
             self._end_ns = max(self._end_ns, time.time_ns()) + round(values.get('P', 0.0) * 1e9)
         elif any(axis in values for axis in 'XYZ'):
-            target = np.array([values[axis] * self._unit if axis in values else self._target[i]
+            target = np.array([values[axis] * self._unit - self._origin[i] if axis in values else self._target[i]
                                for i, axis in enumerate('XYZ')])
             self._go(target, self.cell.motion.feed if 0 in g else self._feed)
 
