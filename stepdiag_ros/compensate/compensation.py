@@ -8,7 +8,7 @@ reads it.  Tables are made only of what the log tells (:mod:`open_directions`), 
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -64,7 +64,6 @@ class Compensation:
     whole_volume: bool
     reversal: Mapping[str, tuple[float, float]]
     refusals: tuple[str, ...] = ()
-    notes: tuple[str, ...] = field(default_factory=tuple)
 
     @property
     def worst_before(self) -> tuple[float, float, np.ndarray]:
@@ -131,21 +130,19 @@ def compensation(solution: Solution, machine: Machine, control: Control, origin:
     points = _places(kept, machine, point, measured, whole, MOST_KNOTS)
     before = predict(kept, machine, points, point.tool)
     line = _of_line(kept, machine, point, control)
-    plain = line
-    if not control.whole_model and not exact and line:
+    plain, alone = line, _after(before, errors, machine, point, line)
+    if not control.whole_model and not exact and np.any(worsened(before, alone) > 0.0):
         plain = _harmless(line, kept, machine, point, measured, whole)
     wanted = _with_reversal(plain, lost)
     files, change = _written(control, place, wanted, held, measured)
     after = _after(before, errors, machine, point, change)
-    shortened = any(not np.allclose(plain[name].mean, line[name].mean, rtol=0.0, atol=1e-8) for name in line)
-    alone = _after(before, errors, machine, point, line) if shortened else None
     refusals += _harm(before, after, files, exact)
     undo = _undo(control, place, wanted, files, present or {})
     return Compensation(
         control, place, point, {} if refusals else files, {} if refusals else undo, change, before, after,
         as_measured(left_of(errors, change), kept.positions), kept,
-        _not_carried(kept, machine, point, control, points), alone, tuple(known.open), known.unmeasured, whole, lost,
-        tuple(refusals), ())
+        _not_carried(kept, machine, point, control, points), None if plain is line else alone, tuple(known.open),
+        known.unmeasured, whole, lost, tuple(refusals))
 
 
 def _used(control: Control, names: tuple[str, ...], solution: Solution, absent: tuple[str, ...]) -> list[str]:

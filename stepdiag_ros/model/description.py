@@ -27,7 +27,7 @@ def path_of(setup: str) -> str:
 class Machine:
     """A three-axis machine: name, kinematic chain, working volume [m], tool vector [m].
 
-    ``origin`` (3,) [m]: machine coordinates of the volume's lower corner; None where nobody said them.
+    ``origin`` [m]: machine coordinates of the volume's lower corner; None: not said.
     """
 
     name: str
