@@ -30,7 +30,7 @@ setup(
     maintainer=manifest.findtext('maintainer'),
     maintainer_email=manifest.find('maintainer').get('email'),
     packages=find_packages(include=[NAME, f'{NAME}.*']),
-    package_data={NAME: ['**/*.yaml', '**/*.html', '**/*.css', '**/*.js', '**/*.svg', '**/*.xml', '**/*.c', '**/*.h', '**/*.hal']},
+    package_data={NAME: [f'**/*.{kind}' for kind in ('yaml', 'html', 'css', 'js', 'svg', 'xml', 'c', 'h', 'hal')]},
     python_requires='>=3.11',
     install_requires=['setuptools', 'numpy', 'scipy', 'PyYAML', 'mcap', 'matplotlib', 'pymodbus'],
     zip_safe=False,

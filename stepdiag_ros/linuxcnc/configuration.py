@@ -135,6 +135,13 @@ def watched(ini: str, port: int, host: str = '127.0.0.1', silence_s: float = SIL
             f'{FOLDER}/heart.py': source('heart.py')}
 
 
+def unwatched(ini: str) -> dict[str, str | None]:
+    """Files that take the watchdog out of a configuration again; HALUI stays, others may use it."""
+    for key in ('HEART_HOST', 'HEART_PORT', 'SILENCE'):
+        ini = put(ini, 'STEPDIAG', key, [])
+    return {'machine.ini': with_halfile(ini, WATCH_HAL, False), WATCH_HAL: None, f'{FOLDER}/heart.py': None}
+
+
 def followed(ini: str, track: str) -> dict[str, str]:
     """Files that have the virtual sensors follow a simulated machine; ``track`` is the file they read."""
     ini = put(put(ini, 'STEPDIAG', 'FOLDER', [FOLDER]), 'STEPDIAG', 'TRACK', [track])
@@ -146,12 +153,11 @@ def compensated(ini: str, *, tables: Mapping[str, str] | None = None, matrix_hal
                 volume: str | None = None) -> dict[str, str | None]:
     """Files that compensate a machine, and ``machine.ini``; None for a file that has to go.
 
-    ``tables``: joint number's letter to the text of its screw table; ``matrix_hal``: lines for
-    ``matrixkins``; ``volume``: the solution file of the volumetric component.  What is not given is taken
-    out.  The volumetric component carries everything that the others do, so it comes alone.
+    ``tables``: axis letter to the text of its screw table; ``matrix_hal``: lines for ``matrixkins``; ``volume``:
+    the solution file of the volumetric component, instead of ``matrix_hal``.  What is not given is taken out.
     """
-    if volume is not None and (tables or matrix_hal is not None):
-        raise ValueError('the volumetric component replaces tables and matrix')
+    if volume is not None and matrix_hal is not None:
+        raise ValueError('there is one kinematics module: the volumetric component or matrixkins')
     files: dict[str, str | None] = {}
     for number, letter in enumerate(AXES):
         name, text = f'{FOLDER}/{letter.lower()}.comp', (tables or {}).get(letter)
@@ -178,6 +184,20 @@ def compensated(ini: str, *, tables: Mapping[str, str] | None = None, matrix_hal
     files |= {VOLUME: volume, VOLUME_HAL: None if volume is None else lines, MATRIX_HAL: matrix_hal}
     ini = with_halfile(ini, MATRIX_HAL, matrix_hal is not None)
     return files | {'machine.ini': with_halfile(ini, VOLUME_HAL, volume is not None)}
+
+
+def ini_file(folder: Path) -> Path:
+    """The INI file of a configuration folder; there has to be one alone."""
+    found = sorted(folder.glob('*.ini'))
+    if len(found) != 1:
+        raise StepdiagError(f'{folder}: holds {len(found)} INI files; name the folder of a LinuxCNC configuration '
+                            'with one alone')
+    return found[0]
+
+
+def renamed(files: Mapping[str, str | None], ini: str) -> dict[str, str | None]:
+    """The files with the INI file's own name."""
+    return {ini if name == 'machine.ini' else name: text for name, text in files.items()}
 
 
 def write(folder: Path, files: Mapping[str, str | None]) -> None:

@@ -11,11 +11,12 @@ The solution file is text: a first line with the version, the values in mm and r
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from stepdiag_ros.errors import StepdiagError
-from stepdiag_ros.model.machine import AXES, SQUARENESS, GeometricErrors, tool_pose
+from stepdiag_ros.model.machine import AXES, CURVES, SQUARENESS, Curve, GeometricErrors, tool_pose
 
 FIRST_LINE = 'stepdiag-volume 1'
 MOST_KNOTS = 200
@@ -94,6 +95,49 @@ def largest_error(errors: GeometricErrors, tool: Sequence[float], travel: Sequen
     """Largest component [m] of the error in the volume; it is at a crossing of knots."""
     grid = np.stack(np.meshgrid(*knots(errors, travel), indexing='ij'), -1).reshape(-1, 3)
     return float(np.max(np.abs(field(errors, grid, tool, travel, chain))))
+
+
+@dataclass(frozen=True)
+class Volume:
+    """A solution file read back: errors in m and rad, ``tool``, ``origin``, ``travel`` (3,) [m], ``chain``."""
+
+    errors: GeometricErrors
+    chain: str
+    tool: tuple[float, float, float]
+    origin: tuple[float, float, float]
+    travel: tuple[float, float, float]
+
+    def taken_off(self, axes: np.ndarray) -> np.ndarray:
+        """What the component moves the joints by (n, 3) [m], axes less joints, at axis positions (n, 3) [m]."""
+        axes = np.atleast_2d(np.asarray(axes, float))
+        return axes - inverse(self.errors, axes, self.tool, self.travel, self.chain)
+
+
+def read_volume(text: str, source: str = 'volume.txt') -> Volume:
+    """A solution file as the component takes it; :class:`StepdiagError` where the component would refuse it."""
+    body, _, end = text.rpartition('end ')
+    if not text.startswith(FIRST_LINE + '\n') or end.strip() != f'{check_sum(body):08x}':
+        raise StepdiagError(f'{source}: is no whole solution file of the volumetric component; write it again')
+    lines = iter([line.split() for line in body.splitlines()[1:] if not line.startswith('#')])
+    said: dict[str, list[str]] = {}
+    curves: dict[str, Curve] = {}
+    for key, *values in lines:
+        if key != 'axis':
+            said[key] = values
+            continue
+        letter, count = values[0], int(values[1])
+        rows = np.array([[float(v) for v in next(lines)] for _ in range(count)])
+        for column, motion in enumerate('XYZABC'):
+            curves[f'E{motion}{letter}'] = Curve(1e-3 * rows[:, 0], rows[:, 1 + column] * (1e-3 if column < 3 else 1.0))
+
+    def metres(key: str) -> tuple[float, float, float]:
+        x, y, z = (1e-3 * float(v) for v in said[key])
+        return x, y, z
+
+    square = dict(zip(SQUARENESS, map(float, said['square']), strict=True))
+    x, y, z = (float(curves[f'EX{letter}'].position[-1]) for letter in AXES)
+    return Volume(GeometricErrors({name: curves[name] for name in CURVES}, square), said['chain'][0], metres('tool'),
+                  metres('origin'), (x, y, z))
 
 
 def check_sum(text: str) -> int:

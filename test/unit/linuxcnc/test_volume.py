@@ -120,7 +120,8 @@ def test_python_and_c_agree_outside_the_volume_and_backwards(tmp_path):
 
 @needs_gcc
 @pytest.mark.parametrize('change, wrong', [
-    (lambda t: ''.join(t.splitlines(True)[:12]), 'end'), (lambda t: t[:len(t) // 2], 'does not end'), (lambda t: t.rsplit('end', 1)[0], 'end'),
+    (lambda t: ''.join(t.splitlines(True)[:12]), 'end'), (lambda t: t[:len(t) // 2], 'does not end'),
+    (lambda t: t.rsplit('end', 1)[0], 'end'),
     (lambda t: t.replace('limit 0.', 'limit 9.'), 'check sum'), (lambda t: '', 'first line'),
     (lambda t: t.replace('stepdiag-volume 1', 'stepdiag-volume 2'), 'first line')])
 def test_a_damaged_file_compensates_nothing(tmp_path, change, wrong):
@@ -168,3 +169,21 @@ def test_the_matrix_undoes_squareness_and_scale():
 def test_a_name_cannot_end_its_line():
     text = volume.volume_file(drawn_errors(), 'a\nlimit 1', TOOL, TRAVEL)
     assert sum(line.startswith('limit') for line in text.splitlines()) == 1
+
+
+def test_a_file_is_read_back_as_it_was_written():
+    errors = drawn_errors()
+    again = volume.read_volume(volume.volume_file(errors, 'a', TOOL, TRAVEL, ORIGIN, 'XFYZ'))
+    assert (again.chain, again.tool, again.travel) == ('XFYZ', TOOL, pytest.approx(TRAVEL, abs=1e-12))
+    np.testing.assert_allclose(again.origin, ORIGIN, atol=1e-12)
+    places = np.random.default_rng(5).uniform(0.0, TRAVEL, (40, 3))
+    np.testing.assert_allclose(volume.field(again.errors, places, TOOL, TRAVEL, 'XFYZ'),
+                               volume.field(errors, places, TOOL, TRAVEL, 'XFYZ'), atol=1e-14)
+    # To first order what is taken off is the error at the place itself.
+    np.testing.assert_allclose(again.taken_off(places), volume.field(errors, places, TOOL, TRAVEL, 'XFYZ'), atol=2e-8)
+
+
+def test_half_a_file_is_not_read():
+    text = volume.volume_file(drawn_errors(), 'a', TOOL, TRAVEL)
+    with pytest.raises(StepdiagError, match='no whole solution file'):
+        volume.read_volume(text[:-200])
