@@ -74,6 +74,7 @@ class StepSequencer(StepdiagNode):
         super().__init__('step_sequencer')
         self.text('host', '127.0.0.1', 'host name or address of the machine control')
         self.count('port', PORT, 'TCP port of the machine control', 1, 65535)
+        self.count('watch_port', 0, "TCP port of the control's watchdog; 0: it has none", 0, 65535)
         self.number('timeout', 5.0, 'silence after which the control counts as stalled',
                     0.1, 120.0, 's')
         self.text('description_file', '', 'YAML file of the cell description')
@@ -157,7 +158,7 @@ class StepSequencer(StepdiagNode):
                                 'give three coordinates in metres')
         self.controller = LinuxCncRsh(self.value('host'), self.value('port'), origin,
                                       _codes(self.value('setup_codes')),
-                                      timeout_s=self.value('timeout'))
+                                      timeout_s=self.value('timeout'), watch_port=self.value('watch_port'))
         if self.value('lost_client') not in (NEXT_STOP, AT_ONCE):
             raise StepdiagError(f'step_sequencer: parameter lost_client is {self.value("lost_client")!r}; '
                                 f'choose {NEXT_STOP} or {AT_ONCE}')

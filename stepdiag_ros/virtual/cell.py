@@ -105,6 +105,8 @@ class Instruments:
     optical ``switch``, this one first (empty: it is this one's alone); ``machine_files`` are the cell
     files of the others.  ``watchdog`` [s]: the virtual control brakes when its client has said nothing
     for so long while the axes move.
+    ``control`` of a virtual cell: ``virtual``, or ``linuxcnc`` for a real one;
+    ``config`` is the folder of its configuration, ``watch_port`` where its watchdog takes signs of life.
     """
 
     interferometer: Endpoint = Endpoint()
@@ -116,6 +118,9 @@ class Instruments:
     multiplexer: tuple[str, ...] = ()
     machine_files: tuple[str, ...] = ()
     switch: Endpoint = Endpoint()
+    control: str = 'virtual'
+    config: str = ''
+    watch_port: int = 0
     detector: Detector = Detector()
     watchdog: float = 0.5
 
@@ -361,10 +366,16 @@ def _instruments(node: Reader | None, name: str) -> Instruments:
             detector['channels'] = channels
         given['detector'] = Detector(**detector)
     if 'cnc' in top:
-        keys = top['cnc'].mapping(('host', 'port', 'watchdog'))
+        keys = top['cnc'].mapping(('host', 'port', 'watchdog', 'control', 'config', 'watch_port'))
         given['cnc'] = _endpoint(keys)
         if 'watchdog' in keys:
             given['watchdog'] = keys['watchdog'].number(minimum=0.05, maximum=10.0, unit='s')
+        if 'control' in keys:
+            given['control'] = keys['control'].text(('virtual', 'linuxcnc'))
+        if 'config' in keys:
+            given['config'] = keys['config'].text()
+        if 'watch_port' in keys:
+            given['watch_port'] = keys['watch_port'].count(0, 65535)
     return Instruments(**given)
 
 
