@@ -9,7 +9,6 @@ holds enough for.
 """
 
 import argparse
-import json
 
 import numpy as np
 
@@ -19,6 +18,7 @@ from stepdiag_ros.estimate.gauge import STRAIGHTNESS
 from stepdiag_ros.estimate.methods import METHODS, run_method
 from stepdiag_ros.estimate.solution import Solution
 from stepdiag_ros.estimate.traceability import WORDS
+from stepdiag_ros.guard.jsontext import to_json
 from stepdiag_ros.model.machine import CURVES, SQUARENESS
 
 NAME = 'evaluate'
@@ -49,7 +49,7 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         documents = {bag: result.to_json_dict() for bag, result in answers.items()}
         whole = documents if len(args.bag) > 1 else next(iter(documents.values()))
-        print(json.dumps(whole, indent=1))
+        print(to_json(whole))
     else:
         for bag, result in answers.items():
             print(text(bag, result) if isinstance(result, Solution)

@@ -11,7 +11,6 @@ with all correlations; --draws adds Monte Carlo (GUM Supplement 1) through the f
 """
 
 import argparse
-import json
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +27,9 @@ from stepdiag_ros.estimate.propagate import (
 from stepdiag_ros.estimate.readings import readings_of_stops
 from stepdiag_ros.estimate.reduce import StopTable
 from stepdiag_ros.estimate.solution import Solution
+from stepdiag_ros.guard import limits
+from stepdiag_ros.guard.files import read_text
+from stepdiag_ros.guard.jsontext import to_json
 from stepdiag_ros.model.budget import Budget
 from stepdiag_ros.model.log import CalibrationLog
 from stepdiag_ros.model.machine import CURVES, SQUARENESS
@@ -71,7 +73,7 @@ def run(args: argparse.Namespace) -> int:
     found, setting = (full.fit, full.uncertainty), full.setting
     drawn = None if args.draws is None else _draw(args, log, setting.table, found, setting)
     if args.json:
-        print(json.dumps(document(log, found, points, drawn), indent=1))
+        print(to_json(document(log, found, points, drawn)))
     else:
         print(text(log, found, points, drawn, args))
     return 0
@@ -80,11 +82,7 @@ def run(args: argparse.Namespace) -> int:
 def _budget(path: Path | None) -> Budget | None:
     if path is None:
         return None
-    try:
-        return Budget.from_yaml(path.read_text(encoding='utf-8'), str(path))
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, 'strerror', None) or 'not a text file'
-        raise StepdiagError(f'{path}: budget cannot be read: {reason}') from None
+    return Budget.from_yaml(read_text(path, limits.YAML_BYTES, 'budget'), str(path))
 
 
 def _point(words: str) -> list[float]:

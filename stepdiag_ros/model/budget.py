@@ -17,9 +17,9 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-import yaml
 
 from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.guard import strict_yaml
 
 SCHEMA = 1
 FROM_LOG = 'from log'
@@ -118,12 +118,7 @@ class Budget:
     @classmethod
     def from_yaml(cls, text: str, source: str = 'budget') -> 'Budget':
         """Parse and check; :class:`StepdiagError` names source, line and key."""
-        try:
-            node, data = yaml.compose(text, yaml.SafeLoader), yaml.safe_load(text)
-        except yaml.YAMLError as error:
-            mark = getattr(error, 'problem_mark', None)
-            raise StepdiagError(f'{source}:{mark.line + 1 if mark else 1}: not valid YAML: '
-                                f'{" ".join(str(getattr(error, "problem", error)).split())}') from None
+        node, data = strict_yaml.compose(text, source), strict_yaml.load(text, source)
         if not isinstance(data, dict) or data.get('schema') != SCHEMA:
             raise StepdiagError(f'{source}:1: schema is '
                                 f'{data.get("schema") if isinstance(data, dict) else None!r}; '
