@@ -78,7 +78,7 @@ def test_every_uncertainty_grows_or_stays(full, seed):
 @pytest.mark.parametrize('name', sorted(KNOWLEDGE))
 def test_what_is_known_about_a_log_only_helps(full, name):
     known, less = evaluate(full), evaluate(KNOWLEDGE[name](full))
-    assert np.all(less.sigma > (1.0 - 5e-3) * known.sigma)
+    assert np.all(less.sigma >= (1.0 - 5e-3) * known.sigma)
 
 
 def test_no_method_is_certain_without_repeats(full):
