@@ -68,7 +68,7 @@ def evaluate_in_full(log: CalibrationLog, budget: Budget | None = None) -> Evalu
     solution = solution_of(result, table, log.warnings + table.warnings)
     setting = Setting.of_fit(log.description, table, result, metres.conditions)
     # Residuals larger than the noise says: whatever it is, repeats alone do not show how uncertain the errors are.
-    found = propagate(budget, setting, result, solution, np.sqrt(max(solution.reduced_chi2, 1.0)))
+    found = propagate(budget, setting, result, solution, np.sqrt(max(solution.reduced_chi2, 1.0)), weighed=True)
     whose = 'cell' if own and log.description.budget is not None else 'standard' if own else 'given'
     unit_sigma = index_sigma(budget, metres.conditions)
     return Evaluation(metres, result, setting, replace(found, solution=tied(
