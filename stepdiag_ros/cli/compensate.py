@@ -23,7 +23,6 @@ from stepdiag_ros.errors import StepdiagError
 
 NAME = 'compensate'
 HELP = 'compensation tables for a control'
-K = 2.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -47,12 +46,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     from stepdiag_ros.bag.reader import read_log
+    from stepdiag_ros.cli.known import known_errors
     from stepdiag_ros.compensate.compensation import compensation
     from stepdiag_ros.compensate.controls import CONTROLS
     from stepdiag_ros.compensate.document import NAME as PREDICTION
     from stepdiag_ros.compensate.document import document
     from stepdiag_ros.compensate.metres import not_metres
-    from stepdiag_ros.estimate import evaluate
     from stepdiag_ros.report.compensation_figure import draw_compensation
     from stepdiag_ros.report.compensation_words import readme, summary
 
@@ -67,10 +66,9 @@ def run(args: argparse.Namespace) -> int:
     if origin is None and machine.origin is not None:
         origin = np.array(machine.origin)
     point = _point(machine, origin, tool, line, workpiece)
-    solution = evaluate(log)
-    reversal, notes = _reversal(log, args.bag)
-    found = compensation(solution, machine, CONTROLS[args.format], origin, point, present, args.partial, args.exact,
-                         not_metres(solution, log), reversal)
+    known = known_errors(log, args.bag)
+    found = compensation(known.solution, machine, CONTROLS[args.format], origin, point, present, args.partial,
+                         args.exact, not_metres(known.solution, log), known.reversal)
     if args.json:
         print(json.dumps(document(found, args.bag), indent=1))
     elif found.refusals:
@@ -91,7 +89,7 @@ def run(args: argparse.Namespace) -> int:
         for file in (*found.files, 'prediction.png', PREDICTION, 'README.txt'):
             print(args.out / file)
         print(f'the way back: {args.out / "before"}')
-        for note in notes:
+        for note in known.notes:
             print(f'note: {note}')
     return 0
 
@@ -148,22 +146,3 @@ def _must_be_ours(out: Path, prediction: str) -> None:
         raise StepdiagError(f'{out}: is a file; name a folder with --out')
     if out.is_dir() and any(out.iterdir()) and not (out / prediction).is_file():
         raise StepdiagError(f'{out}: holds other files; name a new folder with --out, so that nothing is overwritten')
-
-
-def _reversal(log, bag: str) -> tuple[dict[str, tuple[float, float]], list[str]]:
-    """Lost motion of each axis with U [m] as the diagnosis finds it, and what else it finds, in words."""
-    from stepdiag_ros.effects import all_effects
-    from stepdiag_ros.gap.diagnose import diagnose
-
-    diagnosis = diagnose(log, [kind() for kind in all_effects([]).values()])
-    reversal: dict[str, tuple[float, float]] = {}
-    others = [found.name for found in diagnosis.effects if found.name != 'backlash']
-    for found in diagnosis.effects:
-        if found.name == 'backlash':
-            reversal = {axis: (found.parameters[axis], K * found.sigma[axis]) for axis in 'XYZ'
-                        if axis in found.parameters}
-    notes = []
-    if others or diagnosis.leftover:
-        what = ', '.join(others) or 'something that no known cause explains'
-        notes.append(f'the log shows {what}: read `stepdiag gap {bag}` before you load these')
-    return reversal, notes

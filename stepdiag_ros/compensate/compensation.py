@@ -74,6 +74,15 @@ class Compensation:
     def worst_after(self) -> tuple[float, float, np.ndarray]:
         return worst(self.after)
 
+    @property
+    def as_measured(self) -> Prediction:
+        """What a measurement afterwards will show at the same points: the same machine from its own reference lines.
+
+        ``after`` counts from the lines of the measurement before; tables across axes turn those lines.
+        """
+        shown = deviation(self.predicted, self.place.machine, self.after.points, self.point.tool)
+        return Prediction(self.after.points, shown, self.after.covariance_m2)
+
     def checked(self) -> 'Compensation':
         """This, or :class:`StepdiagError` with every reason why nothing may be written."""
         if self.refusals:

@@ -33,6 +33,7 @@ def document(found: Compensation, log: str) -> dict[str, Any]:
         'origin_m': _list(found.place.origin), 'tool_m': _list(found.point.tool),
         'line_m': _list(found.point.line), 'whole_volume': found.whole_volume,
         'before': _volumetric(found.before), 'after': _volumetric(found.after),
+        'after_as_measured': _volumetric(found.as_measured),
         'line_alone': _volumetric(found.line_alone) if found.line_alone else None,
         'not_carried_m': {name: value for name, value in found.not_carried.items() if value > 1e-9},
         'left_out': list(found.left_out), 'not_measured': list(found.unmeasured),
@@ -79,7 +80,8 @@ def predicted_of(text: str, source: str) -> Predicted:
         square = {n: float(told[n]['value']) for n in SQUARENESS if n in told}
         sigma = {n: np.atleast_1d(np.array(told[n]['sigma'], float)) for n in told}
         return Predicted(data['format'], np.array(data['tool_m'], float), GeometricErrors(curves, square), sigma,
-                         float(data['after']['largest_m']), float(data['after']['U_m']), bool(data['whole_volume']))
+                         float(data['after_as_measured']['largest_m']),
+                         float(data['after_as_measured']['U_m']), bool(data['whole_volume']))
     except (ValueError, KeyError, TypeError) as error:
         raise StepdiagError(f'{source}: is not a {NAME} as `stepdiag compensate` writes it '
                             f'({type(error).__name__}: {str(error)[:60]})') from None

@@ -22,7 +22,8 @@ def summary(found: Compensation) -> str:
              f'  functional point   tool ({tool}) mm' + (
                  '' if found.control.whole_model else f', lines through ({line}) mm in machine coordinates'),
              f'  largest deviation  now        {_figure(found.before)}',
-             f'                     predicted  {_figure(found.after)}; {where}']
+             f'                     predicted  {_figure(found.after)}; {where}',
+             f'                     to be measured  {_figure(found.as_measured)}, from its own reference lines']
     if found.line_alone is not None:
         more = worsened(found.before, found.line_alone) > 0.0
         most = float((found.line_alone.size_m - found.before.size_m).max())
