@@ -1,6 +1,6 @@
 """Decide by a log before and a log after whether a machine conforms to tolerances.
 
-Shows the volumetric error, E and B of ISO 230-6 and the 21 errors before and after, each with U (k = 2), decides by
+Shows the volumetric error, E and B of ISO 230-6 and the 21 errors before and after, each with U, decides by
 ISO 14253-1 (conforms, does not conform, undecided), checks the measurement against the prediction that came with the
 tables, and writes DIR/index.html and DIR/verify.json.
 
@@ -91,7 +91,7 @@ def text(found) -> str:
     from stepdiag_ros.report.verify_page import UNITS as SHOWN
     from stepdiag_ros.report.verify_page import number
 
-    lines = [f'{found.machine.name}: {found.decision} (ISO 14253-1, U with k = 2)', '',
+    lines = [f'{found.machine.name}: {found.decision} (ISO 14253-1; U with k = 2, of the volumetric error 95 %)', '',
              f'{"figure":11}{"":5}{"before":>9} {"U":>7} {"after":>9} {"U":>7} {"tolerance":>10}  decision']
     for f in found.figures:
         line = (f'{f.name:11}{SHOWN[f.unit]:5}{number(f.before):>9} {number(f.before_spread):>7} '

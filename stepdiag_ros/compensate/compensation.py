@@ -9,12 +9,14 @@ reads it.  Tables are made only of what the log tells (:mod:`open_directions`), 
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from stepdiag_ros.compensate.control import Control, Place
 from stepdiag_ros.compensate.functional import FunctionalPoint, functional_point, tables_of_line
 from stepdiag_ros.compensate.harmless import held_back
+from stepdiag_ros.compensate.largest import largest_spread
 from stepdiag_ros.compensate.open_directions import openness, without
 from stepdiag_ros.compensate.taken import Taken, Trim, added, as_measured, difference, left_of
 from stepdiag_ros.errors import StepdiagError
@@ -65,14 +67,19 @@ class Compensation:
     reversal: Mapping[str, tuple[float, float]]
     refusals: tuple[str, ...] = ()
 
-    @property
+    @cached_property
     def worst_before(self) -> tuple[float, float, np.ndarray]:
-        """Largest deviation, its U (k = 2) and its place, all [m]."""
-        return worst(self.before)
+        """Largest deviation, its U (95 %) and its place, all [m]."""
+        return self.worst(self.before)
 
-    @property
+    @cached_property
     def worst_after(self) -> tuple[float, float, np.ndarray]:
-        return worst(self.after)
+        """The same with the tables in force."""
+        return self.worst(self.after)
+
+    def worst(self, field: Prediction) -> tuple[float, float, np.ndarray]:
+        """The same of any field at these points."""
+        return worst(self.solution, self.place.machine, self.point.tool, field)
 
     @property
     def as_measured(self) -> Prediction:
@@ -90,15 +97,16 @@ class Compensation:
         return self
 
 
-def worst(prediction: Prediction) -> tuple[float, float, np.ndarray]:
-    """Largest deviation of a prediction, its U (k = 2), its place, all [m]."""
-    row = int(np.argmax(prediction.size_m))
-    return float(prediction.size_m[row]), K * float(prediction.size_sigma_m[row]), prediction.points[row]
+def worst(solution: Solution, machine: Machine, tool: np.ndarray, field: Prediction
+          ) -> tuple[float, float, np.ndarray]:
+    """Largest deviation of a field of ``solution`` for ``tool``, its U (95 %), its place, all [m]."""
+    row = int(np.argmax(field.size_m))
+    return float(field.size_m[row]), largest_spread(solution, machine, tool, field), field.points[row]
 
 
 def worsened(before: Prediction, after: Prediction) -> np.ndarray:
     """By how much each place becomes worse beyond its U (n,) [m]; negative or zero: it does not."""
-    return after.size_m - before.size_m - K * after.size_sigma_m
+    return after.size_m - before.size_m - K * np.maximum(before.size_sigma_m, after.size_sigma_m)
 
 
 def compensation(solution: Solution, machine: Machine, control: Control, origin: np.ndarray | None = None,
@@ -277,15 +285,17 @@ def _harm(before: Prediction, after: Prediction, files: Mapping[str, str], exact
     """Reasons in the numbers themselves not to write tables."""
     if not files:
         return []
-    size, spread, _ = worst(before)
     more = worsened(before, after)
     row = int(np.argmax(more))
     if more[row] > 0.0:
         at = ', '.join(f'{1e3 * c:.0f}' for c in before.points[row])
+        spread = K * max(before.size_sigma_m[row], after.size_sigma_m[row])
         return [f'the place ({at}) mm of the volume would become worse beyond its U, from '
-                f'{1e6 * before.size_m[row]:.1f} to {1e6 * after.size_m[row]:.1f} µm '
-                f'(U = {1e6 * K * after.size_sigma_m[row]:.1f} µm, k = 2), and {100.0 * np.mean(more > 0.0):.0f} % of '
-                'all places with it' + ('; without --exact the tables are held back' if exact else '')]
+                f'{1e6 * before.size_m[row]:.1f} to {1e6 * after.size_m[row]:.1f} µm (U = {1e6 * spread:.1f} µm, k = 2), '
+                f'and {100.0 * np.mean(more > 0.0):.0f} % of all places with it'
+                + ('; without --exact the tables are held back' if exact else '')]
+    row = int(np.argmax(before.size_m))
+    size, spread = before.size_m[row], K * before.size_sigma_m[row]
     if spread > size:
         return [f'the largest deviation, {1e6 * size:.1f} µm, is known to U = {1e6 * spread:.1f} µm (k = 2) only; '
                 'measure with more repeats']

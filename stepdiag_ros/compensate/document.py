@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from stepdiag_ros.compensate.compensation import Compensation, K, worst
+from stepdiag_ros.compensate.compensation import Compensation, K
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate.prediction import Prediction
 from stepdiag_ros.model.machine import CURVES, SQUARENESS, Curve, GeometricErrors
@@ -32,9 +32,9 @@ def document(found: Compensation, log: str) -> dict[str, Any]:
         'written': not found.refusals, 'refused': list(found.refusals),
         'origin_m': _list(found.place.origin), 'tool_m': _list(found.point.tool),
         'line_m': _list(found.point.line), 'whole_volume': found.whole_volume,
-        'before': _volumetric(found.before), 'after': _volumetric(found.after),
-        'after_as_measured': _volumetric(found.as_measured),
-        'line_alone': _volumetric(found.line_alone) if found.line_alone else None,
+        'before': _volumetric(found, found.before), 'after': _volumetric(found, found.after),
+        'after_as_measured': _volumetric(found, found.as_measured),
+        'line_alone': _volumetric(found, found.line_alone) if found.line_alone else None,
         'not_carried_m': {name: value for name, value in found.not_carried.items() if value > 1e-9},
         'left_out': list(found.left_out), 'not_measured': list(found.unmeasured),
         'reversal_m': {axis: {'value': value, 'U': spread} for axis, (value, spread) in found.reversal.items()},
@@ -43,9 +43,9 @@ def document(found: Compensation, log: str) -> dict[str, Any]:
         'files': {name: hashlib.sha256(text.encode()).hexdigest() for name, text in found.files.items()}}
 
 
-def _volumetric(prediction: Prediction) -> dict[str, Any]:
-    size, spread, place = worst(prediction)
-    return {'largest_m': size, 'U_m': spread, 'at_m': _list(place),
+def _volumetric(found: Compensation, prediction: Prediction) -> dict[str, Any]:
+    size, spread, place = found.worst(prediction)
+    return {'largest_m': size, 'U_m': spread, 'coverage': 0.95, 'at_m': _list(place),
             'mean_m': float(np.mean(prediction.size_m)), 'places': len(prediction.points)}
 
 

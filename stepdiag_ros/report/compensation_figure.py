@@ -28,7 +28,7 @@ def draw_compensation(found: Compensation, path: Path) -> None:
                 fontsize=15, color=INK, weight='bold', va='center')
     now, then = found.worst_before, found.worst_after
     figure.text(0.03, 0.915, f'largest deviation {1e6 * now[0]:.1f} µm (U = {1e6 * now[1]:.1f}) → predicted '
-                f'{1e6 * then[0]:.1f} µm (U = {1e6 * then[1]:.1f}), k = 2; tool '
+                f'{1e6 * then[0]:.1f} µm (U = {1e6 * then[1]:.1f}), 95 %; tool '
                 f'({", ".join(f"{1e3 * c:.0f}" for c in found.point.tool)}) mm', fontsize=10, color=FAINT, va='center')
     if found.whole_volume:
         draw_planes(figure, {'before': found.before, 'after': found.after}, 0.69, found.point.line)

@@ -26,7 +26,7 @@ def number(value: float | None) -> str:
 def agreement_words(agreement: Agreement) -> str:
     """Whether the measurement is as predicted, in a sentence."""
     text = (f'largest deviation {1e6 * agreement.volumetric:+.2f} µm from the predicted one '
-            f'(U = {1e6 * agreement.spread:.2f} µm, k = 2)')
+            f'(U = {1e6 * agreement.spread:.2f} µm, 95 %)')
     if agreement.agrees:
         return f'as predicted: {text}'
     off = ', '.join(f'{name} ({score:.1f} combined standard uncertainties)' for name, score in agreement.off.items())
@@ -40,14 +40,15 @@ def verify_page(found: Verified, before: Solution, after: Solution, names: tuple
     worst = next(f for f in found.figures if f.name == VOLUMETRIC)
     head = (f'<header><div class="kicker">Machine {escape(found.machine.name)} · before: {escape(names[0])} · after: '
             f'{escape(names[1])}</div><h1>The largest deviation in the volume went from {number(worst.before)} to '
-            f'{number(worst.after)} µm (U = {number(worst.after_spread)} µm, k = 2).</h1>'
+            f'{number(worst.after)} µm (U = {number(worst.after_spread)} µm, 95 %).</h1>'
             f'<p><span class="badge {BADGE[found.decision]}">{escape(found.decision)}</span></p>'
             '<p class="lead">Decided by ISO 14253-1: a figure conforms where it lies inside its tolerance by its U or '
             'more, does not where it lies outside by more than U, and is undecided between.</p></header>')
     rows = [[escape(NAMES.get(f.name, f.name)), UNITS[f.unit], number(f.before), number(f.before_spread),
              f'<b>{number(f.after)}</b>', number(f.after_spread), number(f.tolerance), escape(f.decision)]
             for f in found.figures]
-    head += '<h2>Figures</h2><p>Of the 21 errors the largest absolute value; U of k = 2.</p>' + table(
+    head += ('<h2>Figures</h2><p>Of the 21 errors the largest absolute value. U of k = 2, of the volumetric error '
+             '95 %.</p>') + table(
         ['figure', 'unit', '>before', '>U', '>after', '>U', '>tolerance', 'decision'], rows)
     if found.agreement is not None:
         kind = '' if found.agreement.agrees else ' warn2'
