@@ -291,8 +291,8 @@ def _harm(before: Prediction, after: Prediction, files: Mapping[str, str], exact
         at = ', '.join(f'{1e3 * c:.0f}' for c in before.points[row])
         spread = K * max(before.size_sigma_m[row], after.size_sigma_m[row])
         return [f'the place ({at}) mm of the volume would become worse beyond its U, from '
-                f'{1e6 * before.size_m[row]:.1f} to {1e6 * after.size_m[row]:.1f} µm (U = {1e6 * spread:.1f} µm, k = 2), '
-                f'and {100.0 * np.mean(more > 0.0):.0f} % of all places with it'
+                f'{1e6 * before.size_m[row]:.1f} to {1e6 * after.size_m[row]:.1f} µm '
+                f'(U = {1e6 * spread:.1f} µm, k = 2), and {100.0 * np.mean(more > 0.0):.0f} % of all places with it'
                 + ('; without --exact the tables are held back' if exact else '')]
     row = int(np.argmax(before.size_m))
     size, spread = before.size_m[row], K * before.size_sigma_m[row]
