@@ -14,12 +14,12 @@ those of the line as they are, or none.
 """
 
 import argparse
-import json
 from pathlib import Path
 
 import numpy as np
 
 from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.guard.jsontext import to_json
 
 NAME = 'compensate'
 HELP = 'compensation tables for a control'
@@ -70,13 +70,13 @@ def run(args: argparse.Namespace) -> int:
     found = compensation(known.solution, machine, CONTROLS[args.format], origin, point, present, args.partial,
                          args.exact, not_metres(known.solution, log), known.reversal)
     if args.json:
-        print(json.dumps(document(found, args.bag), indent=1))
+        print(to_json(document(found, args.bag)))
     elif found.refusals:
         print(summary(found))
     found.checked()
     name = Path(args.bag).resolve().stem
     files = {**found.files, **found.before_files, 'README.txt': readme(found, name),
-             PREDICTION: json.dumps(document(found, name), indent=1) + '\n'}
+             PREDICTION: to_json(document(found, name)) + '\n'}
     try:
         for file, text in files.items():
             (args.out / file).parent.mkdir(parents=True, exist_ok=True)

@@ -5,7 +5,7 @@ ISO 14253-1 (conforms, does not conform, undecided), checks the measurement agai
 tables, and writes DIR/index.html and DIR/verify.json.
 
 A tolerance is a length with its unit for the volumetric error, or NAME=VALUE for E, B or one of the 21 errors.
-Exit status: 0 conforms, 1 does not conform, 3 undecided, 2 bad input, logs not corrected for air among them.
+Exit status: 0 conforms, 1 does not conform, 4 undecided, 2 bad input, logs not corrected for air among them.
 
   stepdiag verify bags/before bags/after --tolerance 12um
   stepdiag verify bags/before bags/after --tolerance 12um E=8um EC0Y=15urad --prediction tables/prediction.json
@@ -83,7 +83,7 @@ def run(args: argparse.Namespace) -> int:
         if found.agreement is not None:
             print(agreement_words(found.agreement))
         print(*(f'note: {note}' for note in notes), f'page: {args.out / "index.html"}', sep='\n')
-    return {CONFORMS: 0, FAILS: 1}.get(found.decision, 3)
+    return {CONFORMS: 0, FAILS: 1}.get(found.decision, 4)
 
 
 def text(found) -> str:

@@ -28,7 +28,8 @@ def summary(found: Compensation) -> str:
         more = worsened(found.before, found.line_alone) > 0.0
         most = float((found.line_alone.size_m - found.before.size_m).max())
         lines.append(f'  held back          the tables of the line alone would leave '
-                     f'{_figure(found, found.line_alone)}, and make {100.0 * float(more.mean()):.0f} % of the places worse beyond their U, by up to '
+                     f'{_figure(found, found.line_alone)}, and make '
+                     f'{100.0 * float(more.mean()):.0f} % of the places worse beyond their U, by up to '
                      f'{1e6 * most:.1f} µm')
     rest = {name: value for name, value in found.not_carried.items() if value >= LEAST_SAID_M}
     if rest:
