@@ -19,6 +19,8 @@ from pathlib import Path
 import numpy as np
 
 from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.guard import limits
+from stepdiag_ros.guard.files import read_text
 from stepdiag_ros.guard.jsontext import to_json
 
 NAME = 'compensate'
@@ -132,11 +134,7 @@ def _present(paths: list[Path], out: Path) -> dict[str, str]:
             continue
         if path.name in files:
             raise StepdiagError(f'--present: two files are called {path.name}; give those that the control holds')
-        try:
-            files[path.name] = path.read_text(encoding='utf-8')
-        except (OSError, UnicodeDecodeError) as error:
-            reason = error.strerror if isinstance(error, OSError) else 'it is not UTF-8 text'
-            raise StepdiagError(f'--present {path}: cannot be read: {reason}') from None
+        files[path.name] = read_text(path, limits.TEXT_BYTES, 'table that the control holds (--present)')
     return files
 
 

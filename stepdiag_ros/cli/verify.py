@@ -12,11 +12,13 @@ Exit status: 0 conforms, 1 does not conform, 4 undecided, 2 bad input, logs not 
 """
 
 import argparse
-import json
 import re
 from pathlib import Path
 
 from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.guard import limits
+from stepdiag_ros.guard.files import read_text
+from stepdiag_ros.guard.jsontext import to_json
 
 NAME = 'verify'
 HELP = 'decide by a log before and one after whether a machine conforms'
@@ -48,10 +50,8 @@ def run(args: argparse.Namespace) -> int:
     tolerances = _tolerances(args.tolerance)
     predicted = None
     if args.prediction is not None:
-        try:
-            predicted = predicted_of(args.prediction.read_text(encoding='utf-8'), str(args.prediction))
-        except (OSError, UnicodeDecodeError) as error:
-            raise StepdiagError(f'{args.prediction}: cannot be read: {error}') from None
+        told = read_text(args.prediction, limits.TEXT_BYTES, 'prediction (--prediction)')
+        predicted = predicted_of(told, str(args.prediction))
     logs = [read_log(bag, args.namespace) for bag in (args.before, args.after)]
     machine = logs[1].description.machine
     _same_machine(logs[0].description.machine, machine, args)
@@ -60,11 +60,11 @@ def run(args: argparse.Namespace) -> int:
         known = known_errors(log, bag)
         if reason := not_metres(known.solution, log):
             raise StepdiagError(f'{bag}: {reason}; nothing is verified')
-        told = openness(known.solution)
-        if told.open:
-            raise StepdiagError(f'{bag}: the log leaves {", ".join(told.open)} open ({"; ".join(told.runs)}); '
+        left = openness(known.solution)
+        if left.open:
+            raise StepdiagError(f'{bag}: the log leaves {", ".join(left.open)} open ({"; ".join(left.runs)}); '
                                 'nothing is verified')
-        solutions.append(without(known.solution, told.unmeasured))
+        solutions.append(without(known.solution, left.unmeasured))
         notes += [f'{Path(bag).name}: {note}' for note in known.notes]
     tests, runs = zip(*(_diagonals(log) for log in logs), strict=True)
     found = verified(*solutions, machine, tolerances, tests, runs, predicted)
@@ -72,12 +72,12 @@ def run(args: argparse.Namespace) -> int:
     names = (Path(args.before).name, Path(args.after).name)
     try:
         args.out.mkdir(parents=True, exist_ok=True)
-        (args.out / 'verify.json').write_text(json.dumps(document, indent=1) + '\n', encoding='utf-8')
+        (args.out / 'verify.json').write_text(to_json(document) + '\n', encoding='utf-8')
         (args.out / 'index.html').write_text(verify_page(found, *solutions, names, tuple(notes)), encoding='utf-8')
     except OSError as error:
         raise StepdiagError(f'{args.out}: cannot be written: {error.strerror or error}') from None
     if args.json:
-        print(json.dumps(document, indent=1))
+        print(to_json(document))
     else:
         print(text(found))
         if found.agreement is not None:

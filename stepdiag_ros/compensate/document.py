@@ -79,9 +79,16 @@ def predicted_of(text: str, source: str) -> Predicted:
                   for n in CURVES if n in told}
         square = {n: float(told[n]['value']) for n in SQUARENESS if n in told}
         sigma = {n: np.atleast_1d(np.array(told[n]['sigma'], float)) for n in told}
-        return Predicted(data['format'], np.array(data['tool_m'], float), GeometricErrors(curves, square), sigma,
+        tool = np.array(data['tool_m'], float)
+        numbers = [*(v for c in curves.values() for v in (c.position, c.value)), *sigma.values(), tool,
+                   np.array([*square.values(), data['after_as_measured']['largest_m']], float)]
+        lengths = [len(c.position) == len(c.value) == len(sigma[n]) > 0 and c.position.ndim == 1
+                   for n, c in curves.items()]
+        if not all(lengths) or tool.shape != (3,) or not all(np.all(np.isfinite(v)) for v in numbers):
+            raise ValueError('a number is missing or not finite')
+        return Predicted(str(data['format']), tool, GeometricErrors(curves, square), sigma,
                          float(data['after_as_measured']['largest_m']),
                          float(data['after_as_measured']['U_m']), bool(data['whole_volume']))
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise StepdiagError(f'{source}: is not a {NAME} as `stepdiag compensate` writes it '
                             f'({type(error).__name__}: {str(error)[:60]})') from None
