@@ -61,8 +61,8 @@ def run(args: argparse.Namespace) -> int:
         ('origin', args.origin), ('tool', args.tool), ('line', args.line), ('workpiece', args.workpiece)))
     if line is not None and workpiece is not None:
         raise StepdiagError('--line and --workpiece both name the lines; give one of them')
-    present = _present(args.present, args.out)
-    _must_be_ours(args.out, PREDICTION)
+    present = _present(args.present)
+    _must_be_new(args.out)
     log = read_log(args.bag, args.namespace)
     machine = log.description.machine
     if origin is None and machine.origin is not None:
@@ -122,14 +122,12 @@ def _point(machine, origin, tool, line, workpiece):
                             None if workpiece is None else workpiece - origin)
 
 
-def _present(paths: list[Path], out: Path) -> dict[str, str]:
+def _present(paths: list[Path]) -> dict[str, str]:
     """Texts of what the control holds, by name; folders give all their files."""
     files: dict[str, str] = {}
     found = [file for path in paths for file in
              (sorted(p for p in path.iterdir() if p.is_file()) if path.is_dir() else [path])]
     for path in found:
-        if out.exists() and path.resolve().parent == out.resolve():
-            raise StepdiagError(f'--present {path} lies in --out {out} and would be overwritten; name another folder')
         if path.name in ('prediction.json', 'prediction.png', 'README.txt'):
             continue
         if path.name in files:
@@ -138,9 +136,9 @@ def _present(paths: list[Path], out: Path) -> dict[str, str]:
     return files
 
 
-def _must_be_ours(out: Path, prediction: str) -> None:
-    """A folder with something else in it is left alone."""
+def _must_be_new(out: Path) -> None:
+    """A folder with something in it is left alone: tables of another day beside these would be loaded with them."""
     if out.is_file():
         raise StepdiagError(f'{out}: is a file; name a folder with --out')
-    if out.is_dir() and any(out.iterdir()) and not (out / prediction).is_file():
+    if out.is_dir() and any(out.iterdir()):
         raise StepdiagError(f'{out}: holds other files; name a new folder with --out, so that nothing is overwritten')

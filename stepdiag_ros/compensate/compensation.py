@@ -16,7 +16,7 @@ import numpy as np
 from stepdiag_ros.compensate.control import Control, Place
 from stepdiag_ros.compensate.functional import FunctionalPoint, functional_point, tables_of_line
 from stepdiag_ros.compensate.harmless import held_back
-from stepdiag_ros.compensate.largest import largest_spread
+from stepdiag_ros.compensate.largest import largest
 from stepdiag_ros.compensate.open_directions import openness, without
 from stepdiag_ros.compensate.taken import Taken, Trim, added, as_measured, difference, left_of
 from stepdiag_ros.errors import StepdiagError
@@ -79,7 +79,7 @@ class Compensation:
 
     def worst(self, field: Prediction) -> tuple[float, float, np.ndarray]:
         """The same of any field at these points."""
-        return worst(self.solution, self.place.machine, self.point.tool, field)
+        return largest(self.solution, self.place.machine, self.point.tool, field)
 
     @property
     def as_measured(self) -> Prediction:
@@ -97,11 +97,10 @@ class Compensation:
         return self
 
 
-def worst(solution: Solution, machine: Machine, tool: np.ndarray, field: Prediction
-          ) -> tuple[float, float, np.ndarray]:
-    """Largest deviation of a field of ``solution`` for ``tool``, its U (95 %), its place, all [m]."""
-    row = int(np.argmax(field.size_m))
-    return float(field.size_m[row]), largest_spread(solution, machine, tool, field), field.points[row]
+def worst(prediction: Prediction) -> tuple[float, float, np.ndarray]:
+    """Largest deviation of a prediction, U (k = 2) at its place, and that place, all [m]."""
+    row = int(np.argmax(prediction.size_m))
+    return float(prediction.size_m[row]), K * float(prediction.size_sigma_m[row]), prediction.points[row]
 
 
 def worsened(before: Prediction, after: Prediction) -> np.ndarray:
@@ -294,8 +293,7 @@ def _harm(before: Prediction, after: Prediction, files: Mapping[str, str], exact
                 f'{1e6 * before.size_m[row]:.1f} to {1e6 * after.size_m[row]:.1f} µm '
                 f'(U = {1e6 * spread:.1f} µm, k = 2), and {100.0 * np.mean(more > 0.0):.0f} % of all places with it'
                 + ('; without --exact the tables are held back' if exact else '')]
-    row = int(np.argmax(before.size_m))
-    size, spread = before.size_m[row], K * before.size_sigma_m[row]
+    size, spread, _ = worst(before)
     if spread > size:
         return [f'the largest deviation, {1e6 * size:.1f} µm, is known to U = {1e6 * spread:.1f} µm (k = 2) only; '
                 'measure with more repeats']

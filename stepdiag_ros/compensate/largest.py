@@ -17,15 +17,21 @@ BLOCK = 128
 """Points whose draws are formed together: 128 × 39 × 400 numbers, 16 MB."""
 
 
-def largest_spread(solution: Solution, machine: Machine, tool: np.ndarray, field: Prediction) -> float:
-    """U (95 %) [m] of the largest deviation of ``field``, whose covariance is that of ``solution`` for ``tool``."""
+def largest(solution: Solution, machine: Machine, tool: np.ndarray, field: Prediction
+            ) -> tuple[float, float, np.ndarray]:
+    """Largest deviation of ``field``, its U (95 %) and its place, all [m].
+
+    ``field`` has the covariance of ``solution`` for ``tool`` (3,) [m].
+    """
     columns, weights = sensitivities(solution, machine, field.points, np.asarray(tool, float))
     values, vectors = np.linalg.eigh(solution.covariance)
     normals = np.random.default_rng(SEED).standard_normal((len(values), DRAWS))
     drawn = vectors @ (np.sqrt(np.maximum(values, 0.0))[:, None] * normals)
-    largest = np.zeros(DRAWS)
+    found = np.zeros(DRAWS)
     for start in range(0, len(field.points), BLOCK):
         rows = slice(start, start + BLOCK)
         moved = field.deviation_m[rows, :, None] + weights[rows] @ drawn[columns[rows]]
-        largest = np.maximum(largest, np.linalg.norm(moved, axis=1).max(axis=0))
-    return float(np.quantile(np.abs(largest - np.max(field.size_m)), COVERED))
+        found = np.maximum(found, np.linalg.norm(moved, axis=1).max(axis=0))
+    row = int(np.argmax(field.size_m))
+    size = float(field.size_m[row])
+    return size, float(np.quantile(np.abs(found - size), COVERED)), field.points[row]

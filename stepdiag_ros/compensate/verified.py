@@ -11,8 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from stepdiag_ros.compensate.compensation import K, worst
+from stepdiag_ros.compensate.compensation import K
 from stepdiag_ros.compensate.document import Predicted
+from stepdiag_ros.compensate.largest import largest
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate.body_diagonal import DiagonalTest
 from stepdiag_ros.estimate.prediction import Prediction, deviation, predict
@@ -113,8 +114,8 @@ def verified(before: Solution, after: Solution, machine: Machine, tolerances: Ma
     tool = np.asarray(machine.tool) if predicted is None else predicted.tool
     points = _points(after, machine)
     fields = [predict(solution, machine, points, tool) for solution in (before, after)]
-    largest = [worst(solution, machine, tool, field) for solution, field in zip((before, after), fields, strict=True)]
-    rows = [(VOLUMETRIC, 'm', *largest[0][:2], *largest[1][:2])]
+    whole = [largest(solution, machine, tool, field) for solution, field in zip((before, after), fields, strict=True)]
+    rows = [(VOLUMETRIC, 'm', *whole[0][:2], *whole[1][:2])]
     rows += _diagonal_rows(diagonals, (before, after), machine, runs)
     for name in (*CURVES, *SQUARENESS):
         if after.has(name):
@@ -125,8 +126,8 @@ def verified(before: Solution, after: Solution, machine: Machine, tolerances: Ma
     if missing:
         raise StepdiagError(f'--tolerance {missing[0]}: the log after does not give it; it gives '
                             f'{", ".join(figure.name for figure in figures)}')
-    agreement = None if predicted is None else _agreement(after, fields[1], largest[1], machine, predicted)
-    return Verified(machine, figures, *fields, largest[1][2], agreement)
+    agreement = None if predicted is None else _agreement(after, fields[1], whole[1], machine, predicted)
+    return Verified(machine, figures, *fields, whole[1][2], agreement)
 
 
 def _points(solution: Solution, machine: Machine) -> np.ndarray:
@@ -181,8 +182,8 @@ def _agreement(after: Solution, field: Prediction, figure: tuple[float, float, n
                predicted: Predicted) -> Agreement:
     """Measured against predicted: the largest deviation at the same places, and every error at its positions."""
     expected = deviation(predicted.errors, machine, field.points, predicted.tool)
-    largest, spread, _ = figure
-    difference = largest - float(np.max(np.linalg.norm(expected, axis=1)))
+    size, spread, _ = figure
+    difference = size - float(np.max(np.linalg.norm(expected, axis=1)))
     off = {}
     for name, sigma in predicted.sigma.items():
         if not after.has(name):

@@ -190,10 +190,6 @@ def test_a_folder_with_other_things_in_it_is_left_alone(place, tmp_path, capsys)
     assert main(['compensate', str(place / 'before'), '--format', 'isg', '--out', str(tmp_path)]) == 2
     assert 'holds other files' in one_line(capsys)
     assert [p.name for p in tmp_path.iterdir()] == ['mine.txt']
-    tables = place / 'linuxcnc'
-    assert main(['compensate', str(place / 'before'), '--format', 'linuxcnc', '--out', str(tables), '--present',
-                 str(tables / 'x.comp')]) == 2
-    assert 'would be overwritten' in one_line(capsys)
 
 
 @pytest.mark.parametrize(('arguments', 'said'), [
