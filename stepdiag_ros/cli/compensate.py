@@ -38,6 +38,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--line', metavar='X,Y,Z', help='machine coordinates [m] through which the lines go along '
                                                         'which tables of single axes are right (default: middle)')
     parser.add_argument('--workpiece', metavar='X,Y,Z', help="the same, named by where the tool's tip works")
+    parser.add_argument('--volume', action='store_true', help='tables of single axes that serve the whole volume best '
+                                                              'instead of a line')
     parser.add_argument('--present', metavar='FILE', type=Path, nargs='+', default=[],
                         help='what the control holds now, files or folders; the sum is written')
     parser.add_argument('--partial', action='store_true', help='leave out what the log leaves open')
@@ -59,6 +61,8 @@ def run(args: argparse.Namespace) -> int:
 
     origin, tool, line, workpiece = (vector(text, f'--{name}') for name, text in (
         ('origin', args.origin), ('tool', args.tool), ('line', args.line), ('workpiece', args.workpiece)))
+    if args.volume and (line is not None or workpiece is not None):
+        raise StepdiagError('--volume serves no line; leave --line and --workpiece away')
     if line is not None and workpiece is not None:
         raise StepdiagError('--line and --workpiece both name the lines; give one of them')
     present = _present(args.present)
@@ -70,7 +74,7 @@ def run(args: argparse.Namespace) -> int:
     point = _point(machine, origin, tool, line, workpiece)
     known = known_errors(log, args.bag)
     found = compensation(known.solution, machine, CONTROLS[args.format], origin, point, present, args.partial,
-                         args.exact, not_metres(known.solution, log), known.reversal)
+                         args.exact, not_metres(known.solution, log), args.volume, known.reversal)
     if args.json:
         print(to_json(document(found, args.bag)))
     elif found.refusals:
