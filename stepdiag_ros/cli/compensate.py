@@ -51,7 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     from stepdiag_ros.bag.reader import read_log
     from stepdiag_ros.cli.known import known_errors
-    from stepdiag_ros.compensate.compensation import compensation
+    from stepdiag_ros.compensate.compensation import compensation, place_of
     from stepdiag_ros.compensate.controls import CONTROLS
     from stepdiag_ros.compensate.document import NAME as PREDICTION
     from stepdiag_ros.compensate.document import document
@@ -69,8 +69,7 @@ def run(args: argparse.Namespace) -> int:
     _must_be_new(args.out)
     log = read_log(args.bag, args.namespace)
     machine = log.description.machine
-    if origin is None and machine.origin is not None:
-        origin = np.array(machine.origin)
+    origin = place_of(machine, origin).origin
     point = _point(machine, origin, tool, line, workpiece)
     known = known_errors(log, args.bag)
     found = compensation(known.solution, machine, CONTROLS[args.format], origin, point, present, args.partial,
@@ -119,9 +118,6 @@ def _point(machine, origin, tool, line, workpiece):
 
     if tool is None and line is None and workpiece is None:
         return None
-    if origin is None and (line is not None or workpiece is not None):
-        raise StepdiagError('--line and --workpiece are machine coordinates, and where the volume lies in them is not '
-                            'known; give --origin X,Y,Z too')
     return functional_point(machine, tool, None if line is None else line - origin,
                             None if workpiece is None else workpiece - origin)
 

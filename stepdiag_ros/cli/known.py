@@ -23,11 +23,14 @@ def known_errors(log: CalibrationLog, bag: str) -> Known:
     Lost motion would end up in the positioning errors with half its size: a run is zeroed where its first stop was
     reached from behind.
     """
+    from stepdiag_ros.compensate.metres import not_metres
     from stepdiag_ros.effects import all_effects
     from stepdiag_ros.estimate import evaluate
     from stepdiag_ros.gap.diagnose import diagnose
 
     plain = evaluate(log)
+    if not_metres(plain, log):
+        return Known(plain, {}, ())     # nobody will act on this
     diagnosis = diagnose(log, [kind() for kind in all_effects([]).values()])
     reversal = {axis: (found.parameters[axis], K * found.sigma[axis]) for found in diagnosis.effects
                 if found.name == 'backlash' for axis in 'XYZ' if axis in found.parameters}
@@ -44,10 +47,7 @@ def known_errors(log: CalibrationLog, bag: str) -> Known:
 
 def _with_budget(found: Solution, plain: Solution) -> Solution:
     """The diagnosed errors with what the budget of the plain evaluation adds to its repeats."""
-    repeats = getattr(plain, 'repeatability', None)
-    if repeats is None or found.names != plain.names:
+    if plain.repeatability is None or found.traceability is not None or found.names != plain.names:
         return found
-    if getattr(found, 'traceability', None) is not None:
-        return found
-    return replace(found, covariance=found.covariance + plain.covariance - repeats, repeatability=found.covariance,
-                   traceability=plain.traceability)
+    return replace(found, covariance=found.covariance + plain.covariance - plain.repeatability,
+                   repeatability=found.covariance, traceability=plain.traceability)

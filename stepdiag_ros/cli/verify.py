@@ -102,6 +102,9 @@ def text(found) -> str:
 
 def _tolerances(words: list[str]) -> dict[str, float]:
     """Figure → tolerance in SI units."""
+    from stepdiag_ros.compensate.verified import DIAGONAL_B, DIAGONAL_E, VOLUMETRIC
+    from stepdiag_ros.model.machine import CURVES, SQUARENESS
+
     tolerances: dict[str, float] = {}
     for word in words:
         match = re.fullmatch(r'(?:(\w+)=)?([0-9.eE+-]+?)\s*([a-zµ]+)', word)
@@ -114,6 +117,9 @@ def _tolerances(words: list[str]) -> dict[str, float]:
         if not 0.0 < value < 1.0 or match[3].endswith('rad') != angle:
             raise StepdiagError(f'--tolerance {word!r}: give a length with its unit, such as 12um, or NAME=VALUE such '
                                 'as E=8um, EXX=5um, EC0Y=15urad')
+        if name not in (VOLUMETRIC, DIAGONAL_E, DIAGONAL_B, *CURVES, *SQUARENESS):
+            raise StepdiagError(f'--tolerance {word!r}: {name} is no figure; there are {VOLUMETRIC}, {DIAGONAL_E}, '
+                                f'{DIAGONAL_B} and the 21 errors, EXX … EA0Z')
         if name in tolerances:
             raise StepdiagError(f'--tolerance: {name} is given twice')
         tolerances[name] = value

@@ -110,6 +110,15 @@ def worsened(before: Prediction, after: Prediction) -> np.ndarray:
     return after.size_m - before.size_m - K * np.maximum(before.size_sigma_m, after.size_sigma_m)
 
 
+def place_of(machine: Machine, origin: np.ndarray | None) -> Place:
+    """Where tables count from: ``origin`` (3,) [m], else the machine's own; :class:`StepdiagError` where neither is."""
+    origin = machine.origin if origin is None else origin
+    if origin is None:
+        raise StepdiagError('where the volume lies in machine coordinates is not known; give the machine coordinates '
+                            'of its lower corner with --origin X,Y,Z, or machine.origin in the cell')
+    return Place(machine, np.asarray(origin, float))
+
+
 def compensation(solution: Solution, machine: Machine, control: Control, origin: np.ndarray | None = None,
                  point: FunctionalPoint | None = None, present: Mapping[str, str] | None = None,
                  partial: bool = False, exact: bool = False, air: str = '', volume: bool = False,
@@ -124,11 +133,7 @@ def compensation(solution: Solution, machine: Machine, control: Control, origin:
     volume, instead of those of a line.  ``air``: why lengths are not known to be metres, '' where they are.
     ``reversal``: lost motion of an axis and its U [m], by its letter, as the effect ``backlash`` counts it.
     """
-    origin = machine.origin if origin is None else origin
-    if origin is None:
-        raise StepdiagError('where the volume lies in machine coordinates is not known; give the machine coordinates '
-                            'of its lower corner with --origin X,Y,Z, or machine.origin in the cell')
-    place = Place(machine, np.asarray(origin, float))
+    place = place_of(machine, origin)
     known = openness(solution)
     refusals = [air] if air else []
     touched = _used(control, known.open, solution, known.unmeasured)

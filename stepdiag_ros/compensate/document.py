@@ -38,6 +38,7 @@ def document(found: Compensation, log: str) -> dict[str, Any]:
         'not_carried_m': {name: value for name, value in found.not_carried.items() if value > 1e-9},
         'left_out': list(found.left_out), 'not_measured': list(found.unmeasured),
         'reversal_m': {axis: {'value': value, 'U': spread} for axis, (value, spread) in found.reversal.items()},
+        'traceability': solution.traceability.to_json_dict() if solution.traceability else None,
         'signs_follow': found.control.source, 'open_question': found.control.open_question or None,
         'errors_after': errors,
         'files': {name: hashlib.sha256(text.encode()).hexdigest() for name, text in found.files.items()}}

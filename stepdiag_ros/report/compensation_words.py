@@ -2,6 +2,7 @@
 
 from stepdiag_ros.compensate.compensation import Compensation, worsened
 from stepdiag_ros.estimate.prediction import Prediction
+from stepdiag_ros.estimate.traceability import WORDS
 
 LEAST_SAID_M = 0.5e-6
 """What a kind of table leaves of an error is named from this size on."""
@@ -39,6 +40,9 @@ def summary(found: Compensation) -> str:
         lines.append('  reversal           ' + ', '.join(
             f'{axis} {1e6 * value:.2f} µm, U = {1e6 * spread:.2f} µm (k = 2)'
             for axis, (value, spread) in found.reversal.items()) + ': half of it in each direction')
+    tied = found.solution.traceability
+    if tied is not None:
+        lines.append(f'  errors             {WORDS[tied.air]}; {tied.temperature_words}')
     if found.left_out:
         lines.append(f'  left out           {", ".join(found.left_out)}: the log leaves them open')
     if found.unmeasured:

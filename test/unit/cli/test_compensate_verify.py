@@ -68,7 +68,7 @@ def place(tmp_path_factory):
 def test_the_loop_closes_as_predicted(place, kind, capsys):
     """Measure, make tables, put them in force, measure: the machine is better, and as much as was said."""
     capsys.readouterr()
-    assert main(['verify', str(place / 'before'), str(place / f'after_{kind}'), '--tolerance', '9um', 'EYY=3um',
+    assert main(['verify', str(place / 'before'), str(place / f'after_{kind}'), '--tolerance', '12um', 'EYY=6um',
                  '--prediction', str(place / kind / 'prediction.json'), '--out', str(place / 'v'), '--json']) == 0
     answer = json.loads(capsys.readouterr().out)
     assert answer['decision'] == 'conforms' and answer['prediction']['as_predicted'], answer['prediction']
@@ -80,20 +80,16 @@ def test_the_loop_closes_as_predicted(place, kind, capsys):
     assert 'conforms' in page and '<svg' in page and 'as predicted' in page
 
 
-def test_tables_that_were_not_loaded_are_seen(place, capsys):
+def test_tables_that_were_not_loaded_are_seen_and_undecided_is_told(place, capsys):
     bag = str(place / 'before')
     prediction = str(place / 'heidenhain' / 'prediction.json')
-    assert main(['verify', bag, bag, '--tolerance', '9um', '--prediction', prediction, '--out', str(place / 'w')]) == 1
+    assert main(['verify', bag, bag, '--tolerance', '6um', '--prediction', prediction, '--out', str(place / 'w')]) == 1
     out = capsys.readouterr().out
     assert 'NOT as predicted' in out and 'does not conform' in out
-
-
-def test_undecided_has_a_status_of_its_own(place, capsys):
-    bag = str(place / 'before')
-    main(['verify', bag, bag, '--tolerance', '1um', '--out', str(place / 'x'), '--json'])
-    figure = next(f for f in json.loads(capsys.readouterr().out)['figures'] if f['name'] == 'volumetric')
-    tolerance = f'{1e6 * figure["after"]:.4f}um'
-    assert main(['verify', bag, bag, '--tolerance', tolerance, '--out', str(place / 'x')]) == 4
+    answer = json.loads((place / 'w' / 'verify.json').read_text())
+    largest = next(f['after'] for f in answer['figures'] if f['name'] == 'volumetric')
+    # Neither inside its tolerance by U nor outside: undecided, with a status of its own.
+    assert main(['verify', bag, bag, '--tolerance', f'{1e6 * largest:.4f}um', '--out', str(place / 'w')]) == 4
     assert 'undecided' in capsys.readouterr().out
 
 
