@@ -60,6 +60,8 @@ def run(args: argparse.Namespace) -> int:
         known = known_errors(log, bag)
         if reason := not_metres(known.solution, log):
             raise StepdiagError(f'{bag}: {reason}; nothing is verified')
+        if 'not converged' in known.solution.status:
+            raise StepdiagError(f'{bag}: the evaluation is {known.solution.status}; nothing is verified')
         left = openness(known.solution)
         if left.open:
             raise StepdiagError(f'{bag}: the log leaves {", ".join(left.open)} open ({"; ".join(left.runs)}); '

@@ -136,6 +136,8 @@ def compensation(solution: Solution, machine: Machine, control: Control, origin:
     place = place_of(machine, origin)
     known = openness(solution)
     refusals = [air] if air else []
+    if 'not converged' in solution.status:
+        refusals.append(f'the evaluation is {solution.status}')
     touched = _used(control, known.open, solution, known.unmeasured)
     if touched and not partial:
         refusals.append(f'the log leaves {", ".join(touched)} open ({"; ".join(known.runs)}); '

@@ -1,5 +1,7 @@
 """Tables applied by implementations of their own, angles and levers present: what is said of them is true."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -114,6 +116,12 @@ def test_errors_known_worse_than_they_are_large_make_no_table():
 def test_lengths_that_are_not_metres_make_no_table():
     found = compensation(made(1), machine_of(), CONTROLS['isg'], ORIGIN, air='not corrected for air')
     assert found.refusals == ('not corrected for air',) and found.files == {}
+
+
+def test_an_evaluation_that_did_not_converge_makes_no_table():
+    found = compensation(replace(made(1), status='not converged: the model does not describe this log'), machine_of(),
+                         CONTROLS['isg'], ORIGIN)
+    assert found.files == {} and any('not converged' in reason for reason in found.refusals)
 
 
 @pytest.mark.parametrize('kind', list(CONTROLS))
