@@ -33,12 +33,12 @@ def calibration_figure(solution: Solution, truth: GeometricErrors | None, path: 
     return path
 
 
-def draw_calibration(solution: Solution, truth: GeometricErrors | None = None) -> Figure:
-    """As :func:`calibration_figure`, the figure itself, to be put into a page."""
-    return _draw(solution, truth, heading=False)
+def draw_calibration(solution: Solution, truth: GeometricErrors | None = None, label: str = 'true') -> Figure:
+    """As :func:`calibration_figure`, the figure itself, to be put into a page; ``label``: what ``truth`` is."""
+    return _draw(solution, truth, heading=False, label=label)
 
 
-def _draw(solution: Solution, truth: GeometricErrors | None, heading: bool = True) -> Figure:
+def _draw(solution: Solution, truth: GeometricErrors | None, heading: bool = True, label: str = 'true') -> Figure:
     figure = Figure(figsize=(13.0, 7.8), layout='constrained')
     curves, square = figure.subfigures(1, 2, width_ratios=(6.0, 1.15))
     axes = curves.subplots(3, 6)
@@ -72,7 +72,7 @@ def _draw(solution: Solution, truth: GeometricErrors | None, heading: bool = Tru
     labels = ['found', 'band of k = 2']
     if truth is not None:
         handles.append(matplotlib.lines.Line2D([], [], color=INK, linestyle='--'))
-        labels.append('true')
+        labels.append(label)
     legend_outside(figure, handles, labels, 'lower left', ncols=3, fontsize=9)
     if heading:
         figure.suptitle(_title(solution), x=0.01, ha='left', fontsize=12, fontweight='bold')
