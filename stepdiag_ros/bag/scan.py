@@ -368,9 +368,9 @@ class McapFile:
     def _small(self, opcode: int, body: bytes, begin: int) -> None:
         """Records that describe; indexes and what we do not know are passed over."""
         self._described += 1
-        if self._described > limits.DESCRIBING_RECORDS:
+        if self._described > limits.DESCRIBING_RECORDS or len(self.channels) > limits.CHANNELS:
             raise StepdiagError(f'{self.path}: holds more than {limits.DESCRIBING_RECORDS} records that are no '
-                                'messages: no recorder writes so')
+                                f'messages, or more than {limits.CHANNELS} channels: no recorder writes so')
         try:
             stream = _stream(body)
             if opcode == Opcode.SCHEMA:

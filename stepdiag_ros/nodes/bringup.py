@@ -25,6 +25,7 @@ from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.guard.show import escaped
 from stepdiag_ros.nodes import environment
 from stepdiag_ros.nodes.graph import LISTENERS, NODES, PARAMETERS, hardware_endpoints, namespace_of, write_graph
+from stepdiag_ros.virtual.acting import allow_effect_files
 from stepdiag_ros.virtual.cell import Cell, load_cell
 
 CELL = 'virtual cell'
@@ -300,10 +301,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help='where new bags are made (default: here)')
     parser.add_argument('--runtime', type=Path, metavar='DIR',
                         help='directory for logs and parameters (default: a temporary one)')
+    parser.add_argument('--effect', metavar='FILE.py', action='append', default=[],
+                        help='let the cell file name this Python file with an effect of your own; it is run, so '
+                             'give only files that you trust')
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Bring up and watch until Ctrl-C or SIGTERM."""
+    allow_effect_files(arguments.effect)
     asked: list[int] = []
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda got, _frame: asked.append(got))
