@@ -6,7 +6,7 @@ WORKERS ?= 2
 BIN := $(VENV)/bin
 SETUP = python=$$(PYTHON="$(PYTHON)" sh tools/find_python.sh) && "$$python" tools/setup_env.py --venv "$(VENV)"
 
-.PHONY: setup setup-tests demo test lint bench blind linuxcnc-test browser-test clean
+.PHONY: setup setup-tests demo test lint bench blind fuzz linuxcnc-test browser-test ros-workspace sbom lock clean
 
 setup:
 	@$(SETUP)
@@ -33,6 +33,11 @@ blind: setup
 	$(BIN)/stepdiag blind seal --seed $(SEED) --null 300 --single 285 --pair 60 --outside 77 --out build/blind-$(SEED)
 	$(BIN)/stepdiag blind answer build/blind-$(SEED)
 	$(BIN)/stepdiag blind open --floor --apart --settle build/blind-$(SEED)
+
+# Hostile inputs, drawn for TIME seconds; what is found stands in build/fuzz.
+TIME ?= 600
+fuzz: setup-tests
+	nice -n 10 $(BIN)/python test/fuzz/fuzz.py --seconds $(TIME)
 
 # The optional parts.  What they need besides: sudo apt-get install linuxcnc-uspace / chromium
 linuxcnc-test: setup-tests

@@ -58,6 +58,9 @@ FAULTS = 100
 NAMES_LISTED = 3
 """Names of unknown setups and the like that a warning lists."""
 
+LOG_S = 1.0e8
+"""Of one log: three years."""
+
 # Measured values.  What is beyond is no reading of these instruments.
 DISPLACEMENT_M = 1000.0
 SPOT_M = 10.0
