@@ -39,6 +39,11 @@ TIME ?= 600
 fuzz: setup-tests
 	nice -n 10 $(BIN)/python test/fuzz/fuzz.py --seconds $(TIME)
 
+# Both packages side by side in a ROS workspace, for colcon, rosdep and bloom: WS=/path/to/ws [COPY=1].
+ros-workspace:
+	@test -n "$(WS)" || { echo "ros-workspace: name the workspace: make ros-workspace WS=/path/to/ws" >&2; exit 2; }
+	@python3 tools/ros_workspace.py $(if $(COPY),--copy) "$(WS)"
+
 # The optional parts.  What they need besides: sudo apt-get install linuxcnc-uspace / chromium
 linuxcnc-test: setup-tests
 	$(BIN)/python -m pytest -rs -m linuxcnc $(ARGS)

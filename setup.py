@@ -20,6 +20,8 @@ NODES = (
     'bringup',
 )
 
+EXTRAS = {'pictures': ['matplotlib'], 'compression': ['zstandard', 'lz4'], 'instruments': ['pymodbus']}
+
 manifest = ElementTree.parse(Path(__file__).with_name('package.xml')).getroot()
 
 setup(
@@ -30,9 +32,11 @@ setup(
     maintainer=manifest.findtext('maintainer'),
     maintainer_email=manifest.find('maintainer').get('email'),
     packages=find_packages(include=[NAME, f'{NAME}.*']),
-    package_data={NAME: ['**/*.yaml', '**/*.html', '**/*.css', '**/*.js', '**/*.svg', '**/*.xml']},
+    package_data={NAME: ['**/*.yaml', '**/*.html', '**/*.css', '**/*.js', '**/*.svg', '**/*.xml', 'py.typed']},
     python_requires='>=3.11',
-    install_requires=['setuptools', 'numpy', 'scipy', 'PyYAML', 'mcap', 'matplotlib', 'pymodbus'],
+    # ROS 2 itself and stepdiag_msgs come with colcon or by `make setup`; reading and evaluating needs neither.
+    install_requires=['numpy', 'scipy', 'PyYAML', 'mcap'],
+    extras_require=EXTRAS | {'all': sorted({name for names in EXTRAS.values() for name in names})},
     zip_safe=False,
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
@@ -43,7 +47,7 @@ setup(
     entry_points={
         'console_scripts': [
             f'stepdiag = {NAME}.cli.main:main',
-            *(f'{node} = {NAME}.nodes.{node}:main' for node in NODES),
+            *(f'{node} = {NAME}.start:{node}' for node in NODES),
         ],
     },
 )

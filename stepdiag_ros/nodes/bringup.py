@@ -17,11 +17,13 @@ import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from importlib.util import find_spec
 from pathlib import Path
 
 import yaml
 
 from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.guard.missing import missing
 from stepdiag_ros.guard.show import escaped
 from stepdiag_ros.nodes import environment
 from stepdiag_ros.nodes.graph import LISTENERS, NODES, PARAMETERS, hardware_endpoints, namespace_of, write_graph
@@ -79,6 +81,8 @@ class Bringup:
                  bag: Path | None = None, bag_folder: Path = Path('.'), runtime: Path | None = None,
                  domain: int | None = None, nodes: tuple[str, ...] = NODES, steps: int = 0,
                  say: Callable[[str], None] = lambda text: None):
+        if find_spec('stepdiag_msgs') is None:
+            raise StepdiagError(f'bringup needs {missing("stepdiag_msgs")}')
         self.cell_path = Path(cell_path)
         cell = load_cell(cell_path)
         others = [load_cell(file) for file in cell.instruments.machine_files]
