@@ -14,13 +14,12 @@ from stepdiag_ros.guard.missing import missing
 def run(node: str) -> int:
     """The exit status of a node; 2 and one line where a package that it needs is not installed."""
     try:
-        module = importlib.import_module(f'stepdiag_ros.nodes.{node}')
+        return int(importlib.import_module(f'stepdiag_ros.nodes.{node}').main() or 0)
     except ModuleNotFoundError as error:
         if not error.name or error.name.split('.')[0] == 'stepdiag_ros':
             raise
         print(f'stepdiag: {node} needs {missing(error.name)}', file=sys.stderr)
         return 2
-    return int(module.main() or 0)
 
 
 interferometer_driver = partial(run, 'interferometer_driver')

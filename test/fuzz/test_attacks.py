@@ -99,3 +99,10 @@ def test_a_few_turns_of_the_fuzzer(tmp_path, sound, seed):
         file.write_bytes(data)
         for command in ('info', rng.choice(harness.COMMANDS)):
             refused_or_well(harness.arguments(command, file, tmp_path / what), len(data))
+
+
+@pytest.mark.parametrize('file', sorted((Path(__file__).parent / 'found').iterdir()), ids=lambda file: file.name)
+def test_what_the_fuzzer_found(tmp_path, file):
+    """Named after what is wrong in it and after the command that stumbled over it."""
+    command = file.suffixes[-2].lstrip('.')
+    refused_or_well(harness.arguments(command, file, tmp_path), file.stat().st_size)
