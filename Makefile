@@ -23,6 +23,7 @@ test: setup-tests
 lint: setup-tests
 	$(BIN)/ruff check .
 	$(BIN)/lint-imports
+	$(BIN)/mypy
 
 bench: setup-tests
 	@for bench in bench/bench_*.py; do echo "== $$bench"; $(BIN)/python $$bench || exit 1; done
@@ -52,6 +53,6 @@ browser-test: setup-tests
 	$(BIN)/python -m pytest -rs -m browser $(ARGS)
 
 clean:
-	rm -rf "$(VENV)" "$(VENV).lock" build install log .pytest_cache .ruff_cache .import_linter_cache
+	rm -rf "$(VENV)" "$(VENV).lock" build install log .pytest_cache .ruff_cache .mypy_cache .import_linter_cache
 	find . -name __pycache__ -prune -exec rm -rf {} +
 	rm -rf *.egg-info
