@@ -37,7 +37,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--out', metavar='DIR', type=Path, default=Path('gap'),
                         help='folder for the answers and pages (default: ./gap)')
     parser.add_argument('--effect', metavar='FILE.py', action='append', default=[],
-                        help='file with an effect of your own; may be given several times')
+                        help='Python file with an effect of your own; it is run, so give only files that you '
+                             'trust; may be given several times')
     parser.add_argument('--further', metavar='BAG', action='append', default=[],
                         help='what was measured on the same machine afterwards, as the page recommends: '
                              'diagnosed as one log (one bag only; may be given several times)')
@@ -158,7 +159,9 @@ def _diagnose_bag(job: Job) -> Outcome:
     from stepdiag_ros.report.gap_page import gap_page
     from stepdiag_ros.report.gap_words import summary
     from stepdiag_ros.report.series import replayed
+    from stepdiag_ros.virtual.acting import allow_effect_files
 
+    allow_effect_files(job.effects)
     logs, known = [], ()
     for bag in (job.bag, *job.further):
         log = read_log(bag, job.namespace)

@@ -59,7 +59,10 @@ def run(args: argparse.Namespace) -> int:
         raise StepdiagError(f'--method {args.method}: gives no errors to predict with; take enhanced')
     chart = None if points is not None else volumetric_map(solution, machine, args.grid, tool)
     prediction = chart.prediction if chart is not None else predict(solution, machine, points, tool)
-    command = compensated_command(solution.errors, machine, prediction.points, tool)
+    try:
+        command = compensated_command(solution.errors, machine, prediction.points, tool)
+    except ValueError as error:
+        raise StepdiagError(f'{args.bag}: {error}; its measured errors cannot be a machine\'s') from None
     try:
         if args.csv is not None:
             _write_table(args.csv, prediction, command)

@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import linalg
 
+from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate.reduce import StopTable
 from stepdiag_ros.model.description import Noise
 from stepdiag_ros.model.log import NONE, STOOD
@@ -191,8 +192,17 @@ def whiteners(table: StopTable, noise: NoiseModel, arrival: np.ndarray,
         covariance = run_covariance(rows, noise.position, noise.angle, noise.sensor, arrival, numbers)
         _add_to_lengths(covariance, lasting(table, rows, as_steps=True), channels)
         flat = (rows[:, None] * channels + np.arange(channels)).ravel()[keep]
-        result.append(Whitener(flat, linalg.cholesky(covariance[np.ix_(keep, keep)], lower=True)))
+        result.append(Whitener(flat, _root(covariance[np.ix_(keep, keep)], table, int(run))))
     return result
+
+
+def _root(covariance: np.ndarray, table: StopTable, run: int) -> np.ndarray:
+    """The lower Cholesky factor; :class:`StepdiagError` where a run's readings are so absurd that there is none."""
+    try:
+        return linalg.cholesky(covariance, lower=True)
+    except (ValueError, linalg.LinAlgError):
+        raise StepdiagError(f'run {run + 1} of the log: the scatter of its readings is no number that noise could '
+                            'have; look at its samples with: stepdiag info BAG') from None
 
 
 def _add_to_lengths(covariance: np.ndarray, more: np.ndarray, channels: int) -> None:

@@ -212,7 +212,7 @@ class _Getter:
                minimum: float = -math.inf, maximum: float = math.inf) -> float:
         value = body.get(path.rsplit('.', 1)[-1], default)
         try:
-            number = float(value)   # type: ignore[arg-type]
+            number = float(value if value is not None else 'none')
         except (TypeError, ValueError, OverflowError):
             number = math.nan
         if isinstance(value, bool) or not math.isfinite(number) or not minimum <= number <= maximum:

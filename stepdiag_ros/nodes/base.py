@@ -130,23 +130,27 @@ class StepdiagNode(LifecycleNode):
 
     # -- parameters --------------------------------------------------------------
 
+    # ``fixed``: read-only once the node runs.  Whatever names files, hosts, feeds or places is: everybody on this
+    # computer may call the parameter services.
+
     def number(self, name: str, default: float, description: str, low: float, high: float,
-               unit: str = '') -> float:
+               unit: str = '', fixed: bool = False) -> float:
         """Declare a floating-point parameter with its range; returns its value."""
         described = f'{description} [{unit}]' if unit else description
         return self.declare_parameter(name, float(default), ParameterDescriptor(
-            description=described,
+            description=described, read_only=fixed,
             floating_point_range=[FloatingPointRange(from_value=float(low), to_value=float(high))])).value
 
-    def count(self, name: str, default: int, description: str, low: int, high: int) -> int:
+    def count(self, name: str, default: int, description: str, low: int, high: int, fixed: bool = False) -> int:
         """Declare a whole-number parameter with its range; returns its value."""
         return self.declare_parameter(name, int(default), ParameterDescriptor(
-            description=description,
+            description=description, read_only=fixed,
             integer_range=[IntegerRange(from_value=low, to_value=high, step=1)])).value
 
-    def text(self, name: str, default: Any, description: str) -> Any:
+    def text(self, name: str, default: Any, description: str, fixed: bool = False) -> Any:
         """Declare a parameter without a range (text, switch or list); returns its value."""
-        return self.declare_parameter(name, default, ParameterDescriptor(description=description)).value
+        return self.declare_parameter(name, default, ParameterDescriptor(
+            description=description, read_only=fixed)).value
 
     def value(self, name: str) -> Any:
         """The parameter as it stands now."""

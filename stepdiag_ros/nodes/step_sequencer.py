@@ -72,21 +72,21 @@ class StepSequencer(StepdiagNode):
 
     def __init__(self):
         super().__init__('step_sequencer')
-        self.text('host', '127.0.0.1', 'host name or address of the machine control')
-        self.count('port', PORT, 'TCP port of the machine control', 1, 65535)
-        self.count('watch_port', 0, "TCP port of the control's watchdog; 0: it has none", 0, 65535)
+        self.text('host', '127.0.0.1', 'host name or address of the machine control', fixed=True)
+        self.count('port', PORT, 'TCP port of the machine control', 1, 65535, fixed=True)
+        self.count('watch_port', 0, "TCP port of the control's watchdog; 0: it has none", 0, 65535, fixed=True)
         self.number('timeout', 5.0, 'silence after which the control counts as stalled',
                     0.1, 120.0, 's')
-        self.text('description_file', '', 'YAML file of the cell description')
+        self.text('description_file', '', 'YAML file of the cell description', fixed=True)
         self.count('steps', 0, "steps of each axis along a diagonal; 0: the description's", 0, 10_000)
-        self.number('feed', 0.02, 'feed of every move', 1.0e-6, 5.0, 'm/s')
+        self.number('feed', 0.02, 'feed of every move', 1.0e-6, 5.0, 'm/s', fixed=True)
         self.number('dwell', 0.5, 'measuring time at a stop, where the goal gives none',
                     0.001, 600.0, 's')
         self.number('stand', 0.0, 'so much longer is the first dwell after a mounting', 0.0, 3600.0, 's')
         self.number('guard', 0.025, 'rest after a dwell before the next move: as late as a sample may '
                     'be taken after its stamp', 0.0, 10.0, 's')
-        self.text('origin', [0.0, 0.0, 0.0], "machine coordinates of the volume's lower corner [m]")
-        self.text('setup_codes', [''], 'what has a mirror mounted: setup=M-code, e.g. ppp=M101')
+        self.text('origin', [0.0, 0.0, 0.0], "machine coordinates of the volume's lower corner [m]", fixed=True)
+        self.text('setup_codes', [''], 'what has a mirror mounted: setup=M-code, e.g. ppp=M101', fixed=True)
         self.text('ask_operator', False, 'a setup without a code is mounted by a person, who confirms by the '
                                          'service sequencer/mounted')
         self.number('lease', 5.0, 'a client that has not renewed its lease for so long is lost', 0.5, 3600.0, 's')
@@ -95,8 +95,8 @@ class StepSequencer(StepdiagNode):
         self.number('resume_timeout', 60.0, 'wait for a node or an instrument that broke a run off before the '
                     'calibration ends; 0: none', 0.0, 3600.0, 's')
         self.text('listeners', ['recorder', 'evaluation_solver'],
-                  'nodes that must be connected to sequencer/step and hear the sources before a start')
-        self.text('sources', [DISPLACEMENT, SPOT], 'topics that must deliver before a start')
+                  'nodes that must be connected to sequencer/step and hear the sources before a start', fixed=True)
+        self.text('sources', [DISPLACEMENT, SPOT], 'topics that must deliver before a start', fixed=True)
         self.number('ready_timeout', 20.0, 'wait for sources, recorder and listeners before a goal is refused',
                     0.0, 600.0, 's')
         self.number('source_timeout', 3.0, 'silence after which a source counts as lost',
