@@ -272,6 +272,7 @@ class Bringup:
             if child.node == 'recorder':
                 self._keep_bag(child)
             self._spawn(child)
+            self.operator_of(child.namespace).restore_parameters(child.node, but=('bag', 'go_on'))
             self._activate(child)
             self.restarts += 1
             self._say(f'{child.name} is active again')

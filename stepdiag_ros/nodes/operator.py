@@ -20,6 +20,8 @@ from action_msgs.msg import GoalStatus
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
+from rcl_interfaces.msg import Parameter as ParameterMessage
+from rcl_interfaces.msg import ParameterEvent
 from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.action import ActionClient
 from rclpy.experimental.events_executor import EventsExecutor
@@ -103,9 +105,11 @@ class Operator:
         self._handle = None
         self.node.create_subscription(DiagnosticArray, '/diagnostics', self._on_diagnostics, 50)
         self.node.create_subscription(RecorderStatus, 'recorder/status', self._on_recorder, 10)
+        self._changed: dict[str, dict[str, ParameterMessage]] = {}
+        self.node.create_subscription(ParameterEvent, '/parameter_events', self._on_parameters, 1000)
         self._action = ActionClient(self.node, RunStepDiagonal, ACTION)
         self._lease = self.node.create_publisher(UUID, LEASE, lease_qos())
-        self.node.create_timer(LEASE_PERIOD_S, self._renew_lease)
+        self.node.create_timer(LEASE_PERIOD_S, self._renew_lease, clock=base.steady_clock())
         self._stop = threading.Event()
         self._thread = threading.Thread(
             target=base.spin, args=(self._executor, self._stop.is_set), name='operator', daemon=True)
@@ -131,6 +135,10 @@ class Operator:
     def _on_diagnostics(self, array: DiagnosticArray) -> None:
         for status in array.status:
             self._heard['/' + status.name] = (time.monotonic(), status)
+
+    def _on_parameters(self, event: ParameterEvent) -> None:
+        for parameter in event.changed_parameters:
+            self._changed.setdefault(event.node, {})[parameter.name] = parameter
 
     def _renew_lease(self) -> None:
         handle = self._handle
@@ -208,6 +216,12 @@ class Operator:
             if not result.successful:
                 raise StepdiagError(f'{self.namespace}/{node}: parameter {name} cannot be '
                                     f'{value!r}: {result.reason}')
+
+    def restore_parameters(self, node: str, but: Sequence[str] = ()) -> None:
+        """Give a node that was started again the parameters that were changed since this facade is here."""
+        changed = [p for name, p in self._changed.get(f'{self.namespace}/{node}', {}).items() if name not in but]
+        if changed:
+            self._call(SetParameters, f'{node}/set_parameters', SetParameters.Request(parameters=changed), 30.0)
 
     def new_log(self, bag: str = '', steps: int = 0) -> None:
         """Begin a new bag, and have those who keep a log of their own begin anew with it.

@@ -136,7 +136,7 @@ class StepSequencer(StepdiagNode):
         self._broken: list[str] = []
         self._clock_steps: list[float] = []
         # Events published by this process since the bag was opened, and the repeats in it.
-        self._bag = ''
+        self._bag, self._file = '', 0
         self._published = 0
         self._repeats: dict[str, int] = {}
 
@@ -225,7 +225,7 @@ class StepSequencer(StepdiagNode):
     def _on_recorder(self, status: RecorderStatus) -> None:
         self._watch.recorder(Recording(
             time.monotonic(), status.recording, status.bag, frozenset(status.hears),
-            dict(zip(status.topics, status.received, strict=True)), int(sum(status.lost))))
+            dict(zip(status.topics, status.received, strict=True)), int(sum(status.lost)), status.file))
 
     def _on_diagnostics(self, array: DiagnosticArray) -> None:
         for status in array.status:
@@ -384,6 +384,8 @@ class StepSequencer(StepdiagNode):
             completed=[*handle.request.completed, *self._progress.completed]))
         if wants := self._wait_until_ready(handle, timeout_s, bag):
             raise StepdiagError(f'{error}; waited {timeout_s:g} s to repeat {run.run_id}: {"; ".join(wants)}')
+        self._file = self._watch.recording.file
+        self._published -= self._unrecorded()      # what is lost is measured again
         self._ready_control()
         repeated = once_more(run)
         self._broken.append(run.run_id)
@@ -416,14 +418,13 @@ class StepSequencer(StepdiagNode):
 
         ``resumed``: runs of a sequencer that has ended, whose calibration this one takes over.
         """
-        self._broken = []
+        self._broken, self._file = [], self._watch.recording.file
         if bag != self._bag:
             self._bag, self._published, self._repeats = bag, 0, {}
         if resumed:
             self._repeats = first_repeats(resumed)
-            return
-        held = self._watch.recording.received.get(self.resolve_topic_name(STEP), 0)
-        if held > self._published:
+            self._published -= self._unrecorded()
+        if self._unrecorded() < 0:
             raise StepdiagError(f'refused to start: {bag} holds runs of a sequencer that has ended '
                                 'since; begin a new bag (stepdiag calibrate does)')
 
@@ -469,15 +470,24 @@ class StepSequencer(StepdiagNode):
             self._clock_steps.append(step_s)
             self._watch.begin()
         self._watch.check(bag, setup)
+        if self._watch.recording.file != self._file:
+            raise Interrupted('the recorder was started again during the run')
         return step_s
 
     def _caught_up(self, bag: str, setup: str, time_ns: int, handle: ServerGoalHandle) -> None:
-        """Wait until all sources have delivered up to ``time_ns`` and see light; or end the run."""
-        while self._watch.delivered_until() < time_ns or self._watch.dark():
+        """Wait until all sources have delivered up to ``time_ns``, see light, and all is recorded; or end the run."""
+        end = time.monotonic() + self.value('source_timeout')
+        while self._watch.delivered_until() < time_ns or self._watch.dark() or self._unrecorded() > 0:
             self._alive(handle)
             time_ns += round(self._check(bag, setup) * 1e9)
+            if time.monotonic() > end and (missing := self._unrecorded()) > 0:
+                raise Interrupted(f'the recorder has not confirmed {missing} step events')
             time.sleep(0.01)
         self._check(bag, setup)
+
+    def _unrecorded(self) -> int:
+        """Step events that were published into the bag and that the recorder has not confirmed."""
+        return self._published - self._watch.recording.received.get(self.resolve_topic_name(STEP), 0)
 
     def _call(self, client, request, name: str) -> None:
         """Call a service from the worker's thread."""
@@ -508,15 +518,11 @@ class StepSequencer(StepdiagNode):
     def _closing_word(self, outcome: Outcome) -> str:
         """Wait until samples and recorder have caught up, and say what was done."""
         now, end = HOST.now_ns(), time.monotonic() + self.value('source_timeout')
-        step = self.resolve_topic_name(STEP)
-        while time.monotonic() < end:
-            said = self._watch.recording
-            if self._watch.delivered_until() >= now and said.received.get(step, 0) >= self._published:
-                break
+        while time.monotonic() < end and (self._watch.delivered_until() < now or self._unrecorded() > 0):
             time.sleep(0.05)
         said = self._watch.recording
         word = f'{outcome.stops} stops in {len(outcome.run_ids)} runs'
-        missing = self._published - said.received.get(step, 0)
+        missing = self._unrecorded()
         if missing > 0:
             word += f'; the recorder has not confirmed {missing} of {self._published} step events'
         if self._broken:

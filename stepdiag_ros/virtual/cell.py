@@ -127,7 +127,7 @@ class Instruments:
     config: str = ''
     watch_port: int = 0
     detector: Detector = Detector()
-    watchdog: float = 0.5
+    watchdog: float = 1.0
     setup_codes: Mapping[str, str] = field(default_factory=dict)
 
 
