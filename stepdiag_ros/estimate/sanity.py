@@ -137,14 +137,17 @@ def _distances(description: Description, table: StopTable, setup: str, rows: np.
     scale = float(seen @ expected / (expected @ expected))
     if abs(scale - 1.0) < SCALE and np.linalg.norm(seen - scale * expected) < ACROSS:
         return []
+    straight = np.linalg.norm(seen / scale - expected) < ACROSS
+    if straight and any(abs(abs(scale) / factor - 1.0) < ACROSS for factor, *_ in FACTORS):
+        return [_of_scale(setup, scale)]
     if np.linalg.norm(seen) < STILL:
         reach = np.nanmax(np.abs(table.displacement[rows, 0]))
         return [Finding('still', f'setup {setup}: the reading changes by {1e6 * reach:.3g} µm at most while the '
                         f'machine moves {_reach(table, rows):.3g} m',
                         'check that the beam follows (shutter, alignment, the right beam and topic) and record this '
                         'setup again')]
-    if np.linalg.norm(seen / scale - expected) < ACROSS:
-        return [_of_scale(setup, scale, table, rows)]
+    if straight:
+        return [_of_scale(setup, scale)]
     nearest = min(_mistakes(description, setup, moved), key=lambda m: np.linalg.norm(seen - m[1]), default=None)
     if nearest is not None and np.linalg.norm(seen - nearest[1]) < ACROSS:
         name, _, (sentence, change) = nearest
@@ -155,14 +158,14 @@ def _distances(description: Description, table: StopTable, setup: str, rows: np.
                     'machine.volume, the setup\'s name and where the base unit stands')]
 
 
-def _of_scale(setup: str, scale: float, table: StopTable, rows: np.ndarray) -> Finding:
+def _of_scale(setup: str, scale: float) -> Finding:
     """The finding for readings that follow the machine, but by another factor."""
     what = f'setup {setup}: the reading changes by {scale:.6g} m per metre of travel'
     size, back = abs(scale), 'backwards, ' if scale < 0.0 else ''
-    named = next(((words, why) for factor, words, why in FACTORS if abs(size / factor - 1.0) < 0.02), None)
+    named = next(((words, why) for factor, words, why in FACTORS if abs(size / factor - 1.0) < ACROSS), None)
     if named is None and abs(size - 1.0) >= SCALE:
-        return Finding('scale', f'{what}, expected is 1', f'check the instrument\'s wavelength and unit, and '
-                       f'machine.volume: the real travel would be {size:.6g} times the commanded one')
+        return Finding('scale', f'{what}, expected is 1', 'check the instrument\'s wavelength and unit, and '
+                       'machine.volume against the real travel')
     if named is None:
         return Finding('sign', f'{what}, expected is 1', 'turn the sign of the displacement: away from the base unit '
                        'is positive')

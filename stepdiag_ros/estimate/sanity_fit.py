@@ -1,23 +1,22 @@
-"""Mistakes of commissioning that only a bad fit shows: how the detector is mounted, tool, standoff, beam offsets.
+"""Mistakes of commissioning that only a bad fit shows: how the detector is mounted, a wrong standoff.
 
 A fit with residuals larger than noise (:mod:`stepdiag_ros.estimate.status`) is made again with what each mistake
-would have done to the readings or to the description taken back.  Angles reach the distances over the machine's
-levers, so that mirrored, exchanged or scaled spots contradict them.  A mistake is recognised where taking it back
-turns the bad fit into one that noise explains, and no other mistake does so as well: a healthy log has no bad fit,
-and an effect of the machine is not undone by mirroring a detector.
+would have done to the readings or to the description taken back.  One inverted, or two exchanged coordinates of the
+spot contradict each other from diagonal to diagonal, and a wrong standoff shows as tilts that grow with the distance.
+A mistake is recognised where taking it back turns the bad fit into one that noise explains: a healthy log has no bad
+fit, and an effect of the machine is not undone by mirroring a detector.
 
-Tool and standoffs act in proportion: they are estimated beside the fit's unknowns from the derivatives of the
-readings, and must be off by more than :data:`CERTAIN` standard deviations and :data:`LEAST_M`, be plausible, and
-bring the fit back to noise when they are put right.
+What no log contradicts is not looked for.  Both coordinates of the spot inverted or scaled are other angles of the
+axes, which positioning and straightness take up (χ² changes by a third at most); the same holds for the tool, whose
+arm turns with an axis's angles as a curve of that axis, and for the offset of the PSD's beam.
 """
 
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 
 from stepdiag_ros.errors import StepdiagError
-from stepdiag_ros.estimate.enhanced import Fit, fit, readings_of
+from stepdiag_ros.estimate.enhanced import Fit, fit
 from stepdiag_ros.estimate.finding import Finding
 from stepdiag_ros.estimate.forward import ForwardModel
 from stepdiag_ros.estimate.noise import NoiseModel
@@ -32,30 +31,19 @@ FALLS = 10.0
 """How many times χ² must fall …"""
 ALONE = 3.0
 """… and how many times less than by any other mistake."""
+LEAST_M, MOST_M = 0.01, 2.0
+"""What a standoff may be off by to be recognised …"""
 CERTAIN = 20.0
-LEAST_M = 0.01
-MOST_M = 2.0
+"""… and how many standard deviations that must be at least."""
 STEP_M = 1e-4
+SWEEPS = 6
 SPOTS = (
-    ('psd sign', ((-1, 0), (0, -1)), 'x and y are turned in sign', 'turn the sign of both spot coordinates, or the '
-     'detector by 180°'),
     ('psd x', ((-1, 0), (0, 1)), 'x is inverted', 'turn the sign of spot x'),
     ('psd y', ((1, 0), (0, -1)), 'y is inverted', 'turn the sign of spot y'),
     ('psd swapped', ((0, 1), (1, 0)), 'x and y are exchanged', 'exchange the detector\'s x and y'),
     ('psd turned', ((0, -1), (1, 0)), 'the detector is turned by a quarter', 'exchange x and y and turn the sign of '
-     'one: x along u, y along v'),
-    ('psd turned', ((0, 1), (-1, 0)), 'the detector is turned by a quarter', 'exchange x and y and turn the sign of '
-     'one: x along u, y along v'),
-    ('psd swapped', ((0, -1), (-1, 0)), 'x and y are exchanged and turned in sign', 'exchange x and y and turn both '
-     'signs'),
-    ('psd unit', ((1e3, 0), (0, 1e3)), 'spots are a thousandth of what they should be', 'give spots in metres'),
-    ('psd unit', ((1e6, 0), (0, 1e6)), 'spots are a millionth of what they should be', 'give spots in metres'),
-    ('psd unit', ((1e-3, 0), (0, 1e-3)), 'spots are 1000 times what they should be', 'give spots in metres'),
-    ('psd unit', ((0.5, 0), (0, 0.5)), 'spots are twice what they should be', 'halve the detector\'s scale (its length '
-     'is the whole side, not half of it)'),
-    ('psd unit', ((2, 0), (0, 2)), 'spots are half what they should be', 'double the detector\'s scale (its length is '
-     'the whole side, not half of it)'))
-"""Name, what takes the mistake back (spot → spot), what was found, what to change."""
+     'one, so that x lies along u and y along v'))
+"""Name, what takes the mistake back (spot → spot, or its opposite), what was found, what to change."""
 
 
 def check(description: Description, table: StopTable, result: Fit | None = None) -> list[Finding]:
@@ -83,18 +71,10 @@ def check_fit(description: Description, table: StopTable, result: Fit) -> list[F
     tried: list[tuple[float, Finding]] = []
     if np.isfinite(part.spot).all(axis=1).sum() >= 4:
         for name, back, words, change in SPOTS:
-            factor = abs(np.linalg.det(np.array(back, float)))**0.5
-            other = replace(part, spot=part.spot @ np.array(back, float).T)
-            quieter = replace(noise, angle=noise.angle * factor, sensor=np.concatenate(
-                [noise.sensor[:, :-2], noise.sensor[:, -2:] * factor], axis=1))
-            reduced = _reduced(description, other, quieter)
+            reduced = _reduced(description, replace(part, spot=part.spot @ np.array(back, float).T), noise)
             if reduced is not None:
                 tried.append((reduced, Finding(name, _sentence('psd/spot', words, bad, reduced), change)))
-    for name, value, there, changed in _described(description, part, result, noise):
-        reduced = _reduced(changed, part, noise)
-        if reduced is not None:
-            tried.append((reduced, Finding(name, _sentence(f'the readings contradict {there}', f'they fit {value}', bad,
-                                                           reduced), f'measure it again and set {there}: {value}')))
+    tried += _standoffs(description, part, noise, bad)
     tried.sort(key=lambda entry: entry[0])
     if not tried or tried[0][0] > min(limit, bad / FALLS):
         return []
@@ -126,59 +106,50 @@ def _reduced(description: Description, table: StopTable, noise: NoiseModel) -> f
     return result.chi2 / result.dof if result.dof > 0 and np.isfinite(result.chi2) else None
 
 
-def _described(description: Description, table: StopTable, whole: Fit,
-               noise: NoiseModel) -> Iterator[tuple[str, str, str, Description]]:
-    """Descriptions whose tool or standoffs fit better: name, value in words, key, description."""
-    result = fit(description, table, noise, settled=ENOUGH)
-    keys = [('tool', ('machine.tool',), k) for k in range(3)]
-    keys += [('standoff', (name,), 0) for name in result.parameters.setups]
-    columns = np.stack([_derivative(description, table, result, kind, names, k) for kind, names, k in keys], axis=1)
-    weighted = [np.concatenate([w(column) for w in result.whiteners]) for column in columns.T]
-    design = np.stack(weighted, axis=1)
-    jacobian = np.concatenate([w(result.jacobian.toarray()) for w in result.whiteners])
-    rest = np.concatenate([w(np.where(result.present, result.residual, 0.0).ravel()) for w in result.whiteners])
-    for kind in ('tool', 'standoff'):
-        own = [i for i, key in enumerate(keys) if key[0] == kind]
-        free = design[:, own] - jacobian @ (result.covariance @ (jacobian.T @ design[:, own]))
-        normal = free.T @ free
-        scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
-        value, vectors = np.linalg.eigh(normal / np.outer(scale, scale))
-        inverse = (vectors / np.maximum(value, 1e-9)) @ vectors.T / np.outer(scale, scale)
-        shift = inverse @ (free.T @ rest)
-        sure = np.abs(shift) > np.maximum(CERTAIN * np.sqrt(np.diag(inverse)), LEAST_M)
-        if not sure.any() or np.abs(shift[sure]).max() > MOST_M:
-            continue
-        shift = np.where(sure, shift, 0.0)
-        changed, there, words = description, [], []
-        if kind == 'tool':
-            tool = np.array(description.machine.tool) + shift
-            changed = replace(description, machine=replace(description.machine, tool=tuple(tool)))
-            there, words = ['machine.tool'], ['[' + ', '.join(f'{v:.3f}' for v in tool) + '] m']
-        else:
-            setups = dict(description.setups)
-            for i, delta in zip(own, shift, strict=True):
-                name = keys[i][1][0]
-                if delta and description.setups[name].standoff + delta > 0.0:
-                    setups[name] = replace(setups[name], standoff=description.setups[name].standoff + delta)
-                    there.append(f'setups.{name}.standoff')
-                    words.append(f'{setups[name].standoff:.3f} m')
-            changed = replace(description, setups=setups)
-        if there:
-            yield kind, ', '.join(words), ', '.join(there), changed
+def _standoffs(description: Description, table: StopTable, noise: NoiseModel,
+               bad: float) -> list[tuple[float, Finding]]:
+    """Reduced χ² with the one standoff put right that makes it fall most, and its finding; empty without any."""
+    result, best = fit(description, table, noise, settled=ENOUGH), None
+    for setup in result.parameters.setups:
+        shift, sigma, fall = _shift(description, table, result, setup)
+        if best is None or fall > best[0]:
+            best = fall, setup, shift
+    name = best[1]
+    changed, known = description, description.setups[name].standoff
+    for sweep in range(SWEEPS):
+        shift, sigma, _ = _shift(changed, table, result, name)
+        # Misalignments have taken part of it up, which makes the first steps about twice as long as needed.
+        value = changed.setups[name].standoff + (0.5 if sweep < 2 else 1.0) * shift
+        if not 0.0 < value < known + MOST_M:
+            return []
+        changed = replace(description, setups={**description.setups,
+                                               name: replace(description.setups[name], standoff=value)})
+        result = fit(changed, table, noise, settled=ENOUGH)
+    if abs(value - known) < max(LEAST_M, CERTAIN * sigma) or result.dof < 1:
+        return []
+    reduced = result.chi2 / result.dof
+    what = f'the readings contradict setups.{name}.standoff'
+    words = f'they fit {value:.3f} ± {2.0 * sigma:.2g} m (k = 2), the cell says {known:g} m'
+    return [(reduced, Finding('standoff', _sentence(what, words, bad, reduced),
+                              f'measure it again and set setups.{name}.standoff'))]
 
 
-def _derivative(description: Description, table: StopTable, result: Fit, kind: str, names: tuple[str, ...],
-                k: int) -> np.ndarray:
-    """Change (n·c,) of the readings per metre of one key of the description, zero where absent."""
-    if kind == 'tool':
-        tool = np.array(description.machine.tool)
-        tool[k] += STEP_M
-        moved = replace(description, machine=replace(description.machine, tool=tuple(tool)))
-    else:
-        own = description.setups[names[0]]
-        moved = replace(description, setups={**description.setups,
-                                             names[0]: replace(own, standoff=own.standoff + STEP_M)})
+def _shift(description: Description, table: StopTable, result: Fit, setup: str) -> tuple[float, float, float]:
+    """Change of one standoff [m] that the residuals ask for, its σ [m] and by how much χ² falls, to first order."""
+    own = description.setups[setup]
+    moved = replace(description, setups={**description.setups, setup: replace(own, standoff=own.standoff + STEP_M)})
     after = ForwardModel(moved, table, result.parameters).predict(result.theta)
-    readings = readings_of(table)
-    change = (after - (readings - result.residual)) / STEP_M
-    return np.where(result.present, change, 0.0).ravel()
+    before = ForwardModel(description, table, result.parameters).predict(result.theta)
+    change = np.where(result.present, (after - before) / STEP_M, 0.0).ravel()
+    rest = np.where(result.present, result.residual, 0.0).ravel()
+    # Orthogonal to what the fit's own unknowns can do, their widths as further readings: normal equations would
+    # lose it, since mirror and laser take nearly all of it up.
+    held = np.linalg.cholesky(result.precision).T
+    jacobian = result.jacobian.toarray()
+    design = np.concatenate([*(w(jacobian) for w in result.whiteners), held])
+    basis, _ = np.linalg.qr(design / np.linalg.norm(design, axis=0))
+    along = np.concatenate([*(w(change) for w in result.whiteners), np.zeros(len(held))])
+    left = np.concatenate([*(w(rest) for w in result.whiteners), -held @ result.theta])
+    free = along - basis @ (basis.T @ along)
+    square, pull = float(free @ free), float(free @ left)
+    return pull / square, square**-0.5, pull**2 / square
