@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from stepdiag_ros.estimate.reduce import StopTable
 from stepdiag_ros.estimate.solution import Solution
-from stepdiag_ros.gap.steady import Spectrum
+from stepdiag_ros.gap.noise.coherent_lines import Spectrum
 from stepdiag_ros.model.machine import CURVES, SQUARENESS
 from stepdiag_ros.report.legends import legend_outside
 from stepdiag_ros.report.series import Inside, Series

@@ -19,7 +19,7 @@ from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate.enhanced import Fit
 from stepdiag_ros.estimate.gauge import slope_weights
 from stepdiag_ros.gap.diagnosis import Diagnosis
-from stepdiag_ros.gap.observe import sane_fit
+from stepdiag_ros.gap.preprocess.observe import sane_fit
 from stepdiag_ros.model.machine import CURVES
 from stepdiag_ros.twin.physical import physical
 from stepdiag_ros.twin.twin import Twin

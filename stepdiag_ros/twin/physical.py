@@ -14,7 +14,7 @@ from scipy.optimize import least_squares
 
 from stepdiag_ros.effects.base import Effect, Parameter
 from stepdiag_ros.gap.diagnosis import STAMPS, Diagnosis, Found
-from stepdiag_ros.gap.joint import Active, unexplained
+from stepdiag_ros.gap.inference.joint import Active, unexplained
 from stepdiag_ros.twin.guess import Values, guess
 from stepdiag_ros.twin.story import basis_of, unknown_starts
 from stepdiag_ros.twin.twin import Twin

@@ -2,7 +2,6 @@
 
 import asyncio
 import struct
-import time
 from pathlib import Path
 
 import numpy as np
@@ -11,12 +10,13 @@ from stepdiag_ros.devices import t7
 from stepdiag_ros.devices.psd_signal import SpotOptics
 from stepdiag_ros.virtual.cell import Cell
 from stepdiag_ros.virtual.faults import Faults
+from stepdiag_ros.virtual.history import now_ns
 from stepdiag_ros.virtual.modbus import ILLEGAL_VALUE, READ, ModbusServer
+from stepdiag_ros.virtual.offline import DARK_V
 from stepdiag_ros.virtual.serving import announce, open_world, serve
 from stepdiag_ros.virtual.world import World
 
 INPUTS = 14
-DARK_V = 0.001
 TICK_S = 0.002
 """How often the stream looks for scans that are due."""
 BACKLOG_BYTES = 1 << 22
@@ -51,10 +51,11 @@ class Box:
         first, self._taken = self._taken, self._taken + len(times)
         inputs[:, self._channels] = DARK_V
         if setup is not None and self.faults.kind != 'no_signal':
-            reading = self.world.read(times - self._late_ns, setup)
-            spot = reading.spot + self.world.spot_noise(first, len(times))
-            inputs[:, self._channels] = np.maximum(
-                self._optics.volts(spot, reading.intensity), DARK_V)
+            noise = self.world.spot
+            reading = self.world.read(times - self._late_ns - noise.delays_ns(first, len(times)), setup)
+            spot = noise.readings(reading.spot, first)
+            light = np.where(noise.dark(first, len(times)), 0.0, reading.intensity)
+            inputs[:, self._channels] = np.maximum(self._optics.volts(spot, light), DARK_V)
         return inputs
 
     def raw(self, times: np.ndarray, channels: list[int]) -> np.ndarray:
@@ -67,7 +68,7 @@ class Box:
             await asyncio.sleep(0.02)
         if function in READ:
             if address < t7.AIN0 + 2 * INPUTS:
-                volts = self.volts(np.array([time.time_ns()]))[0].astype('>f4')
+                volts = self.volts(np.array([now_ns()]))[0].astype('>f4')
                 registers[t7.AIN0:t7.AIN0 + 2 * INPUTS] = volts.view('>u2').tolist()
             elif address == t7.INTERNAL_FLASH_READ:
                 pointer = self._uint(registers, t7.INTERNAL_FLASH_READ_POINTER)
@@ -110,7 +111,7 @@ class Stream:
 
     def __init__(self, box: Box, rate: float, channels: list[int], scans: int):
         self._box, self._rate, self._channels, self._scans = box, rate, channels, scans
-        self._begin_ns = time.time_ns()
+        self._begin_ns = now_ns()
         self._done = self._sent = 0
         self.task = asyncio.ensure_future(self._run())
 
@@ -118,7 +119,7 @@ class Stream:
         skipped = 0
         while True:
             await asyncio.sleep(TICK_S)
-            due = int((time.time_ns() - self._begin_ns) * 1e-9 * self._rate) + 1
+            due = int((now_ns() - self._begin_ns) * 1e-9 * self._rate) + 1
             packets = (due - self._done) // self._scans
             if packets == 0:
                 continue

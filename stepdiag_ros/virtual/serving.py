@@ -19,6 +19,7 @@ import yaml
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.virtual.cell import Cell, load_cell
 from stepdiag_ros.virtual.history import SharedHistory
+from stepdiag_ros.virtual.sampled import SampledHistory
 from stepdiag_ros.virtual.world import World
 
 MOTION_FILE = 'motion.bin'
@@ -46,12 +47,13 @@ def die_with_parent(parent: int) -> None:
         sys.exit(1)   # it ended before the kernel knew
 
 
-async def open_world(cell: Cell, runtime: Path, timeout_s: float = 30.0) -> World:
+async def open_world(cell: Cell, runtime: Path, timeout_s: float = 60.0) -> World:
     """The world of a running cell; waits for the control to have made the history."""
     path = runtime / MOTION_FILE
     for _ in range(int(timeout_s / 0.02)):
         if path.exists():
-            history = SharedHistory(path)
+            # A real control is watched; the virtual one says what it will do.
+            history = SampledHistory(path) if cell.instruments.control == 'linuxcnc' else SharedHistory(path)
             if history.follow():
                 return World(cell, history, int(history.records['start_ns'][0]))
         await asyncio.sleep(0.02)
