@@ -56,7 +56,10 @@ def check(description: Description, table: StopTable, result: Fit | None = None)
     if found:
         return found
     if result is None:
-        result = fit(description, table)
+        try:
+            result = fit(description, table)
+        except StepdiagError:
+            return []   # nothing to solve: whoever goes on will say so
     return check_fit(description, table, result)
 
 
