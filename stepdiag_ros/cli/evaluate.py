@@ -6,6 +6,9 @@ holds enough for.
   stepdiag evaluate bags/demo
   stepdiag evaluate log.mcap --json > errors.json
   stepdiag evaluate bags/demo --method step_diagonal
+
+Ends with status 1 where the answer is not ok: the log shows a mistake of commissioning, the residuals are larger
+than noise, or nothing checks the model.  The answer is printed all the same, with the reason.
 """
 
 import argparse
@@ -17,6 +20,7 @@ from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate.gauge import STRAIGHTNESS
 from stepdiag_ros.estimate.methods import METHODS, run_method
 from stepdiag_ros.estimate.solution import Solution
+from stepdiag_ros.estimate.status import OK
 from stepdiag_ros.estimate.traceability import WORDS
 from stepdiag_ros.guard.jsontext import to_json
 from stepdiag_ros.model.machine import CURVES, SQUARENESS
@@ -56,7 +60,7 @@ def run(args: argparse.Namespace) -> int:
                   else f'{bag}: {result.text()}')
     if failed:
         raise StepdiagError('; '.join(failed))
-    return 0
+    return 0 if all(getattr(result, 'status', OK) == OK for result in answers.values()) else 1
 
 
 def tied_lines(solution: Solution) -> list[str]:
@@ -72,6 +76,7 @@ def tied_lines(solution: Solution) -> list[str]:
 def text(bag: str, solution: Solution) -> str:
     """The answer for people: each curve's range and uncertainty, squareness, what is not known."""
     lines = [f'{bag}: {solution.method}, {solution.status}']
+    lines += [f'Not sane: {finding}.' for finding in solution.sanity]
     if solution.reduced_chi2 is not None:
         lines.append(f'reduced χ² {solution.reduced_chi2:.3f} with {solution.dof} degrees of freedom')
     if solution.noise:
@@ -112,6 +117,6 @@ def text(bag: str, solution: Solution) -> str:
         lines += ['', 'Not to be told from this log:']
         lines += [f'  {"; ".join(names)}: {why}' for why, names in reasons.items()]
     lines += [f'warning: {warning}' for warning in solution.warnings]
-    if solution.method == 'enhanced' and (solution.reduced_chi2 or 0.0) > FAR_FROM_MODEL:
+    if solution.method == 'enhanced' and not solution.sanity and (solution.reduced_chi2 or 0.0) > FAR_FROM_MODEL:
         lines.append(f'The rigid-body model does not describe this log: stepdiag gap {bag} says why.')
     return '\n'.join(lines)
