@@ -9,7 +9,8 @@ import sys
 import numpy as np
 from std_msgs.msg import Header
 
-from stepdiag_msgs.msg import SpotPosition
+from stepdiag_msgs.msg import SampleTiming, SpotPosition
+from stepdiag_ros.bag.schemas import SPOT_TIMING
 from stepdiag_ros.devices import t7
 from stepdiag_ros.devices.base import SpotBlock
 from stepdiag_ros.devices.modbus_psd import ModbusPsd
@@ -38,6 +39,8 @@ class PsdDriver(DriverNode):
         self.number('dark', 0.05, 'sum signal below which there is no spot', 0.0, 10.0, 'V')
         self._publisher = self.create_lifecycle_publisher(
             SpotPosition, 'psd/spot', reliable(), qos_overriding_options=overridable())
+        self._timing = self.create_lifecycle_publisher(
+            SampleTiming, SPOT_TIMING, reliable(), qos_overriding_options=overridable())
         self.serve_select('psd/select_setup')
         self._intensity = 0.0
         self._dark = 0
@@ -66,6 +69,7 @@ class PsdDriver(DriverNode):
     def publish(self, block: SpotBlock) -> None:
         self._intensity = float(np.mean(block.intensity_V))
         self._dark = int(np.sum(~np.isfinite(block.x_m)))
+        self._timing.publish(self.timing_of(block))
         self._publisher.publish(SpotPosition(
             header=Header(stamp=stamp_of(block.stamp_ns), frame_id=self.setup),
             sample_period=block.period_s, x=_doubles(block.x_m), y=_doubles(block.y_m),

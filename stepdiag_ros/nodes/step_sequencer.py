@@ -22,9 +22,9 @@ from std_msgs.msg import Header, String
 from std_srvs.srv import Trigger
 
 from stepdiag_msgs.action import RunStepDiagonal
-from stepdiag_msgs.msg import Displacement, RecorderStatus, SpotPosition, Step
+from stepdiag_msgs.msg import Displacement, RecorderStatus, SampleTiming, SpotPosition, Step
 from stepdiag_msgs.srv import ResetDisplacement, SelectSetup
-from stepdiag_ros.bag.schemas import DESCRIPTION, DISPLACEMENT, SPOT, STEP
+from stepdiag_ros.bag.schemas import DESCRIPTION, DISPLACEMENT, SPOT, STEP, STEP_TIMING
 from stepdiag_ros.devices.linuxcnc_rsh import PORT, LinuxCncRsh
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.model.description import Description
@@ -32,7 +32,7 @@ from stepdiag_ros.nodes.base import ERROR, OK, Health, StepdiagNode, overridable
 from stepdiag_ros.nodes.course import Run, Stop, course, with_steps
 from stepdiag_ros.nodes.ears import HEARS
 from stepdiag_ros.nodes.runner import Cancelled, Outcome, Progress, Runner
-from stepdiag_ros.nodes.stamps import ns_of, stamp_of
+from stepdiag_ros.nodes.stamps import clock_name, ns_of, stamp_of
 from stepdiag_ros.nodes.watch import Recording, Watch
 
 #: Setup services wait for an operator who mounts a mirror.
@@ -74,6 +74,8 @@ class StepSequencer(StepdiagNode):
                                                       qos_overriding_options=overridable())
         self._description_publisher = self.create_lifecycle_publisher(
             String, DESCRIPTION, reliable(1, latched=True), qos_overriding_options=overridable())
+        self._timing = self.create_lifecycle_publisher(SampleTiming, STEP_TIMING, reliable(),
+                                                       qos_overriding_options=overridable())
         self._select = {sensor: self.create_client(SelectSetup, f'{sensor}/select_setup')
                         for sensor in ('interferometer', 'psd')}
         self._reset = self.create_client(ResetDisplacement, 'interferometer/reset')
@@ -356,6 +358,7 @@ class StepSequencer(StepdiagNode):
         self._watch.begin()
 
     def _zero(self) -> None:
+        self._timing.publish(SampleTiming(header=Header(stamp=stamp_of(time.time_ns())), clock=clock_name()))
         self._call(self._reset, ResetDisplacement.Request(), 'interferometer/reset')
         self._watch.begin()
 

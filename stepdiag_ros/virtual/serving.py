@@ -10,12 +10,15 @@ import asyncio
 import ctypes
 import os
 import signal
+import socket
 import sys
+import time
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 
 import yaml
 
+from stepdiag_ros.devices.link import SO_TIMESTAMPNS, receive_stamped
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.virtual.cell import Cell, load_cell
 from stepdiag_ros.virtual.history import SharedHistory
@@ -57,6 +60,54 @@ async def open_world(cell: Cell, runtime: Path, timeout_s: float = 30.0) -> Worl
         await asyncio.sleep(0.02)
     raise StepdiagError(f'{path}: no motion history after {timeout_s:g} s; '
                         'the control did not start, see its message')
+
+
+class PromptProtocol(asyncio.Protocol):
+    """A connection whose ``requested(data, arrived_ns)`` learns when data arrived at the computer.
+
+    An instrument answers when it is asked; this process does when it gets the processor.  What it says of the
+    machine is therefore what was so when the request arrived, which the kernel notes.
+    """
+
+    def connection_made(self, transport) -> None:
+        self._transport = transport
+        given = transport.get_extra_info('socket')
+        # asyncio reads without the kernel's times: it is left the writing, a second descriptor is read here.
+        self._socket = socket.socket(fileno=os.dup(given.fileno()))
+        self._socket.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
+        self._loop = asyncio.get_running_loop()
+        self._loop.call_soon(self._begin)   # after asyncio has begun to read
+
+    def _begin(self) -> None:
+        if not self._transport.is_closing():
+            self._transport.pause_reading()
+            self._loop.add_reader(self._socket.fileno(), self._readable)
+
+    def _readable(self) -> None:
+        try:
+            data, arrived_s = receive_stamped(self._socket)
+        except BlockingIOError:
+            return
+        except OSError:
+            data = b''
+        if data:
+            self.requested(data, round(arrived_s * 1e9))
+        else:
+            self._transport.close()
+        if self._transport.is_closing():
+            self.connection_lost(None)
+
+    def data_received(self, data: bytes) -> None:
+        """What asyncio read before it was told not to."""
+        self.requested(data, time.time_ns())
+
+    def requested(self, data: bytes, arrived_ns: int) -> None:
+        raise NotImplementedError
+
+    def connection_lost(self, _error: Exception | None) -> None:
+        if self._socket.fileno() >= 0:
+            self._loop.remove_reader(self._socket.fileno())
+            self._socket.close()
 
 
 def serve(name: str, main: Callable[[Cell, Path], Awaitable[None]],
