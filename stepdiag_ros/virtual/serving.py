@@ -19,6 +19,7 @@ from pathlib import Path
 import yaml
 
 from stepdiag_ros.devices.link import SO_TIMESTAMPNS, receive_stamped
+from stepdiag_ros.devices.timing import go_first
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.virtual.cell import Cell, load_cell
 from stepdiag_ros.virtual.history import SharedHistory
@@ -121,6 +122,7 @@ def serve(name: str, main: Callable[[Cell, Path], Awaitable[None]],
                         help='process with which this one ends')
     given = parser.parse_args(arguments)
     die_with_parent(given.parent)
+    go_first()   # an instrument has a processor of its own
     # Ctrl-C reaches the whole foreground group; the parent decides what ends when.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
