@@ -43,7 +43,7 @@ setup(
     maintainer=manifest.findtext('maintainer'),
     maintainer_email=manifest.find('maintainer').get('email'),
     packages=find_packages(include=[NAME, f'{NAME}.*']),
-    package_data={NAME: ['**/*.yaml', '**/*.html', '**/*.css', '**/*.js', '**/*.svg', '**/*.xml']},
+    package_data={NAME: [f'**/*.{kind}' for kind in ('yaml', 'html', 'css', 'js', 'svg', 'xml', 'c', 'h', 'hal')]},
     python_requires='>=3.11',
     install_requires=['setuptools', *REQUIRES],
     zip_safe=False,

@@ -20,6 +20,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from stepdiag_ros.devices.base import DeviceError, DisplacementBlock
+from stepdiag_ros.devices.hostclock import HOST
 from stepdiag_ros.devices.jsonstream import JsonStream
 from stepdiag_ros.devices.link import Link
 from stepdiag_ros.devices.optical_switch import OpticalSwitch
@@ -158,7 +159,7 @@ class Ids3010:
         self._grid.forget()
 
     def read_block(self, samples: int, period_s: float) -> DisplacementBlock:
-        if self._blocks and time.time() - self._blocks[-1].asked[-1] > PAUSE_S:
+        if self._blocks and HOST.now() - self._blocks[-1].asked[-1] > PAUSE_S:
             self._blocks.clear()   # nobody read for a while: what was asked before that is of no use now
             self._grid.forget()
         while not (self._blocks and self._blocks[0].complete):
@@ -171,13 +172,17 @@ class Ids3010:
         return DisplacementBlock(stamp_ns, spacing_s, (table[:, 1:] - self._zero_pm) * 1e-12,
                                  quality.astype(np.uint8), self._air, accuracy)
 
+    def shift_time(self, _step_s: float) -> None:
+        """The host's clock has jumped since the last block: what was asked by the old one is forgotten."""
+        self._finish()
+
     def _poll(self, samples: int, period_s: float) -> None:
         """Ask for what is due next, and take in what has been answered."""
         while len(self._handlers) > MOST_OPEN:
             self._take(self._link.receive())
         count, missed = self._grid.wait(period_s, max(1, round(GROUP_S / period_s)))
         self._take(self._link.receive(wait_s=0.0))
-        now, asked = time.monotonic(), time.time()
+        now, asked = time.monotonic(), HOST.now()
         block = self._blocks[-1] if self._blocks and not self._blocks[-1].closed else None
         if block is not None and (now >= block.until or asked - block.asked[-1] > GAP_PERIODS * period_s
                                   or asked < block.asked[-1]):

@@ -5,26 +5,29 @@ import struct
 import time
 
 from stepdiag_ros.devices.base import DeviceError
+from stepdiag_ros.devices.hostclock import HOST
 
 FIRST_PAUSE_S = 0.1
 """Pause before the second attempt to connect; it doubles with each further one."""
 SO_TIMESTAMPNS = 35
 """Linux's option by which data carry the time at which they arrived; Python's ``socket`` does not name it."""
+MOST_AGO_S = 5.0
 TIMESPEC = struct.Struct('qq')
 
 
 def receive_stamped(connection: socket.socket) -> tuple[bytes, float]:
-    """What has arrived on a socket with :data:`SO_TIMESTAMPNS`, and when [s]: by the kernel, not by us.
+    """What has arrived on a socket with :data:`SO_TIMESTAMPNS`, and how long ago [s]: by the kernel, not by us.
 
     A process that waits for the processor sees data later than they came.
     """
     data, more, _, _ = connection.recvmsg(1 << 18, socket.CMSG_SPACE(TIMESPEC.size))
-    arrived = time.time()
+    now, ago = time.time(), 0.0
     for level, kind, value in more:
         if level == socket.SOL_SOCKET and kind == SO_TIMESTAMPNS and len(value) >= TIMESPEC.size:
             seconds, nanoseconds = TIMESPEC.unpack_from(value)
-            arrived = min(arrived, seconds + 1e-9 * nanoseconds)
-    return data, arrived
+            ago = now - (seconds + 1e-9 * nanoseconds)
+    # A clock that was set meanwhile tells nothing.
+    return data, ago if 0.0 < ago < MOST_AGO_S else 0.0
 
 
 class Link:
@@ -41,11 +44,15 @@ class Link:
         self._timeout_s = timeout_s
         self._attempts = attempts
         self._socket: socket.socket | None = None
-        self.arrived_s = 0.0   # when what was received last arrived, system's time
+        self.arrived_s = 0.0   # when what was received last arrived, host's time
 
     @property
     def is_open(self) -> bool:
         return self._socket is not None
+
+    def set_timeout(self, timeout_s: float) -> None:
+        """Another deadline [s] from the next call on."""
+        self._timeout_s = timeout_s
 
     def open(self) -> None:
         """Connect; does nothing when connected."""
@@ -100,7 +107,8 @@ class Link:
             raise DeviceError(f'{self.where}: is not connected; connect first')
         self._socket.settimeout(self._timeout_s if wait_s is None else wait_s)
         try:
-            data, self.arrived_s = receive_stamped(self._socket)
+            data, ago = receive_stamped(self._socket)
+            self.arrived_s = HOST.now() - ago
         except (TimeoutError, BlockingIOError):
             if wait_s is not None:
                 return b''

@@ -17,6 +17,7 @@ from pymodbus.client import ModbusTcpClient
 
 from stepdiag_ros.devices import t7
 from stepdiag_ros.devices.base import DeviceError, SpotBlock
+from stepdiag_ros.devices.hostclock import HOST
 from stepdiag_ros.devices.link import FIRST_PAUSE_S, Link
 from stepdiag_ros.devices.psd_signal import SpotOptics
 from stepdiag_ros.devices.timing import GAP_PERIODS, Accuracy, ClockMatch, Grid, times_of_polls
@@ -62,6 +63,7 @@ class ModbusPsd:
         self._next_s: float | None = None
         self._grid = Grid()
         self._clock: ClockMatch | None = None
+        self._origin_s = 0.0          # host's time of the stream's first scan, roughly
 
     def connect(self) -> None:
         if self._client is not None:
@@ -107,6 +109,14 @@ class ModbusPsd:
         spot, intensity = self._optics.spot(volts)
         return SpotBlock(stamp_ns, spacing_s, spot[:, 0], spot[:, 1], intensity, accuracy)
 
+    def shift_time(self, step_s: float) -> None:
+        """The host's clock has jumped by ``step_s`` [s] since the last block."""
+        if self._next_s is not None:
+            self._next_s += step_s
+        self._origin_s += step_s
+        if self._clock is not None:
+            self._clock.shift(step_s)
+
     # -- by request
 
     def _polled(self, samples: int, period_s: float) -> tuple[int, float, np.ndarray, Accuracy]:
@@ -116,11 +126,11 @@ class ModbusPsd:
         end = time.monotonic() + (samples - 0.5) * period_s
         while len(volts) < samples and (not volts or time.monotonic() < end):
             missed += self._grid.wait(period_s)[1]
-            if asked and not 0.0 <= time.time() - asked[-1] <= GAP_PERIODS * period_s:
+            if asked and not 0.0 <= HOST.now() - asked[-1] <= GAP_PERIODS * period_s:
                 break   # the next block begins after the pause
-            asked.append(time.time())
+            asked.append(HOST.now())
             volts.append(t7.floats(self._read(t7.AIN0 + 2 * first, 2 * (last - first + 1)))[columns])
-            answered.append(time.time())
+            answered.append(HOST.now())
         if not np.all(np.isfinite(volts)):
             raise self._fail('answers voltages that are not finite; restart it')
         stamp_ns, spacing_s, accuracy = times_of_polls(asked, answered, period_s, missed)
@@ -130,7 +140,7 @@ class ModbusPsd:
 
     def _streamed(self, samples: int, period_s: float) -> tuple[int, float, np.ndarray, Accuracy]:
         stale = self._next_s is not None and \
-            time.time() - self._next_s > max(1.0, 5.0 * samples * period_s)
+            HOST.now() - self._next_s > max(1.0, 5.0 * samples * period_s)
         if self._period_s != period_s or stale:
             self._start_stream(period_s, samples)
         while len(self._raw) < samples:
@@ -171,9 +181,9 @@ class ModbusPsd:
         self._missed = 0      # scans that the box skipped
         self._taken = 0       # scans handed out
         self._arrived = 0     # scans received
-        asked = time.time()
+        asked = HOST.now()
         self._write(t7.STREAM_ENABLE, t7.uint_registers(1))
-        self._origin_s = 0.5 * (asked + time.time())
+        self._origin_s = 0.5 * (asked + HOST.now())
         self._period_s = period_s
         self._clock = None
         first = self._counter(t7.STREAM_START_TIME_STAMP)
@@ -184,9 +194,9 @@ class ModbusPsd:
 
     def _match_clock(self) -> None:
         """Read the box's counter; it begins anew every two minutes, which our clock can count."""
-        asked = time.time()
+        asked = HOST.now()
         ticks = self._counter(t7.CORE_TIMER)
-        answered = time.time()
+        answered = HOST.now()
         since = ((ticks - self._first_scan) % 2**32) / t7.CORE_HZ
         turns = round((0.5 * (asked + answered) - self._origin_s - since) / t7.CORE_TURN_S)
         self._clock.add(asked, since + turns * t7.CORE_TURN_S, answered)

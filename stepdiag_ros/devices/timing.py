@@ -112,6 +112,10 @@ class ClockMatch:
             self._low, self._high = max(low, self._low - widened), min(high, self._high + widened)
         self._at = other_s
 
+    def shift(self, step_s: float) -> None:
+        """Our clock was set by ``step_s`` [s]."""
+        self._low, self._high = self._low + step_s, self._high + step_s
+
     @property
     def known(self) -> bool:
         return np.isfinite(self._high - self._low)

@@ -262,6 +262,14 @@ class Effect:
 
     # The diagnosis's face.
 
+    imitated_by: str = ''
+    """What without a name does exactly what the effect's forms do, in words; '' where nothing does."""
+
+    def size_evidence(self, form: 'Form', values: np.ndarray, sigma: np.ndarray) -> float:
+        """Log evidence for the sizes ``values`` (k,) ± ``sigma`` (k,) of a form, in its units, against any others: of
+        effects whose sizes physics restricts."""
+        return 0.0
+
     def appearance(self, view: StopView) -> list[Form]:
         """The forms in which the effect may appear in this log; none where it cannot be seen."""
         return []

@@ -13,22 +13,20 @@ that may bend the fit, a jump in a dwell, arrivals that stray; and by which what
 COARSE_ALARM = 6.0
 """Log evidence that noise larger by what the steps of readings add would have in all stops, from which they matter."""
 MEMBER_ALARM = 6.0
-"""Least log evidence of one more effect given those before it …"""
+"""Least log evidence that each effect of a set must bring beside the others, the discrepancy of their forms allowed
+for: odds of twenty against its prior probability."""
+DISCREPANCY_SHARE = 0.05
+"""Standard deviation of what an effect truly does about what its form does, as a share of it
+(:mod:`stepdiag_ros.gap.inference.discrepancy`)."""
 MISFIT = 0.03
-"""… plus this share of theirs, which forms that are not quite right may leave over."""
-MISFIT_MOST = 12.0
-"""… but not more than this."""
-GROSS_EVIDENCE = 1000.0
-"""Log evidence (some 45 σ) from which what a form leaves may be far above the noise …"""
-TAKEN_OF_REST = 0.5
-"""… and a further effect must take more than this share of it."""
+"""Share of the log evidence of slow noise inside the dwells by which a line beside it must be better."""
+LARGE_EVIDENCE = 1000.0
+"""Log evidence (some 45 σ) from which an effect is tried in further forms of its own before others join it."""
 FORM_ERROR = 0.1
-"""Share of the variance that nameless patterns explain which a name may leave: forms are taken to be right
-to a third (0.1 = 0.32²) of the amplitude."""
+"""Most of the variance of a correction of the 21 errors that stays uncertain because forms are not quite right, where
+the log would let that pass: a third (0.1 = 0.32²) of the amplitude."""
 LEAST_LEFT = 0.1
 """Share of the gap on held-out data that must be left, and be beyond chance, before it is spoken of."""
-STOP_SUPPORT = 2.0
-"""Least log evidence in the stops' means alone for a further slow effect."""
 UNKNOWN_DOUBT = 8.0
 """Log odds against a shapeless pattern of no name where a name explains as much."""
 LEAN_DOUBT = 4.0
@@ -36,10 +34,10 @@ LEAN_DOUBT = 4.0
 BEYOND_DOUBT = 0.0
 """The same against a lean pattern of physics that no effect has: it errs no more than a name's forms do, and is
 one cause as an effect is one."""
+IMITATION_DOUBT = 3.0
+"""The same against what has no name and does exactly what an effect does, but of any size: one in twenty."""
 DECOY_SHARE = 0.2
 """Share of what an effect's decoys explain by which a name must beat them."""
-TEMPER = 1.0
-"""Factor on log evidence before it becomes odds."""
 CONFUSED = 3.0
 """Sets closer than this in log evidence (odds of 20) cannot be told apart."""
 VIBRATION_ALARM = 6.0

@@ -19,16 +19,13 @@ from stepdiag_ros.effects.base import Effect
 from stepdiag_ros.gap.alternatives.unmodelled import NAME as UNKNOWN
 from stepdiag_ros.gap.constants import (
     ALARM,
-    FORM_ERROR,
     LEAST_LEFT,
-    MISFIT,
-    MISFIT_MOST,
     SCATTER_ALARM,
-    TEMPER,
 )
 from stepdiag_ros.gap.diagnosis import AXIS_LIKE, Diagnosis, Found
 from stepdiag_ros.gap.experiment_design.advice import advise
 from stepdiag_ros.gap.experiment_design.competing_models import confused, rivals_of, separations
+from stepdiag_ros.gap.inference.discrepancy import residual
 from stepdiag_ros.gap.inference.evidence import width_of
 from stepdiag_ros.gap.inference.initialisation import GROSS
 from stepdiag_ros.gap.inference.joint import Joint, fit_jointly, unexplained
@@ -58,7 +55,7 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
     alone = fit_jointly(observation, [], noise_of(observation))
     joint, sets, screen = settle(alone, effects)
     best = sets[0] if sets[0].log_bayes > ALARM else EffectSet((), 0.0)
-    names, nothing, weights = probabilities(sets, len(effects) + 1, TEMPER)
+    names, nothing, weights = probabilities(sets, len(effects) + 1)
     if not best.members:
         # Below the alarm nothing is claimed, whatever the odds between the sets say.
         joint = alone
@@ -74,7 +71,7 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
     before, instead = disturbances.words(joint, {name: names.get(name, 0.0) for name in best.key})
     leftover = before or leftover or instead
     if not leftover and not shakes:
-        leftover = _without_pattern(joint, best, how_far, bool(found))
+        leftover = _without_pattern(joint, how_far, bool(found))
     if leftover and UNKNOWN not in best.key:
         outside[UNKNOWN] = BEYOND_PATTERNS
     if found and not leftover and (how_far.left > LEAST_LEFT or how_far.after > GROSS**2):
@@ -91,24 +88,18 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
         tuple((tuple(sorted({*s.names, *outside})), w) for s, w in zip(sets, weights, strict=True))[:20],
         groups, observation, joint, clocks, disturbances.unrest.displacement, leftover,
         log.warnings + observation.table.warnings + ((beyond_range,) if beyond_range else ()), sets, screen, words, run,
-        separations(sets, doubtful), hint)
+        separations(sets, doubtful), hint, len(effects) + 1)
 
 
-def _without_pattern(joint: Joint, best: EffectSet, how_far: Closing, found: bool) -> str:
-    """Scatter beyond the noise, or runs foretold worse than it, in words; '' where there is none."""
-    evidence, words = excess_scatter(joint)
-    allowed = SCATTER_ALARM + min(MISFIT * best.log_bayes, MISFIT_MOST)
-    if evidence > allowed and not _form_error(joint):
+def _without_pattern(joint: Joint, how_far: Closing, found: bool) -> str:
+    """Scatter beyond the noise and the discrepancies of the forms, or runs predicted worse than it, in words; '' where
+    there is none."""
+    rest = residual(joint.parity, joint.active, joint.observation.view)
+    evidence, words = excess_scatter(joint, rest)
+    if evidence > SCATTER_ALARM:
         return words
     evidence, words = excess_forecast(how_far)
     return words if evidence > SCATTER_ALARM and not found else ''
-
-
-def _form_error(joint: Joint) -> bool:
-    """Whether what the effects leave is so small a part of what they explain that their forms may be to blame."""
-    data, rest = joint.parity.data, unexplained(joint.parity, joint.active)
-    left = float(rest @ rest) - sum(joint.parity.dof)
-    return left < FORM_ERROR * float(data @ data - rest @ rest) and bool(joint.active)
 
 
 def _found(name: str, effect: Effect, probability: float, joint: Joint) -> Found:

@@ -74,6 +74,10 @@ class Acquisition:
             self._thread = None
         self._refuse('is not active')
 
+    def retime(self) -> None:
+        """The clock behind the stamps was set: the next block leaves nothing out (to be called by ``read``)."""
+        self._expected_ns = None
+
     def call(self, command: Callable[[], Any]) -> Future:
         """Have ``command()`` called by the thread between two blocks."""
         future: Future = Future()

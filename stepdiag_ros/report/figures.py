@@ -11,6 +11,7 @@ from stepdiag_ros.estimate.gauge import to_reference_lines
 from stepdiag_ros.estimate.solution import Solution
 from stepdiag_ros.model.machine import CURVES, SQUARENESS, GeometricErrors
 from stepdiag_ros.report.gap_figures import AFTER, INK, SOFT, STYLE, K
+from stepdiag_ros.report.legends import legend_outside
 
 MOTIONS = {'X': 'along X', 'Y': 'along Y', 'Z': 'along Z', 'A': 'turn about X', 'B': 'turn about Y',
            'C': 'turn about Z'}
@@ -72,7 +73,7 @@ def _draw(solution: Solution, truth: GeometricErrors | None, heading: bool = Tru
     if truth is not None:
         handles.append(matplotlib.lines.Line2D([], [], color=INK, linestyle='--'))
         labels.append('true')
-    figure.legend(handles, labels, loc='outside lower left', ncols=3, fontsize=9)
+    legend_outside(figure, handles, labels, 'lower left', ncols=3, fontsize=9)
     if heading:
         figure.suptitle(_title(solution), x=0.01, ha='left', fontsize=12, fontweight='bold')
     return figure

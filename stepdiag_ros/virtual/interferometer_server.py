@@ -10,7 +10,6 @@ routes the laser to one machine's world or another's.
 import asyncio
 import json
 import re
-import time
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +21,7 @@ from stepdiag_ros.virtual.air import environment
 from stepdiag_ros.virtual.cell import Cell, load_cell
 from stepdiag_ros.virtual.draw import normals
 from stepdiag_ros.virtual.faults import Faults
+from stepdiag_ros.virtual.history import now_ns
 from stepdiag_ros.virtual.offline import SENSOR_SIGMA
 from stepdiag_ros.virtual.serving import PromptProtocol, announce, open_world, serve
 from stepdiag_ros.virtual.world import World
@@ -42,7 +42,7 @@ class Instrument:
         self._measuring = False
         self._taken = 0                # samples so far: addresses their noise
         self._ecu_read = 0
-        self._arrived_ns = time.time_ns()
+        self._arrived_ns = now_ns()
         self._reference = np.zeros(AXES)
         prefix = f'com.attocube.{cell.instruments.namespace}.'
         self.fast = prefix + 'displacement.getAbsolutePositions'
@@ -163,7 +163,7 @@ class Instrument:
         return [0, contrast, (1000 - contrast) // 2]
 
     def _seconds(self) -> float:
-        return (time.time_ns() - self.world.epoch_ns) * 1e-9
+        return (now_ns() - self.world.epoch_ns) * 1e-9
 
     def _ecu(self, sensor: str, stream: str, scale: float) -> list:
         if sensor not in self.cell.air.sensors:

@@ -2,7 +2,6 @@
 
 import asyncio
 import struct
-import time
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +11,7 @@ from stepdiag_ros.devices.psd_signal import SpotOptics
 from stepdiag_ros.virtual.ahead import Ahead
 from stepdiag_ros.virtual.cell import Cell
 from stepdiag_ros.virtual.faults import Faults
+from stepdiag_ros.virtual.history import now_ns
 from stepdiag_ros.virtual.modbus import ILLEGAL_VALUE, READ, ModbusServer
 from stepdiag_ros.virtual.offline import DARK_V
 from stepdiag_ros.virtual.serving import announce, open_world, serve
@@ -74,10 +74,10 @@ class Box:
             await asyncio.sleep(0.02)
         if function in READ:
             if address < t7.AIN0 + 2 * INPUTS:
-                volts = self.volts(np.array([time.time_ns()]))[0].astype('>f4')
+                volts = self.volts(np.array([now_ns()]))[0].astype('>f4')
                 registers[t7.AIN0:t7.AIN0 + 2 * INPUTS] = volts.view('>u2').tolist()
             elif address == t7.CORE_TIMER:
-                registers[address:address + 2] = t7.uint_registers(core_timer(time.time_ns()))
+                registers[address:address + 2] = t7.uint_registers(core_timer(now_ns()))
             elif address == t7.INTERNAL_FLASH_READ:
                 pointer = self._uint(registers, t7.INTERNAL_FLASH_READ_POINTER)
                 if pointer != t7.CALIBRATION_ADDRESS:
@@ -121,7 +121,7 @@ class Stream:
 
     def __init__(self, box: Box, rate: float, channels: list[int], scans: int):
         self._box, self._rate, self._channels, self._scans = box, rate, channels, scans
-        self.begin_ns = time.time_ns()
+        self.begin_ns = now_ns()
         self._done = self._sent = 0
         self.task = asyncio.ensure_future(self._run())
 
@@ -129,7 +129,7 @@ class Stream:
         skipped = 0
         while True:
             await asyncio.sleep(TICK_S)
-            due = int((time.time_ns() - self.begin_ns) * 1e-9 * self._rate) + 1
+            due = int((now_ns() - self.begin_ns) * 1e-9 * self._rate) + 1
             packets = (due - self._done) // self._scans
             if packets == 0:
                 continue

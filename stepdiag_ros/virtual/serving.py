@@ -12,7 +12,6 @@ import os
 import signal
 import socket
 import sys
-import time
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 
@@ -22,7 +21,8 @@ from stepdiag_ros.devices.link import SO_TIMESTAMPNS, receive_stamped
 from stepdiag_ros.devices.timing import go_first
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.virtual.cell import Cell, load_cell
-from stepdiag_ros.virtual.history import SharedHistory
+from stepdiag_ros.virtual.history import SharedHistory, now_ns
+from stepdiag_ros.virtual.sampled import SampledHistory
 from stepdiag_ros.virtual.world import World
 
 MOTION_FILE = 'motion.bin'
@@ -50,12 +50,13 @@ def die_with_parent(parent: int) -> None:
         sys.exit(1)   # it ended before the kernel knew
 
 
-async def open_world(cell: Cell, runtime: Path, timeout_s: float = 30.0) -> World:
+async def open_world(cell: Cell, runtime: Path, timeout_s: float = 60.0) -> World:
     """The world of a running cell; waits for the control to have made the history."""
     path = runtime / MOTION_FILE
     for _ in range(int(timeout_s / 0.02)):
         if path.exists():
-            history = SharedHistory(path)
+            # A real control is watched; the virtual one says what it will do.
+            history = SampledHistory(path) if cell.instruments.control == 'linuxcnc' else SharedHistory(path)
             if history.follow():
                 return World(cell, history, int(history.records['start_ns'][0]))
         await asyncio.sleep(0.02)
@@ -86,13 +87,13 @@ class PromptProtocol(asyncio.Protocol):
 
     def _readable(self) -> None:
         try:
-            data, arrived_s = receive_stamped(self._socket)
+            data, ago = receive_stamped(self._socket)
         except BlockingIOError:
             return
         except OSError:
-            data = b''
+            data, ago = b'', 0.0
         if data:
-            self.requested(data, round(arrived_s * 1e9))
+            self.requested(data, now_ns() - round(ago * 1e9))
         else:
             self._transport.close()
         if self._transport.is_closing():
@@ -100,7 +101,7 @@ class PromptProtocol(asyncio.Protocol):
 
     def data_received(self, data: bytes) -> None:
         """What asyncio read before it was told not to."""
-        self.requested(data, time.time_ns())
+        self.requested(data, now_ns())
 
     def requested(self, data: bytes, arrived_ns: int) -> None:
         raise NotImplementedError

@@ -3,8 +3,9 @@
 A shapeless pattern of many columns pays so much for what it could have fitted that a wrong name with
 few columns beats it.  What physics may do beside the vocabulary is therefore offered in few
 parameters too: readings bent at long range, the spot that leaks into the length, a head that is
-twisted by the direction of motion, a guideway that changes its shape with time.  None has a name
-here; which of them a log shows is said in its label.
+twisted by the direction of motion, a guideway that changes its shape with time, a detector that is sheared or has
+another gain on one side of its middle, a standoff that is not as described, readings that follow the light received
+(a beam cut by the mirror's edge).  None has a name here; which of them a log shows is said in its label.
 """
 
 from collections.abc import Iterator
@@ -20,6 +21,8 @@ KNEES = (0.2, 0.35, 0.5, 0.65, 0.8)
 """Shares of the range of lengths beyond which a reading is bent."""
 SPOTS_M = (2.5e-4, 4e-4, 6.3e-4, 1e-3)
 """Spots from which a leak saturates [m], so close that between two of them little is lost."""
+LEAST_MISSING = 0.01
+"""Standard deviation of the light that is missing, as a share of the most, from which readings may follow it."""
 BEARINGS = 8
 """Directions in the detector's plane, evenly over half a turn."""
 
@@ -36,8 +39,10 @@ class Beyond(Effect):
 
 def beyond_families(view: StopView) -> dict[str, list[Form]]:
     """The forms by family; each counts as one effect does, however many forms it has."""
-    return {'range': list(_at_long_range(view)), 'leak': list(_leak(view)),
-            'twist': list(_twist(view)), 'bow': list(_bow(view))}
+    families = {'range': _at_long_range(view), 'leak': _leak(view), 'twist': _twist(view), 'bow': _bow(view),
+                'detector': _detector(view), 'standoff': _standoff(view), 'light': _light(view)}
+    forms = {family: list(found) for family, found in families.items()}
+    return {family: found for family, found in forms.items() if found}
 
 
 def _lengths(view: StopView, label: str, patterns: np.ndarray, scale: float) -> Form:
@@ -99,3 +104,47 @@ def _bow(view: StopView) -> Iterator[Form]:
                 for course in pace:
                     yield drift_form(view, course, signature, ('0',), np.full(1, 2e-6),
                                      f'E{AXES[across]}{letter} changes its shape, {shape}')
+
+
+def _detector(view: StopView) -> Iterator[Form]:
+    """The detector's axes are not square to each other, or its gain differs between the sides of its middle."""
+    spot, x = view.spot_model, view.beams
+    if not np.any(spot):
+        return
+    columns = view.zeros(1)
+    columns[0, :, x], columns[0, :, x + 1] = spot[:, 1], spot[:, 0]
+    yield Form('spot: the axes of the detector are not square', columns, ('shear',), np.full(1, 0.02), '1')
+    for along, across, name in ((0, 0, 'x'), (1, 1, 'y'), (0, 1, 'x'), (1, 0, 'y')):
+        columns = view.zeros(1)
+        columns[0, :, x + across] = np.abs(spot[:, along]) if along == across else \
+            np.where(spot[:, along] > 0.0, spot[:, across], 0.0)
+        yield Form(f'spot_{"xy"[across]}: another gain on one side of {name} = 0', columns, ('gain',),
+                   np.full(1, 0.02), '1')
+
+
+def _standoff(view: StopView) -> Iterator[Form]:
+    """A standoff other than the description says: the spot of a given tilt grows with the length of the path."""
+    columns = view.zeros(1)
+    columns[0, :, view.beams:] = view.spot_model / np.maximum(view.distance[:, :1], 1e-3)
+    if not np.any(columns):
+        return
+    yield Form('the description: the standoff of all setups is off', columns, ('standoff',), np.full(1, 1e-2))
+    for number in np.unique(view.setup):
+        yield Form(f'the description: the standoff of {view.setup_names[number]} is off',
+                   columns * (view.setup == number)[:, None], ('standoff',), np.full(1, 1e-2))
+
+
+def _light(view: StopView) -> Iterator[Form]:
+    """Lengths and spots follow the light that is received, as where the mirror's edge cuts the beam."""
+    for name, signal in (('intensity', view.intensity), ('signal quality', view.quality)):
+        level = np.nanmax(signal) if np.isfinite(signal).any() else 0.0
+        if level <= 0.0 or not np.isfinite(signal).all():
+            continue
+        missing = 1.0 - signal / level
+        if missing.std() < LEAST_MISSING:
+            continue
+        share = missing / missing.max()
+        columns = np.einsum('n,kc->knc', share, np.eye(view.beams + 2))
+        columns[:view.beams] = columns[:view.beams].sum(axis=0) / np.sqrt(view.beams)
+        own = np.concatenate([columns[:1], columns[view.beams:]])
+        yield Form(f'lengths and spots follow the {name}', own, ('length', 'spot_x', 'spot_y'), np.full(3, 3e-6))

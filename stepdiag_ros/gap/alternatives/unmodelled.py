@@ -97,8 +97,8 @@ def _in_time(view: StopView) -> Iterator[Form]:
             start = start / max(start.max(), 1e-9)
             yield pattern_form(view, f'{name}: slow in time in {view.setup_names[setup]}',
                                np.stack([start, start**2, start**3]) * mine, columns, scale)
-    for label, derivative, scale in (('tool point', view.by_shift, 1e-6),
-                                     ('beam', view.by_laser, 1e-6), ('mirror', view.by_mirror, 1e-6)):
+    # What the beam's direction does in time has a name, whatever its profile.
+    for label, derivative, scale in (('tool point', view.by_shift, 1e-6), ('mirror', view.by_mirror, 1e-6)):
         for run_wise in (False, True):
             courses = ([(view.run == run).astype(float) * view.run_time / 30.0 for run in runs]
                        if run_wise else list(slow))

@@ -58,7 +58,7 @@ def rivals_of(screen: Screen, effects: Mapping[str, Effect], sets: list[EffectSe
 def _stand_ins(sets: list[EffectSet], best: EffectSet) -> list[EffectSet]:
     """Sets nearly as good as the best with one member exchanged."""
     return [other for other in sets
-            if len(other.key) == len(best.key) and len(best.key - other.key) == 1
+            if not other.refused and len(other.key) == len(best.key) and len(best.key - other.key) == 1
             and UNKNOWN not in other.key and best.log_bayes - other.log_bayes < CONFUSED]
 
 

@@ -9,12 +9,16 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from stepdiag_ros.effects.base import Form
+from stepdiag_ros.effects.base import Effect, Form
 from stepdiag_ros.estimate.eigen import eigen
-from stepdiag_ros.gap.constants import CONFUSED, DECOY_SHARE, MEMBER_ALARM
-from stepdiag_ros.gap.inference.evidence import SIZES, Judged, judge, log_mean, log_sum
+from stepdiag_ros.gap.constants import CONFUSED, DECOY_SHARE, DISCREPANCY_SHARE, MEMBER_ALARM
+from stepdiag_ros.gap.inference.discrepancy import LEAST
+from stepdiag_ros.gap.inference.discrepancy import columns as discrepancy_of
+from stepdiag_ros.gap.inference.evidence import SIZES, Judged, judge, log_evidence, log_mean, log_sum
 from stepdiag_ros.gap.inference.parity import Parity
 
+REMEMBERED = 32
+"""Discrepancies that are kept in mind, those last worked out: each is as long as the data."""
 LEAST_EXPLAINED = 0.02
 """Directions of a set with less variance than this against the noise's are left out."""
 
@@ -39,13 +43,14 @@ class Candidate:
 @dataclass(frozen=True)
 class Member:
     """An effect in a set, in the form that suits best, and its evidence given those before it; ``size`` of
-    its coefficients, in the form's scales, that is allowed for."""
+    its coefficients, in the form's scales, that is allowed for; ``refused``: why it may not be claimed, else ''."""
 
     effect: str
     candidate: int
     log_bayes: float
     size: float = float(SIZES[-1])
     doubt: float = 0.0
+    refused: str = ''
 
 
 def allowed(form: Form, judged: Judged) -> float:
@@ -57,16 +62,18 @@ def allowed(form: Form, judged: Judged) -> float:
 class Screen:
     """All candidates of a log in one parity space, ready to be judged given a set.
 
-    ``repeatable``: effects that may enter a set more than once; ``in_dwells``: those that only the
-    dwells' insides tell from their neighbours.  ``data`` (M,): those of the parity space, and below them those of
-    what columns made of readings owe (:meth:`Parity.own_rows`).
+    ``repeatable``: effects that may enter a set more than once; ``modulations`` (m, n): those of
+    :mod:`~stepdiag_ros.gap.inference.discrepancy`, None where forms are taken to be exact; ``effects`` by name.
+    ``data`` (M,): those of the parity space, and below them those of what columns made of readings owe
+    (:meth:`Parity.own_rows`).
     """
 
     parity: Parity
     candidates: Sequence[Candidate]
     noise_dof: float
     repeatable: frozenset = frozenset()
-    in_dwells: frozenset = frozenset()
+    modulations: np.ndarray | None = None
+    effects: Mapping[str, Effect] = field(default_factory=dict)
     data: np.ndarray = field(init=False)
     _white: np.ndarray = field(init=False)
     _below: list = field(init=False)
@@ -75,6 +82,7 @@ class Screen:
     _ratios: list = field(init=False)
     _alike: list = field(init=False)
     _judged: dict = field(init=False, default_factory=dict)
+    _discrepancies: dict = field(init=False, default_factory=dict)
 
     def __post_init__(self):
         stops, data, forms = self.parity.stops, self.parity.data, [c.form for c in self.candidates]
@@ -128,7 +136,7 @@ class Screen:
 
     def extended(self, more: Sequence[Candidate]) -> 'Screen':
         """The screen with further candidates; what is known of those it has is not worked out again."""
-        other = Screen(self.parity, more, self.noise_dof, self.repeatable, self.in_dwells)
+        other = Screen(self.parity, more, self.noise_dof, self.repeatable, self.modulations, self.effects)
         count, width = len(self.candidates), self._white.shape[1]
         self.candidates = [*self.candidates, *more]
         self._white = np.concatenate([self._white.T, other._white.T]).T
@@ -155,10 +163,75 @@ class Screen:
         return full * self._ratios[number]
 
     def basis(self, members: Sequence[Member]) -> np.ndarray:
-        """Directions ``B`` (M, r) that several members explain: given them, products are taken with 1 − BBᵀ."""
+        """Directions ``B`` (M, r) that several members explain, the discrepancies of their forms included: given them,
+        products are taken with 1 − BBᵀ."""
         if not members:
             return np.zeros((len(self.data), 0))
-        return _explained(np.concatenate([self.columns_of(m.candidate) * m.size for m in members], axis=1))
+        columns = [self.columns_of(m.candidate) * m.size for m in members]
+        return _explained(np.concatenate([*columns, *self.discrepancies(members)], axis=1))
+
+    def discrepancies(self, members: Sequence[Member]) -> list[np.ndarray]:
+        """Columns (M, m) of the discrepancy of each member's form, at the coefficients that it has beside those before
+        it; none of a member whose discrepancy is below the noise."""
+        if self.modulations is None:
+            return []
+        found: list[np.ndarray] = []
+        for count in range(1, len(members) + 1):
+            key = tuple((m.candidate, m.size) for m in members[:count])
+            if key not in self._discrepancies:
+                while len(self._discrepancies) >= REMEMBERED:
+                    del self._discrepancies[next(iter(self._discrepancies))]
+                self._discrepancies[key] = self._discrepancy(members[:count], found)
+            if self._discrepancies[key] is not None:
+                found.append(self._discrepancies[key])
+        return found
+
+    def _discrepancy(self, members: Sequence[Member], before: Sequence[np.ndarray]) -> np.ndarray | None:
+        """That of the last of some members, given the discrepancies of those before it."""
+        columns = [self.columns_of(m.candidate) * m.size for m in members]
+        whole = np.concatenate([*columns, *before], axis=1)
+        values = np.linalg.solve(whole.T @ whole + np.eye(whole.shape[1]), whole.T @ self.data)
+        start = sum(c.shape[1] for c in columns[:-1])
+        mine = values[start:start + columns[-1].shape[1]] * members[-1].size
+        if DISCREPANCY_SHARE * np.linalg.norm(columns[-1] @ mine) / members[-1].size < LEAST:
+            return None
+        form = self.candidates[members[-1].candidate].form
+        sizes = mine * form.scale
+        result = np.zeros((len(self.data), len(self.modulations)))
+        result[:self.parity.stops] = self.parity.stop_part(
+            discrepancy_of(np.tensordot(sizes, form.columns, axes=1), self.modulations))
+        if form.inside is not None and self.parity.size > self.parity.stops:
+            result[self.parity.stops:self.parity.size] = self.parity.bin_part(
+                discrepancy_of(np.tensordot(sizes, form.inside, axes=1), self.modulations))
+        return result
+
+    def sizes(self, members: Sequence[Member]) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Coefficients (k,) of each member and their standard deviations, in its form's units."""
+        columns = [self.columns_of(m.candidate) * m.size for m in members]
+        whole = np.concatenate([*columns, *self.discrepancies(members)], axis=1)
+        covariance = np.linalg.inv(whole.T @ whole + np.eye(whole.shape[1]))
+        values, spread = covariance @ (whole.T @ self.data), np.sqrt(np.diag(covariance))
+        result, start = [], 0
+        for member, part in zip(members, columns, strict=True):
+            mine, unit = slice(start, start + part.shape[1]), self.candidates[member.candidate].form.scale * member.size
+            result.append((values[mine] * unit, spread[mine] * unit))
+            start = mine.stop
+        return result
+
+    def with_discrepancy(self, members: Sequence[Member]) -> Member:
+        """The last of some members, its evidence that of its form together with the discrepancy of that."""
+        without = len(self.discrepancies(members[:-1]))
+        own = self.discrepancies(members)[without:]
+        if not own:
+            return members[-1]
+        columns = [self.columns_of(m.candidate) * m.size for m in members]
+        basis = _explained(np.concatenate([*columns, *self.discrepancies(members[:-1])], axis=1))
+        taken = basis.T @ self.data
+        cross = basis.T @ own[0]
+        gain = log_evidence(own[0].T @ own[0] - cross.T @ cross, own[0].T @ self.data - cross.T @ taken,
+                            float(self.data @ self.data - taken @ taken),
+                            sum(self.parity.dof) - float(np.sum(basis[:self.parity.size]**2)), self.noise_dof)
+        return replace(members[-1], log_bayes=members[-1].log_bayes + gain)
 
     def judge_all(self, members: Sequence[Member], wanted: Sequence[int]) -> dict[int, Judged]:
         """The ``wanted`` candidates given the set ``members``; what was judged before is remembered."""
@@ -184,20 +257,6 @@ class Screen:
             known.update(zip(alike.numbers[chosen].tolist(), judged, strict=True))
         return known
 
-    def stop_support(self, members: Sequence[Member], number: int) -> float:
-        """Log evidence for one candidate given a set from the stops' means alone."""
-        stops, data = self.parity.stops, self.parity.data[:self.parity.stops]
-        columns = self.columns_of(number)[:stops]
-        if members:
-            given = _explained(np.concatenate(
-                [self.columns_of(m.candidate)[:stops] * m.size for m in members], axis=1))
-            seen, taken = given.T @ columns, given.T @ data
-        else:
-            seen, taken = np.zeros((0, columns.shape[1])), np.zeros(0)
-        return judge((columns.T @ columns - seen.T @ seen)[None],
-                     (columns.T @ data - seen.T @ taken)[None], float(data @ data - taken @ taken),
-                     self.parity.dof[0], self.noise_dof)[0].log_bayes
-
     def as_first(self, member: Member) -> Member:
         """A member of a set in the same form as if it were the first: the evidence of that form alone, as one
         of all that the effect has."""
@@ -205,15 +264,6 @@ class Screen:
         forms = sum(candidate.effect == member.effect for candidate in self.candidates)
         alone = self.judge_all((), [number])[number]
         return replace(member, log_bayes=alone.log_bayes - float(np.log(forms)), size=allowed(form, alone))
-
-    def shared(self, less: Sequence[Member], more: Sequence[Member]) -> float:
-        """Overlap (0 … 1) of the channels, lengths or spot, in which ``less`` explains the data with those in
-        which ``more`` explains what it adds."""
-        spot = self.parity.of_spot
-        first, both = ((basis @ (basis.T @ self.data))[:self.parity.size]
-                       for basis in (self.basis(less), self.basis(more)))
-        shares = [np.array([part[~spot] @ part[~spot], part[spot] @ part[spot]]) for part in (first, both - first)]
-        return float(np.minimum(*(power / max(power.sum(), 1e-300) for power in shares)).sum())
 
     def by_effect(self, members: Sequence[Member] = (),
                   asked: Callable[[str], bool] = lambda effect: True) -> dict[str, Member]:
@@ -255,7 +305,7 @@ class Screen:
         return result
 
     def _beyond_decoys(self, members: Sequence[Member], member: Member, decoys: Sequence[int]) -> Member:
-        """A member; with less evidence where ``decoys`` as rich show nearly as much beside it still.
+        """A member; refused where negative controls, ``decoys`` as rich, show nearly as much beside it still.
 
         What a name explains its decoys do not show any more.  What they show beside it is of another cause, and of
         that the name's own forms, as rich, have shown as much; and once more what that is beyond chance,
@@ -266,7 +316,10 @@ class Screen:
         judged = self.judge_all((*members, member), decoys)
         shown = max(0.0, *(judged[i].log_bayes for i in decoys))
         owed = shown + max(0.0, shown - CONFUSED)
-        return member if member.log_bayes - owed > MEMBER_ALARM else replace(member, log_bayes=member.log_bayes - owed)
+        if member.log_bayes - owed > MEMBER_ALARM:
+            return member
+        return replace(member, refused=f'{member.effect}: beside it its negative controls show {shown:.1f} in log '
+                                       f'evidence, it brings {member.log_bayes:.1f}')
 
     def _doubt(self, numbers: Sequence[int], judged: Mapping[int, Judged]) -> float:
         """Log odds against a family where a name explains as much.

@@ -57,6 +57,15 @@ def judge(gram: np.ndarray, along: np.ndarray, total: float, dof: float, noise_d
             for m, k, p in zip(mean, logs.argmax(axis=0), (odds / odds.sum(axis=0)).T, strict=True)]
 
 
+def log_evidence(gram: np.ndarray, along: np.ndarray, total: float, dof: float, noise_dof: float) -> float:
+    """Log evidence of columns of known size one, from the products ``DᵀD`` (k, k), ``Dᵀz`` (k,) and ``zᵀz``."""
+    value, vector = eigen(gram)
+    value = np.maximum(value, 0.0)
+    gain = float(np.sum((vector.T @ along) ** 2 / (1.0 + value)))
+    return float(-0.5 * np.sum(np.log1p(value))
+                 - 0.5 * (dof + noise_dof) * np.log1p(-min(gain / (noise_dof + total), 1.0 - 1e-12)))
+
+
 def _owed(gram: np.ndarray, along: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
     """``2aᵀb − aᵀGa`` (S, F) for ``coefficients`` a (S, F, 1, k), ``gram`` G (F, k, k) and ``along`` b (F, k)."""
     return np.sum(coefficients * (2.0 * along[:, None] - coefficients @ gram), axis=(2, 3))

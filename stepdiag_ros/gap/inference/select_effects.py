@@ -18,6 +18,7 @@ from stepdiag_ros.gap.alternatives.unmodelled import LEAN, inconsistent_forms, u
 from stepdiag_ros.gap.alternatives.unmodelled import NAME as UNKNOWN
 from stepdiag_ros.gap.constants import BEYOND_DOUBT, LEAN_DOUBT, SUSPICION, UNKNOWN_DOUBT
 from stepdiag_ros.gap.inference.candidates import Candidate, Screen
+from stepdiag_ros.gap.inference.discrepancy import modulations
 from stepdiag_ros.gap.inference.evidence import width_of
 from stepdiag_ros.gap.inference.initialisation import GROSS, misfit, place_to_begin
 from stepdiag_ros.gap.inference.joint import Joint, fit_jointly, solve, unexplained
@@ -59,7 +60,7 @@ def settle(nominal: Joint, effects: Mapping[str, Effect]) -> tuple[Joint, list[E
         if joint.active and misfit(fitted) > max(GROSS, misfit(joint)):
             # The search foretold from its place what the joint fit does not hold: what did hold is kept.
             screen = Screen(joint.parity, [Candidate(a.effect.name or UNKNOWN, '', a.form) for a in joint.active],
-                            float(sum(joint.noise.dof)))
+                            float(sum(joint.noise.dof)), modulations=modulations(joint.observation.view))
             return joint, search(screen), screen
         if stood and best.log_bayes - _short(joint, chosen, fitted) < _evidence(sets, joint) - SUSPICION:
             return joint, *stood
@@ -120,8 +121,7 @@ def _screen(joint: Joint, effects: Mapping[str, Effect]) -> Screen:
         candidates += [Candidate(UNKNOWN, 'inconsistent', form, UNKNOWN_DOUBT)
                        for form in inconsistent_forms(view, [a.form for a in named])]
     repeatable = frozenset(e.name for e in effects.values() if e.repeatable)
-    in_dwells = frozenset(e.name for e in effects.values() if e.needs_dwells)
-    return Screen(joint.parity, candidates, float(sum(joint.noise.dof)), repeatable, in_dwells)
+    return Screen(joint.parity, candidates, float(sum(joint.noise.dof)), repeatable, modulations(view), effects)
 
 
 def _sharpened(screen: Screen) -> Screen:

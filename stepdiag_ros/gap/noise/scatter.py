@@ -160,10 +160,11 @@ def _picks(columns: np.ndarray, data: np.ndarray, side: float) -> Iterator[int]:
         left[k] = 0.0
 
 
-def excess_scatter(joint: Joint) -> tuple[float, str]:
-    """Log evidence for more scatter than noise in the worst group, and that group in words."""
+def excess_scatter(joint: Joint, rest: np.ndarray | None = None) -> tuple[float, str]:
+    """Log evidence for more scatter than noise in the worst group, and that group in words; ``rest`` (N,): white
+    residuals, those of the joint fit unless given."""
     space, table = joint.parity, joint.observation.table
-    rest = unexplained(space, joint.active)
+    rest = unexplained(space, joint.active) if rest is None else rest
     beams, repeats = joint.fit.model.beams, max(float(sum(joint.noise.dof)), 1.0)
     worst: list[tuple[float, str]] = [(0.0, ''), stray_arrivals(joint, rest)]
     for part, what, dof in ((slice(0, space.stops), 'the stops', space.dof[0]),
