@@ -18,9 +18,9 @@ import numpy as np
 from sensor_msgs.msg import FluidPressure, RelativeHumidity, Temperature
 from std_msgs.msg import Header
 
-from stepdiag_msgs.msg import Displacement, Step
+from stepdiag_msgs.msg import Displacement, SampleTiming, Step
 from stepdiag_msgs.srv import ResetDisplacement
-from stepdiag_ros.bag.schemas import STEP
+from stepdiag_ros.bag.schemas import DISPLACEMENT_TIMING, STEP
 from stepdiag_ros.devices.base import DisplacementBlock
 from stepdiag_ros.devices.hostclock import HOST
 from stepdiag_ros.devices.ids3010 import PORT, Ids3010
@@ -45,6 +45,7 @@ class _Machine:
         def publisher(kind: type, topic: str):
             return node.marked.publisher(kind, topic, prefix)
         self.displacement = publisher(Displacement, 'interferometer/displacement')
+        self.timing = publisher(SampleTiming, DISPLACEMENT_TIMING)
         self.environment = {name: publisher(kind, f'environment/{name}')
                             for name, (kind, _, _) in ENVIRONMENT.items()}
         self.scale = publisher(Temperature, 'environment/scale_temperature')
@@ -150,13 +151,15 @@ class InterferometerDriver(DriverNode):
 
     def publish(self, block: DisplacementBlock) -> None:
         quality = block.quality if self._zero_known else np.zeros_like(block.quality)
-        self._quality, self._index = int(quality.min()), block.refractive_index
+        self._quality, self._index = int(quality.max()), block.refractive_index
         message = Displacement(
             header=Header(stamp=stamp_of(block.stamp_ns), frame_id=self.setup),
             sample_period=block.period_s, beams=block.displacement_m.shape[1],
             displacement=array.array('d', np.ascontiguousarray(block.displacement_m).tobytes()),
             refractive_index=block.refractive_index,
             quality=array.array('B', quality.astype(np.uint8).tobytes()))
+        # First when, then what: whoever waits for the samples has their times.
+        self._machines[self._prefix].timing.publish(self.timing_of(block))
         self._machines[self._prefix].displacement.publish(message)
 
     def _publish_environment(self, readings: dict[str, float], now_ns: int) -> None:

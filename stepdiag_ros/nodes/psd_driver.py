@@ -9,8 +9,8 @@ import sys
 import numpy as np
 from std_msgs.msg import Header
 
-from stepdiag_msgs.msg import SpotPosition
-from stepdiag_ros.bag.schemas import SPOT
+from stepdiag_msgs.msg import SampleTiming, SpotPosition
+from stepdiag_ros.bag.schemas import SPOT, SPOT_TIMING
 from stepdiag_ros.devices import t7
 from stepdiag_ros.devices.base import SpotBlock
 from stepdiag_ros.devices.modbus_psd import ModbusPsd
@@ -38,6 +38,7 @@ class PsdDriver(DriverNode):
         self.text('zero', [0.0, 0.0], "zero in the detector's axes, taken off first [m]", fixed=True)
         self.number('dark', 0.05, 'sum signal below which there is no spot', 0.0, 10.0, 'V')
         self._publisher = self.marked.publisher(SpotPosition, SPOT)
+        self._timing = self.marked.publisher(SampleTiming, SPOT_TIMING)
         self.serve_select('psd/select_setup')
         self._intensity = 0.0
         self._dark = 0
@@ -66,6 +67,7 @@ class PsdDriver(DriverNode):
     def publish(self, block: SpotBlock) -> None:
         self._intensity = float(np.mean(block.intensity_V))
         self._dark = int(np.sum(~np.isfinite(block.x_m)))
+        self._timing.publish(self.timing_of(block))
         self._publisher.publish(SpotPosition(
             header=Header(stamp=stamp_of(block.stamp_ns), frame_id=self.setup),
             sample_period=block.period_s, x=_doubles(block.x_m), y=_doubles(block.y_m),

@@ -29,9 +29,9 @@ from std_srvs.srv import Trigger
 from unique_identifier_msgs.msg import UUID
 
 from stepdiag_msgs.action import RunStepDiagonal
-from stepdiag_msgs.msg import Displacement, RecorderStatus, SpotPosition, Step
+from stepdiag_msgs.msg import Displacement, RecorderStatus, SampleTiming, SpotPosition, Step
 from stepdiag_msgs.srv import ResetDisplacement, SelectSetup
-from stepdiag_ros.bag.schemas import DESCRIPTION, DISPLACEMENT, SPOT, STEP
+from stepdiag_ros.bag.schemas import DESCRIPTION, DISPLACEMENT, SPOT, STEP, STEP_TIMING
 from stepdiag_ros.devices.hostclock import HOST
 from stepdiag_ros.devices.linuxcnc_rsh import PORT, LinuxCncRsh
 from stepdiag_ros.errors import StepdiagError
@@ -52,7 +52,7 @@ from stepdiag_ros.nodes.ears import HEARS
 from stepdiag_ros.nodes.marked import Marked
 from stepdiag_ros.nodes.ownership import SEQUENCER, Ownership
 from stepdiag_ros.nodes.runner import Cancelled, Interrupted, Outcome, Progress, Runner
-from stepdiag_ros.nodes.stamps import ns_of, stamp_of
+from stepdiag_ros.nodes.stamps import clock_name, ns_of, stamp_of
 from stepdiag_ros.nodes.watch import Recording, Watch
 
 #: Setup services wait for an operator who mounts a mirror.
@@ -104,6 +104,7 @@ class StepSequencer(StepdiagNode):
         self._ownership = Ownership(self.get_namespace(), SEQUENCER)
         self._marked = Marked(self)
         self._steps = self._marked.publisher(Step, STEP)
+        self._timing = self._marked.publisher(SampleTiming, STEP_TIMING)
         self._description_publisher: Publisher | None = None
         self._select = {sensor: self.create_client(SelectSetup, f'{sensor}/select_setup')
                         for sensor in ('interferometer', 'psd')}
@@ -460,6 +461,7 @@ class StepSequencer(StepdiagNode):
         self._watch.begin()
 
     def _zero(self) -> None:
+        self._timing.publish(SampleTiming(header=Header(stamp=stamp_of(HOST.now_ns())), clock=clock_name()))
         self._call(self._reset, ResetDisplacement.Request(), 'interferometer/reset')
         self._watch.begin()
 
