@@ -36,6 +36,8 @@ COMMANDS: tuple[tuple[str, str, str], ...] = (
     ('report', 'report', 'figures, sheets and pages of an evaluation'),
     ('compensate', 'compensate', 'compensation tables for a control that cannot harm'),
     ('verify', 'verify', 'decide by a log before and one after whether a machine conforms'),
+    ('improve', 'improve', 'calibrate, compensate LinuxCNC, calibrate again, and say what it brought'),
+    ('linuxcnc', 'linuxcnc', 'install the components for LinuxCNC, add the watchdog to a configuration'),
     ('replay', 'replay', "send a log through the solver node's own function, or onto topics"),
     ('info', 'info', 'what a bag holds and what is missing'),
     ('recover', 'recover', 'mend a torn bag and say what is lost'),
