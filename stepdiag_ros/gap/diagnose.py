@@ -31,9 +31,9 @@ from stepdiag_ros.gap.experiment_design.advice import advise
 from stepdiag_ros.gap.experiment_design.competing_models import confused, rivals_of, separations
 from stepdiag_ros.gap.inference.evidence import width_of
 from stepdiag_ros.gap.inference.initialisation import GROSS
-from stepdiag_ros.gap.inference.joint import Joint, fit_jointly, unexplained
+from stepdiag_ros.gap.inference.joint import Joint, unexplained
+from stepdiag_ros.gap.inference.noise_or_effects import settle_in_noise
 from stepdiag_ros.gap.inference.search import NOTHING, EffectSet, probabilities
-from stepdiag_ros.gap.inference.select_effects import noise_of, settle
 from stepdiag_ros.gap.noise.disturbances import disturbed
 from stepdiag_ros.gap.noise.incoherent_lines import Vibration
 from stepdiag_ros.gap.noise.scatter import excess_scatter
@@ -55,8 +55,7 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
     log, observation, clocks, late = set_clocks(log, observe(log))
     observation, beyond_range = within_range(observation)
     observation, disturbances = disturbed(log, observation)
-    alone = fit_jointly(observation, [], noise_of(observation))
-    joint, sets, screen = settle(alone, effects)
+    alone, joint, sets, screen = settle_in_noise(observation, effects)
     best = sets[0] if sets[0].log_bayes > ALARM else EffectSet((), 0.0)
     names, nothing, weights = probabilities(sets, len(effects) + 1, TEMPER)
     if not best.members:

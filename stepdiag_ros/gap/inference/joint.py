@@ -21,6 +21,7 @@ from stepdiag_ros.estimate.noise import NoiseModel, estimate_noise
 from stepdiag_ros.estimate.reduce import StopTable
 from stepdiag_ros.gap.inference.evidence import SIZES, Judged, judge, width_of
 from stepdiag_ros.gap.inference.parity import Parity, parity
+from stepdiag_ros.gap.noise.arrival_law import reweighed
 from stepdiag_ros.gap.preprocess.observe import Observation, sane_fit, view_of
 
 ROUNDS = 4
@@ -109,9 +110,10 @@ def fit_jointly(observation: Observation, chosen: list[tuple[Effect, Form]],
         return Joint(observation, noise, space, ())
     for _ in range(ROUNDS):
         without = freed(observation.table, active)
-        result = sane_fit(observation.log, without, observation.fit.theta)
-        noise = estimate_noise(without, observation.log.description.noise, result.arrival)
+        result = sane_fit(observation.log, without, observation.fit.theta, None if noise.tidy else noise)
         observation = refitted(observation, result)
+        noise = estimate_noise(without, observation.log.description.noise, result.arrival) if noise.tidy \
+            else reweighed(observation, noise, without)
         chosen = [(effect, same_form(effect, form, observation.view)) for effect, form in chosen]
         rest = observation.bins - sum(a.inside for a in active)
         scale = _bin_scale(rest, observation.bin_sigma)

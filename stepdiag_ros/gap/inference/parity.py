@@ -15,7 +15,7 @@ from scipy import linalg
 
 from stepdiag_ros.effects.base import Form
 from stepdiag_ros.estimate.enhanced import Fit
-from stepdiag_ros.estimate.noise import NoiseModel, whiteners
+from stepdiag_ros.estimate.noise import NoiseModel, Whitener, whiteners
 from stepdiag_ros.gap.preprocess.observe import Observation
 from stepdiag_ros.model.log import STOOD
 
@@ -144,22 +144,33 @@ class Parity:
         return result * form.scale
 
 
-def parity(observation: Observation, result: Fit, noise: NoiseModel,
-           readings: np.ndarray, bin_scale: float | None = None) -> Parity:
-    """Set up the projection at ``result`` with ``noise``; data are ``readings`` minus its prediction."""
+def projection(observation: Observation, result: Fit, noise: NoiseModel,
+               readings: np.ndarray) -> tuple[list[Whitener], np.ndarray, np.ndarray, float]:
+    """Whiteners, one a run; orthonormal directions (N, r) that the fit can imitate; white data (N,) without them, the
+    unknowns' own departures last; logarithm of the volume that noise and unknowns leave, −½ ln|C| − ½ ln|JᵀC⁻¹J + P|."""
     present = result.present
     white = whiteners(observation.table, noise, result.arrival, present)
     # The unknowns are held to their widths as in the fit: else errors of metres, along directions that the
     # readings hardly tell, would imitate what no machine does.
     held = np.linalg.cholesky(result.precision).T
-    jacobian = np.concatenate([*(w(result.jacobian.toarray()) for w in white), held])
-    jacobian = jacobian / np.linalg.norm(jacobian, axis=0)
-    basis, _ = linalg.qr(jacobian, mode='economic', check_finite=False)
+    dense = result.jacobian.toarray()
+    jacobian = np.concatenate([*(w(dense) for w in white), held])
+    size = np.linalg.norm(jacobian, axis=0)
+    basis, triangle = linalg.qr(jacobian / size, mode='economic', check_finite=False)
     # What the fit has put into its residual is gone already; only the rest is left to look at.
     residual = np.where(present, readings - result.model.predict(result.theta), 0.0).ravel()
     data = np.concatenate([*(w(residual) for w in white), -held @ result.theta])
     data = data - basis @ (basis.T @ data)
-    own = len(data) - len(held)
+    volume = -sum(float(np.sum(np.log(np.diag(w.factor)))) for w in white) \
+        - float(np.sum(np.log(size)) + np.sum(np.log(np.abs(np.diag(triangle)))))
+    return white, basis, data, volume
+
+
+def parity(observation: Observation, result: Fit, noise: NoiseModel,
+           readings: np.ndarray, bin_scale: float | None = None) -> Parity:
+    """Set up the projection at ``result`` with ``noise``; data are ``readings`` minus its prediction."""
+    white, basis, data, _ = projection(observation, result, noise, readings)
+    own = len(data) - len(result.precision)
 
     channels = observation.bins.shape[2]
     contrast = _contrasts(observation.bins.shape[1])
@@ -183,8 +194,8 @@ def parity(observation: Observation, result: Fit, noise: NoiseModel,
     return Parity(np.concatenate([data, inside / bin_scale]), len(data),
                   # Machines are far better than the widths: their own departures count for nothing.
                   (round(own - float(np.sum(basis[:own]**2))), len(inside)),
-                  np.concatenate([rows % channels, np.full(len(held), -1), channel]),
-                  np.concatenate([rows // channels, np.full(len(held), -1), stop]), bin_scale,
+                  np.concatenate([rows % channels, np.full(len(data) - own, -1), channel]),
+                  np.concatenate([rows // channels, np.full(len(data) - own, -1), stop]), bin_scale,
                   white, basis, contrast,
                   observation.bin_sigma[:, None, :] * rough, bin_present)
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from stepdiag_ros.effects.base import StopView
 from stepdiag_ros.estimate.enhanced import Fit, fit, readings_of
+from stepdiag_ros.estimate.noise import NoiseModel
 from stepdiag_ros.estimate.reduce import StopTable, reduce_log
 from stepdiag_ros.model.air import refractive_index
 from stepdiag_ros.model.log import CalibrationLog, ScalarSeries
@@ -55,13 +56,14 @@ def observe(log: CalibrationLog) -> Observation:
     return Observation(log, table, nominal, view_of(log, table, nominal, time), bins, sigma)
 
 
-def sane_fit(log: CalibrationLog, table: StopTable, theta: np.ndarray | None = None) -> Fit:
+def sane_fit(log: CalibrationLog, table: StopTable, theta: np.ndarray | None = None,
+             noise: NoiseModel | None = None) -> Fit:
     """The nominal fit; where the model fails grossly, with the noise scaled up until it does not.
 
     The widths of the unknowns then hold machine and misalignments to plausible sizes instead of
-    letting them explain the gap away.  ``theta`` starts the iteration.
+    letting them explain the gap away.  ``theta`` starts the iteration; ``noise``: if not as the repeats show it.
     """
-    result = fit(log.description, table, theta=theta, settled=SETTLED)
+    result = fit(log.description, table, noise=noise, theta=theta, settled=SETTLED)
     noise, scale = result.noise, 1.0
     for _ in range(6):
         reduced = result.chi2 / max(result.dof, 1)
