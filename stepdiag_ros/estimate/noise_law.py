@@ -11,9 +11,10 @@ With the derivatives A of the readings by the errors, of unit size and correlati
 
     C = A D R D Aᵀ + S = LLᵀ,      ε = R Uᵀz,      V = R − R Uᵀ(1 − BBᵀ) U R,      U = L⁻¹AD,
 
-are the errors' means and covariance given the data z; with q = ε² + diag V a step of the variational EM algorithm is
-w = (ν + 1)/(ν + q/w₀), σ² ← σ² mean q.  Its lower bound of the log evidence, beyond that of the normal
-distribution with those variances, is Σ ½(E ln w − ln E w) − KL(w ‖ prior).
+are the errors' means and covariance given the data z.  With all others held, the data say of one error m ± √v; its
+weight w is averaged over with N(m; 0, v + σ²/w) and its gamma distribution, exactly.  A step sets the variance of
+each to σ²/E w and σ² to the mean of E wε²; what those averages are above the normal density with the variance that
+each was taken to have is what tails add to the log evidence (as expectation propagation has it, Minka 2001).
 """
 
 from collections.abc import Iterator, Sequence
@@ -27,7 +28,9 @@ from stepdiag_ros.estimate.reduce import StopTable
 
 SWEEPS = 4
 """Steps of the EM algorithm for each law tried."""
-LEAST_SPREAD, MOST_SPREAD = 0.7, 100.0
+LEAST_SPREAD, MOST_SPREAD = 0.5, 300.0
+WEIGHTS = np.geomspace(1e-5, 30.0, 60)
+"""Weights of single errors over which is summed."""
 
 
 @dataclass(frozen=True)
@@ -69,42 +72,66 @@ def latents(table: StopTable, noise: NoiseModel, arrival: np.ndarray, white: Seq
         start += len(one.rows)
 
 
-def second_moments(latent: Latent, basis: np.ndarray, data: np.ndarray) -> np.ndarray:
-    """Mean squares (m,) of a run's errors given ``data`` (N,), of which ``basis`` (N, r) is projected out, in units of
+@dataclass(frozen=True)
+class Errors:
+    """Errors of arrivals given the data, those of one run: ``latent``; ``mean`` (m,) and ``variance`` (m,) in units of
     what they were taken to be."""
+
+    latent: Latent
+    mean: np.ndarray
+    variance: np.ndarray
+
+
+def errors_of(latent: Latent, basis: np.ndarray, data: np.ndarray) -> Errors:
+    """A run's errors given ``data`` (N,), of which ``basis`` (N, r) is projected out."""
     seen = latent.prior @ latent.columns.T
     lost = seen @ basis[latent.at]
-    return (seen @ data[latent.at])**2 + 1.0 - np.sum(seen**2, axis=1) + np.sum(lost**2, axis=1)
+    return Errors(latent, seen @ data[latent.at],
+                  np.clip(1.0 - np.sum(seen**2, axis=1) + np.sum(lost**2, axis=1), 1e-9, 1.0))
 
 
-def law_of(noise: NoiseModel, source: np.ndarray) -> np.ndarray:
-    """Degrees of freedom (m,) of errors by their ``source``."""
-    return np.where(source < 2, noise.angle_law.dof, noise.position_law.dof)
+def weighed(noise: NoiseModel, found: Sequence[Errors], stops: int) -> tuple[NoiseModel, float, np.ndarray, np.ndarray]:
+    """The noise with what each of the ``stops`` is wider by, given the errors; the log evidence that the tails bring
+    beyond normal errors of the widths that they were taken to have; and the errors' mean squares (m,) with their
+    ``source`` (m,), in squares of the noise's sizes, each counted by its weight.
+
+    All but one error held, the data say of that one m ± √v: 1/v = 1/V − 1, m = v ε/V.
+    """
+    spread, evidence, squares = np.ones((5, stops)), 0.0, []
+    for errors in found:
+        latent = errors.latent
+        square = errors.mean**2 + errors.variance
+        for kind in range(5):
+            law = noise.angle_law if kind < 2 else noise.position_law
+            mine = np.flatnonzero(latent.source == kind)
+            if np.isinf(law.dof) or not len(mine):
+                continue
+            first = np.array([latent.stops[k][0] for k in mine])
+            before = np.ones(len(mine)) if noise.spread is None else noise.spread[kind, first]
+            told = 1.0 - errors.variance[mine]
+            told = np.maximum(told, 1e-6)
+            middle, wide = errors.mean[mine] / told * before, errors.variance[mine] / told * before**2
+            total = wide[:, None] + 1.0 / WEIGHTS
+            logs = _log_share(law.dof) - 0.5 * np.log(total) - 0.5 * middle[:, None]**2 / total
+            top = special.logsumexp(logs, axis=1)
+            share = np.exp(logs - top[:, None])
+            plain = wide + before**2
+            evidence += float(np.sum(top + 0.5 * np.log(plain) + 0.5 * middle**2 / plain))
+            own = 1.0 / (WEIGHTS + 1.0 / wide[:, None])
+            square[mine] = np.sum(share * WEIGHTS * (own + (own * (middle / wide)[:, None])**2), axis=1)
+            now = np.clip(1.0 / np.sqrt(share @ WEIGHTS), LEAST_SPREAD, MOST_SPREAD)
+            for k, size in zip(mine, now, strict=True):
+                spread[kind, latent.stops[k]] = size
+        squares.append(square)
+    heavy = np.isfinite(noise.angle_law.dof) or np.isfinite(noise.position_law.dof)
+    return (replace(noise, spread=spread if heavy else None), evidence, np.concatenate(squares),
+            np.concatenate([errors.latent.source for errors in found]))
 
 
-def wider(noise: NoiseModel, found: Sequence[Latent], moments: Sequence[np.ndarray], stops: int) -> tuple[NoiseModel, float]:
-    """The noise with what each of the ``stops`` is wider by, given the errors' mean squares, and the log evidence that
-    the tails bring beyond the normal distribution with those widths."""
-    spread, evidence = np.ones((5, stops)), 0.0
-    for latent, square in zip(found, moments, strict=True):
-        dof = law_of(noise, latent.source)
-        heavy = np.isfinite(dof)
-        if not heavy.any():
-            continue
-        before = np.ones(len(square)) if noise.spread is None else np.array(
-            [noise.spread[kind, rows[0]] for kind, rows in zip(latent.source, latent.stops, strict=True)])
-        shape, rate = 0.5 * (dof[heavy] + 1.0), 0.5 * (dof[heavy] + square[heavy] * before[heavy]**2)
-        mean, prior = shape / rate, 0.5 * dof[heavy]
-        log = special.digamma(shape) - np.log(rate)
-        # ½(E ln w − ln E w) − KL(Gamma(shape, rate) ‖ Gamma(prior, prior))
-        evidence += float(np.sum(
-            0.5 * (log - np.log(mean)) - (shape - prior) * special.digamma(shape) + special.gammaln(shape)
-            - special.gammaln(prior) - prior * (np.log(rate) - np.log(prior)) - shape * (prior - rate) / rate))
-        now = np.clip(1.0 / np.sqrt(mean), LEAST_SPREAD, MOST_SPREAD)
-        for kind, rows, size in zip(latent.source[heavy], [latent.stops[k] for k in np.flatnonzero(heavy)], now,
-                                    strict=True):
-            spread[kind, rows] = size
-    return replace(noise, spread=spread if not noise.tidy and np.any(spread != 1.0) else None), evidence
+def _log_share(dof: float) -> np.ndarray:
+    """Logarithm of the share (k,) of errors that have each of ``WEIGHTS``: the gamma distribution on that grid."""
+    logs = 0.5 * dof * np.log(WEIGHTS) - 0.5 * dof * WEIGHTS
+    return logs - special.logsumexp(logs)
 
 
 @dataclass(frozen=True)
@@ -155,11 +182,10 @@ class Repeats:
             basis, _ = linalg.qr(open_, mode='economic', check_finite=False)
             data = np.concatenate([w(filled) for w in white])
             data = data - basis @ (basis.T @ data)
-            found = list(latents(table, own, arrival, white))
-            moments = [second_moments(latent, basis, data) for latent in found]
-            now, _ = wider(own, found, moments, len(rows))
-            sources += [latent.source for latent in found]
-            squares += moments
+            found = [errors_of(latent, basis, data) for latent in latents(table, own, arrival, white)]
+            now, _, square, source = weighed(own, found, len(rows))
+            sources.append(source)
+            squares.append(square)
             if now.spread is not None:
                 spread[:, rows] = now.spread
         return _Tried(replace(noise, spread=None if noise.tidy else spread), np.concatenate(sources),

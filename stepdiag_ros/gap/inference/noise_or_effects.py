@@ -6,15 +6,17 @@ effects beside the noise whose laws explain the log best without any.  Of each, 
 evidence of what it leaves is taken, the price of its effects' freedom paid; the larger decides.
 """
 
+from collections import Counter
 from collections.abc import Mapping
 
 import numpy as np
 
 from stepdiag_ros.effects.base import Effect
+from stepdiag_ros.gap.alternatives.unmodelled import NAME as UNKNOWN
 from stepdiag_ros.gap.constants import SUSPICION
 from stepdiag_ros.gap.inference.candidates import Screen
 from stepdiag_ros.gap.inference.joint import Joint, fit_jointly, freed, refitted, size_of, unexplained
-from stepdiag_ros.gap.inference.search import EffectSet
+from stepdiag_ros.gap.inference.search import EffectSet, log_prior
 from stepdiag_ros.gap.inference.select_effects import noise_of, settle
 from stepdiag_ros.gap.noise.arrival_law import as_it_is, log_evidence
 from stepdiag_ros.gap.preprocess.observe import Observation, sane_fit
@@ -33,10 +35,12 @@ def settle_in_noise(observation: Observation, effects: Mapping[str, Effect]) -> 
     observation = refitted(observation, sane_fit(observation.log, observation.table, observation.fit.theta, noise))
     alone = fit_jointly(observation, [], noise)
     other: Settled = alone, *settle(alone, effects)
-    return max(other, plain, key=lambda found: total_evidence(found[1], found[3]))
+    if not plain[1].active:
+        return other
+    return max(other, plain, key=lambda found: total_evidence(*found[1:]))
 
 
-def total_evidence(joint: Joint, screen: Screen) -> float:
+def total_evidence(joint: Joint, sets: list[EffectSet], screen: Screen) -> float:
     """Log evidence, but for a constant of the log, of a joint fit: its noise and its effects.
 
     The noise is given tails beside the effects too, where they leave any.
@@ -47,15 +51,15 @@ def total_evidence(joint: Joint, screen: Screen) -> float:
     if joint.noise.tidy:
         stops += as_it_is(observation, joint.noise, table)[1]
     inside = unexplained(space, joint.active)[space.stops:]
-    return stops - 0.5 * float(inside @ inside) - len(inside) * float(np.log(space.bin_scale)) - _price(joint, screen)
+    return stops - 0.5 * float(inside @ inside) - len(inside) * float(np.log(space.bin_scale)) \
+        - (_price(joint, sets[0], screen) if joint.active else 0.0)
 
 
-def _price(joint: Joint, screen: Screen) -> float:
+def _price(joint: Joint, best: EffectSet, screen: Screen) -> float:
     """What the effects' freedom costs: ½ ln|1 + s²ZᵀZ| of their forms, and the ways to choose these."""
-    if not joint.active:
-        return 0.0
     columns = np.concatenate([joint.parity.project(a.form) * size_of(a.form) for a in joint.active], axis=1)
     _, volume = np.linalg.slogdet(np.eye(columns.shape[1]) + columns.T @ columns)
-    ways = sum(np.log(max(sum(c.effect == a.effect.name for c in screen.candidates), 1))
-               + np.log(len({c.effect for c in screen.candidates})) for a in joint.active)
-    return 0.5 * float(volume) + float(ways)
+    forms = Counter(candidate.effect for candidate in screen.candidates)
+    ways = sum(np.log(max(forms[a.effect.name or UNKNOWN], 1)) for a in joint.active)
+    among = len(forms)
+    return 0.5 * float(volume) + float(ways) + log_prior(EffectSet((), 0.0), among) - log_prior(best, among)

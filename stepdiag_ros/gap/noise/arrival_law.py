@@ -13,7 +13,7 @@ from scipy import stats
 
 from stepdiag_ros.estimate.enhanced import readings_of
 from stepdiag_ros.estimate.noise import Law, NoiseModel
-from stepdiag_ros.estimate.noise_law import Repeats, latents, second_moments, sized, wider
+from stepdiag_ros.estimate.noise_law import Repeats, errors_of, latents, sized, weighed
 from stepdiag_ros.estimate.reduce import StopTable
 from stepdiag_ros.gap.inference.parity import projection
 from stepdiag_ros.gap.preprocess.observe import Observation
@@ -110,11 +110,10 @@ def _settled(observation: Observation, noise: NoiseModel, readings: np.ndarray, 
 
 def _held(observation: Observation, noise: NoiseModel, readings: np.ndarray) -> _Held:
     white, basis, data, volume = projection(observation, observation.fit, noise, readings)
-    found = list(latents(observation.table, noise, observation.fit.arrival, white))
-    moments = [second_moments(latent, basis, data) for latent in found]
-    weighed, tails = wider(noise, found, moments, len(observation.table))
-    return _Held(noise, volume - 0.5 * float(data @ data) + tails, weighed,
-                 np.concatenate([latent.source for latent in found]), np.concatenate(moments))
+    found = [errors_of(latent, basis, data)
+             for latent in latents(observation.table, noise, observation.fit.arrival, white)]
+    wider, tails, squares, source = weighed(noise, found, len(observation.table))
+    return _Held(noise, volume - 0.5 * float(data @ data) + tails, wider, source, squares)
 
 
 def _suspected(observation: Observation, noise: NoiseModel, readings: np.ndarray) -> list[tuple[str, str, tuple]]:
