@@ -37,9 +37,11 @@ from stepdiag_ros.gap.inference.search import NOTHING, EffectSet, probabilities
 from stepdiag_ros.gap.noise.disturbances import disturbed
 from stepdiag_ros.gap.noise.incoherent_lines import Vibration
 from stepdiag_ros.gap.noise.scatter import excess_scatter
+from stepdiag_ros.gap.noise.stated import stated
 from stepdiag_ros.gap.preprocess.clocks import Late, set_clocks
 from stepdiag_ros.gap.preprocess.detector_range import within_range
 from stepdiag_ros.gap.preprocess.observe import observe
+from stepdiag_ros.gap.preprocess.samples import clean
 from stepdiag_ros.gap.summary.cross_validation import Closing, closing, excess_forecast
 from stepdiag_ros.gap.summary.hint import hint_of
 from stepdiag_ros.gap.summary.where import shares
@@ -52,6 +54,7 @@ BEYOND_PATTERNS = 0.95
 def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
     """Diagnose one log against ``effects`` (one instance of each class)."""
     effects = {effect.name: effect for effect in effects}
+    log, left_out = clean(log)
     log, observation, clocks, late = set_clocks(log, observe(log))
     observation, beyond_range = within_range(observation)
     observation, disturbances = disturbed(log, observation)
@@ -70,7 +73,7 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
     found = sorted([*found, *beside], key=lambda f: -f.probability)
     # Of several patterns the first explains the most.
     leftover = next((screen.candidates[m.candidate].form.label for m in best.members if m.effect == UNKNOWN), '')
-    before, instead = disturbances.words(joint, {name: names.get(name, 0.0) for name in best.key})
+    before, instead = disturbances.words({name: names.get(name, 0.0) for name in best.key})
     leftover = before or leftover or instead
     if not leftover and not shakes:
         leftover = _without_pattern(joint, best, how_far, bool(found))
@@ -89,7 +92,8 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
         {**names, **outside, NOTHING: nothing * float(np.prod([1.0 - p for p in outside.values()]))},
         tuple((tuple(sorted({*s.names, *outside})), w) for s, w in zip(sets, weights, strict=True))[:20],
         groups, observation, joint, clocks, disturbances.unrest.displacement, leftover,
-        log.warnings + observation.table.warnings + ((beyond_range,) if beyond_range else ()), sets, screen, words, run,
+        log.warnings + observation.table.warnings + ((beyond_range,) if beyond_range else ()) + left_out
+        + stated(joint, disturbances.widths), sets, screen, words, run,
         separations(sets, doubtful), hint)
 
 

@@ -51,8 +51,8 @@ def total_evidence(joint: Joint, sets: list[EffectSet], screen: Screen) -> float
     if joint.noise.tidy:
         stops += as_it_is(observation, joint.noise, table)[1]
     inside = unexplained(space, joint.active)[space.stops:]
-    return stops - 0.5 * float(inside @ inside) - len(inside) * float(np.log(space.bin_scale)) \
-        - (_price(joint, sets[0], screen) if joint.active else 0.0)
+    loud = float(np.sum(np.log(space.bin_scale[space.channel[space.stops:]])))
+    return stops - 0.5 * float(inside @ inside) - loud - (_price(joint, sets[0], screen) if joint.active else 0.0)
 
 
 def _price(joint: Joint, best: EffectSet, screen: Screen) -> float:

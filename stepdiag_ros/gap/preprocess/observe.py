@@ -196,13 +196,16 @@ def _bins(log: CalibrationLog, table: StopTable) -> tuple[np.ndarray, np.ndarray
         for i, (lo, hi) in enumerate(rows):
             if hi - lo < BINS or length[i] <= 0.0:
                 continue
-            values = samples.values[lo:hi]
+            good = np.isfinite(samples.values[lo:hi]).all(axis=1)
+            values = samples.values[lo:hi][good]
+            if len(values) < BINS:
+                continue
             values = values - values[0]
-            since = samples.time_ns[lo:hi] - table.dwell_ns[i]
+            since = samples.time_ns[lo:hi][good] - table.dwell_ns[i]
             # In whole nanoseconds: on a common time grid rounding would put some samples a bin too early.
             place = np.clip(since * BINS // (table.done_ns[i] - table.dwell_ns[i]), 0, BINS - 1)
             count = np.bincount(place, minlength=BINS)
-            if np.any(count == 0) or not np.isfinite(values).all():
+            if np.any(count == 0):
                 continue
             sums = np.stack([np.bincount(place, values[:, k], BINS)
                              for k in range(values.shape[1])], axis=1)
