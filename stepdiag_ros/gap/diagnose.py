@@ -51,6 +51,10 @@ BEYOND_PATTERNS = 0.95
 """Probability that something else acts where scatter, hops or coarse readings say so, each far beyond its alarm."""
 
 
+UNTIMED = ('the readings drift in the order in which they were taken; the times of this table are made up, so that no '
+           'thermal cause and no time constant can be told')
+
+
 def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
     """Diagnose one log against ``effects`` (one instance of each class)."""
     effects = {effect.name: effect for effect in effects}
@@ -67,17 +71,22 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
     how_far, shakes = closing(joint, alone), disturbances.unrest.shakes
     found = [_found(name, effects[name], names.get(name, 0.0), joint)
              for name in dict.fromkeys(a.effect.name for a in joint.active) if name in best.key]
+    untimed = set() if log.description.timed else {f.name for f in found if effects[f.name].needs_times}
+    found = [f for f in found if f.name not in untimed]
+    names = {UNKNOWN if name in untimed else name: names[name] for name in sorted(names, key=untimed.__contains__)} \
+        if untimed else names
     beside = [*([_late(late)] if late else []),
               *([_shaking(effects, disturbances.unrest.displacement)] if shakes else [])]
     outside = {f.name: f.probability for f in beside}
     found = sorted([*found, *beside], key=lambda f: -f.probability)
     # Of several patterns the first explains the most.
     leftover = next((screen.candidates[m.candidate].form.label for m in best.members if m.effect == UNKNOWN), '')
+    leftover = leftover or (UNTIMED if untimed else '')
     before, instead = disturbances.words({name: names.get(name, 0.0) for name in best.key})
     leftover = before or leftover or instead
     if not leftover and not shakes:
         leftover = _without_pattern(joint, best, how_far, bool(found))
-    if leftover and UNKNOWN not in best.key:
+    if leftover and UNKNOWN not in best.key and not untimed:
         outside[UNKNOWN] = BEYOND_PATTERNS
     if found and not leftover and (how_far.left > LEAST_LEFT or how_far.after > GROSS**2):
         leftover = (f'{100.0 * how_far.left:.2g} % of the gap does not follow the forms known of what was named '
@@ -90,7 +99,7 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
     return Diagnosis(
         log, _verdict(found, leftover), how_far, shares(joint, found, bool(leftover)), tuple(found),
         {**names, **outside, NOTHING: nothing * float(np.prod([1.0 - p for p in outside.values()]))},
-        tuple((tuple(sorted({*s.names, *outside})), w) for s, w in zip(sets, weights, strict=True))[:20],
+        tuple((tuple(sorted({*(UNKNOWN if n in untimed else n for n in s.names), *outside})), w) for s, w in zip(sets, weights, strict=True))[:20],
         groups, observation, joint, clocks, disturbances.unrest.displacement, leftover,
         log.warnings + observation.table.warnings + ((beyond_range,) if beyond_range else ()) + left_out
         + stated(joint, disturbances.widths), sets, screen, words, run,

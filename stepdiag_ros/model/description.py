@@ -12,6 +12,8 @@ import yaml
 
 from stepdiag_ros.errors import StepdiagError
 
+MADE_UP = 'made_up'
+"""What ``times`` of a description says where a table had none."""
 SCHEMA = 1
 DIAGONALS = ('ppp', 'npp', 'pnp', 'nnp')
 LINEAR = ('lin_x', 'lin_y', 'lin_z')
@@ -75,12 +77,13 @@ class Noise:
 
 @dataclass(frozen=True)
 class Description:
-    """A whole cell description."""
+    """A whole cell description; ``timed``: whether the log's times were measured, not made up for a table without."""
 
     machine: Machine
     plan: Plan
     setups: dict[str, Setup]
     noise: Noise = field(default_factory=Noise)
+    timed: bool = True
 
     @classmethod
     def from_yaml(cls, text: str, source: str = 'cell_description') -> 'Description':
@@ -132,7 +135,7 @@ class Description:
         get.mapping(n, 'noise')
         noise = Noise(*(get.number(n, f'noise.{key}', default=value, minimum=0.0)
                         for key, value in vars(Noise()).items()))
-        return cls(machine, plan, setups, noise)
+        return cls(machine, plan, setups, noise, data.get('times') != MADE_UP)
 
     def to_dict(self) -> dict[str, Any]:
         """The mapping of the contract, plain lists and floats."""
@@ -148,7 +151,8 @@ class Description:
                 'plan': {'steps': self.plan.steps, 'order': self.plan.order,
                          'repeats': self.plan.repeats},
                 'setups': setups,
-                'noise': dict(vars(self.noise))}
+                'noise': dict(vars(self.noise)),
+                **({} if self.timed else {'times': MADE_UP})}
 
     def to_yaml(self) -> str:
         return yaml.safe_dump(self.to_dict(), sort_keys=False, default_flow_style=None)
