@@ -36,6 +36,8 @@ class BandedNormal:
         n, channels = present.shape
         self.size, self.border = len(width), border
         self.frame, self.frame_width = frame, frame_width
+        # What correlates from arrival to arrival is left to the dense equations, which have the last word.
+        arrival = noise.spread_of(arrival)
         self._whitener = _stop_whitener(noise, arrival, present)
         numbers, first = arrivals(table), 0
         rows, columns, values = [], [], []
