@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stepdiag_ros.bag.tables import Group, TopicTable
+from stepdiag_ros.guard import limits
 from stepdiag_ros.model.log import Samples
 
 SECOND = 1_000_000_000
@@ -24,6 +25,16 @@ def text(values: np.ndarray) -> tuple[list[str], np.ndarray]:
     """Distinct strings of a bytes array (n,), and for each element its index, (n,)."""
     unique, inverse = np.unique(values, return_inverse=True)
     return [bytes(u).decode('utf-8', 'replace') for u in unique], inverse
+
+
+def strangers(names: list[str], inverse: np.ndarray, known: tuple[str, ...]) -> list[tuple[np.ndarray, str]]:
+    """Rows (n,) of names that are not ``known`` and the name quoted; after the first few names, all others in one."""
+    unknown = [k for k, name in enumerate(names) if name not in known]
+    found = [(inverse == k, repr(names[k])) for k in unknown[:limits.NAMES_LISTED]]
+    if len(unknown) > limits.NAMES_LISTED:
+        rest = unknown[limits.NAMES_LISTED:]
+        found.append((np.isin(inverse, rest), f'{names[rest[0]]!r} and {len(rest) - 1} others'))
+    return found
 
 
 def order_of(stamp: np.ndarray, sequence: np.ndarray, number: np.ndarray) -> np.ndarray:
@@ -69,11 +80,12 @@ class _Dropped:
         return good
 
 
-def displacement_samples(table: TopicTable, setup_names: tuple[str, ...]) -> tuple[Samples, list[str]]:
-    """Samples of ``interferometer/displacement``; beams that a setup lacks are NaN."""
+def displacement_samples(table: TopicTable, setup_names: tuple[str, ...], timing: TopicTable | None = None
+                         ) -> tuple[Samples, list[str]]:
+    """Samples of ``interferometer/displacement``, taken when ``timing`` says; beams that a setup lacks are NaN."""
     dropped = _Dropped()
     parts = [part for group in table.groups for part in _displacement_parts(group, dropped)]
-    samples, warnings = _assemble(table, parts, setup_names, dropped)
+    samples, warnings = _assemble(table, parts, setup_names, dropped, timing)
     dark = int((samples.health == 0).sum())
     if dark:
         warnings.append(f'{table.topic}: {dark} of {len(samples)} samples have signal quality 0; '
@@ -81,11 +93,12 @@ def displacement_samples(table: TopicTable, setup_names: tuple[str, ...]) -> tup
     return samples, warnings
 
 
-def spot_samples(table: TopicTable, setup_names: tuple[str, ...]) -> tuple[Samples, list[str]]:
-    """Samples of ``psd/spot``: values x, y [m], health the sum signal [V]."""
+def spot_samples(table: TopicTable, setup_names: tuple[str, ...], timing: TopicTable | None = None
+                 ) -> tuple[Samples, list[str]]:
+    """Samples of ``psd/spot``: values x, y [m], health the sum signal [V]; taken when ``timing`` says."""
     dropped = _Dropped()
     parts = [part for group in table.groups for part in _spot_parts(group, dropped)]
-    return _assemble(table, parts, setup_names, dropped, columns=2)
+    return _assemble(table, parts, setup_names, dropped, timing, columns=2)
 
 
 def _displacement_parts(group: Group, dropped: _Dropped) -> list[_Part]:
@@ -95,13 +108,13 @@ def _displacement_parts(group: Group, dropped: _Dropped) -> list[_Part]:
     for beams in np.unique(v['beams']):
         rows = np.flatnonzero(v['beams'] == beams)
         beams = int(beams)
-        whole = beams > 0 and total == marks * beams
+        whole = 0 < beams <= limits.BEAMS and total == marks * beams
         index = v['refractive_index'][rows]
         good = dropped.keep(np.full(len(rows), whole),
                             'whose displacement, beams and quality disagree in length')
-        good &= dropped.keep(np.isfinite(index) & (index > 0) | ~good,
-                             'with a refractive index that is no number above 0 '
-                             '(1.0 means: not divided out)')
+        good &= dropped.keep((index >= limits.INDEX[0]) & (index <= limits.INDEX[1]) | ~good,
+                             f'with a refractive index that is no number from {limits.INDEX[0]} to '
+                             f'{limits.INDEX[1]} (1.0 means: not divided out)')
         if good.any() and marks:
             chosen = slice(None) if good.all() and len(good) == len(group.number) else rows[good]
             lengths = v['displacement'][chosen]
@@ -128,7 +141,7 @@ def _part(group: Group, rows: np.ndarray | slice, columns: tuple[np.ndarray, ...
 
 
 def _assemble(table: TopicTable, parts: list[_Part], setup_names: tuple[str, ...],
-              dropped: _Dropped, columns: int = 1) -> tuple[Samples, list[str]]:
+              dropped: _Dropped, timing: TopicTable | None, columns: int = 1) -> tuple[Samples, list[str]]:
     """Order the blocks of all parts and lay their samples into flat arrays."""
     if table.malformed:
         dropped.reasons['that do not hold their type'] = table.malformed
@@ -159,15 +172,40 @@ def _assemble(table: TopicTable, parts: list[_Part], setup_names: tuple[str, ...
         for rows, at in _runs(starts[begin:begin + len(part.stamp)], count):
             _put(time, at, part.stamp[rows, None] + (offset if len(offset) == 1 else offset[rows]))
             _put(health, at, part.health[rows])
-            for number, column in enumerate(part.columns):
-                _put(values[:, number], at, column[rows])
+            for beam, column in enumerate(part.columns):
+                _put(values[:, beam], at, column[rows])
             values[at, beams:] = np.nan
         begin += len(part.stamp)
     index = np.repeat(np.concatenate([p.index for p, _ in kept])[order], sizes[order])
     setup = np.repeat(np.concatenate([setup for _, setup in kept])[order], sizes[order])
+    known = _timed(time, stamp[order], starts[order], timing) if timing is not None else None
     samples = Samples(time, values, health, index, setup_names, setup,
-                      np.repeat(np.arange(len(order)), sizes[order]))
-    return _tidy(samples, _finite(samples, kept, order, sizes), table.topic, warnings)
+                      np.repeat(np.arange(len(order)), sizes[order]), known)
+    far = limits.DISPLACEMENT_M if columns == 1 else limits.SPOT_M
+    return _tidy(samples, _finite(samples, kept, order, sizes, far), table.topic, warnings)
+
+
+def _timed(time: np.ndarray, stamp: np.ndarray, starts: np.ndarray, timing: TopicTable) -> np.ndarray | None:
+    """Put into ``time`` (n,) [ns] when the samples of blocks with such stamps were taken; their uncertainty (n,) [ns].
+
+    ``starts``: where the blocks' samples begin.  A message whose numbers do not fit its block is passed over.
+    """
+    ends = np.append(starts[1:], len(time))
+    place = dict(zip(stamp.tolist(), range(len(stamp)), strict=True))
+    known = np.full(len(time), -1, np.int64)
+    for group in timing.groups:
+        taken, uncertainty = (group.values[key].astype(np.int64) for key in ('taken', 'uncertainty'))
+        for row, at in enumerate(stamps_ns(group.values).tolist()):
+            if at not in place:
+                continue
+            begin, end = int(starts[place[at]]), int(ends[place[at]])
+            if taken.shape[1] == end - begin and np.all(np.diff(taken[row]) >= 0):
+                time[begin:end] = at + taken[row]
+            elif taken.shape[1]:
+                continue
+            if uncertainty.shape[1] in (1, end - begin):
+                known[begin:end] = uncertainty[row]
+    return known if np.any(known >= 0) else None
 
 
 def _put(target: np.ndarray, at: slice | np.ndarray, blocks: np.ndarray) -> None:
@@ -197,19 +235,21 @@ def _runs(starts: np.ndarray, count: int) -> list[tuple[slice | np.ndarray, slic
 
 
 def _finite(samples: Samples, kept: list[tuple[_Part, np.ndarray]], order: np.ndarray,
-            sizes: np.ndarray) -> np.ndarray | None:
-    """Mask (n,) of the samples that are numbers; ``None`` if all are.
+            sizes: np.ndarray, far: float) -> np.ndarray | None:
+    """Mask (n,) of the samples that are numbers and none beyond ``far``; ``None`` if all are.
 
     Beams that a block does not have are NaN on purpose and do not count.
     """
     alike = len({len(p.columns) for p, _ in kept}) == 1
     with np.errstate(invalid='ignore', over='ignore'):
-        # One NaN or infinity anywhere makes the sum one: a pass without a temporary.
-        if alike and np.isfinite(samples.values.sum()) and np.isfinite(samples.health.sum()):
+        # One NaN anywhere makes least and greatest one: passes without a temporary.
+        if alike and -far <= samples.values.min() and samples.values.max() <= far \
+                and -limits.SIGNAL <= samples.health.min() and samples.health.max() <= limits.SIGNAL:
             return None
     beams = np.repeat([len(p.columns) for p, _ in kept], [len(p.stamp) for p, _ in kept])[order]
     absent = np.arange(samples.values.shape[1]) >= np.repeat(beams, sizes[order])[:, None]
-    mask = (np.isfinite(samples.values) | absent).all(axis=1) & np.isfinite(samples.health)
+    with np.errstate(invalid='ignore'):
+        mask = ((np.abs(samples.values) <= far) | absent).all(axis=1) & (np.abs(samples.health) <= limits.SIGNAL)
     return None if mask.all() else mask
 
 
@@ -218,10 +258,8 @@ def _usable(part: _Part, setup_names: tuple[str, ...], dropped: _Dropped) -> tup
     names, inverse = text(part.frame)
     setup = np.array([setup_names.index(n) if n in setup_names else -1 for n in names], np.intp)[inverse]
     good = np.ones(len(setup), bool)
-    for position, name in enumerate(names):
-        if name not in setup_names:
-            good &= dropped.keep(inverse != position, f'of unknown setup {name!r} (the description '
-                                 f'has {", ".join(setup_names)})')
+    for rows, which in strangers(names, inverse, setup_names):
+        good &= dropped.keep(~rows, f'of unknown setup {which} (the description has {", ".join(setup_names)})')
     # Longer than years cannot be meant, and would not fit the nanoseconds.
     timed = (part.period > 0) & (part.period * part.health.shape[1] < 1e9) | (part.health.shape[1] == 1)
     good &= dropped.keep(timed | ~good, 'with a sample period that is no sensible number above 0')
@@ -237,7 +275,7 @@ def _tidy(samples: Samples, finite: np.ndarray | None, topic: str,
     good = finite
     if finite is not None:
         warnings.append(f'{topic}: left out {int((~finite).sum())} of {len(finite)} samples '
-                        'that are NaN or infinite')
+                        'that are NaN, infinite or far beyond any reading')
     twice = _repeated(samples)
     if twice is not None:
         warnings.append(f'{topic}: left out {len(np.unique(samples.block[twice]))} block(s) that '
@@ -270,4 +308,5 @@ def _repeated(samples: Samples) -> np.ndarray | None:
 def _take(samples: Samples, which: np.ndarray) -> Samples:
     return Samples(samples.time_ns[which], samples.values[which], samples.health[which],
                    samples.refractive_index[which], samples.setup_names, samples.setup[which],
-                   samples.block[which])
+                   samples.block[which],
+                   None if samples.uncertainty_ns is None else samples.uncertainty_ns[which])

@@ -1,9 +1,11 @@
 """Is the log whole?  Lost messages, stops planned and seen, dwells and their samples."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from stepdiag_ros.bag.cdr import alike
 from stepdiag_ros.bag.tables import TopicTable
 from stepdiag_ros.model.description import Description
 from stepdiag_ros.model.log import DONE, DWELL, Samples, StepEvents
@@ -50,12 +52,13 @@ def traverses(description: Description, steps: StepEvents) -> list[Traverse]:
         if len(steps) else np.zeros((0, 4), np.int64)
     unique, first, inverse = np.unique(keys, axis=0, return_index=True, return_inverse=True)
     found = []
+    members = dict(alike(inverse.ravel()))
     for k in np.argsort(first, kind='stable'):
         run, setup, repeat, direction = (int(v) for v in unique[k])
         name = steps.setup_names[setup]
         planned = planned_stops(description, name)
-        dwell = (inverse.ravel() == k) & (steps.phase == DWELL)
-        seen, counts = np.unique(steps.index[dwell], return_counts=True)
+        mine = members[int(k)]
+        seen, counts = np.unique(steps.index[mine[steps.phase[mine] == DWELL]], return_counts=True)
         inside = seen < planned
         found.append(Traverse(
             steps.run_ids[run], name, repeat, direction, planned,
@@ -89,7 +92,7 @@ def samples_in_dwells(steps: StepEvents, samples: Samples) -> np.ndarray:
                      for a, b, s in zip(begin, end, setup, strict=True)], np.int64)
 
 
-def listed(numbers: tuple[int, ...] | list[int], most: int = 6) -> str:
+def listed(numbers: Sequence[object], most: int = 6) -> str:
     """``1, 2, 3`` with the tail cut."""
     shown = ', '.join(str(n) for n in numbers[:most])
     return shown + (f' and {len(numbers) - most} more' if len(numbers) > most else '')
@@ -128,7 +131,7 @@ def stop_warnings(description: Description, steps: StepEvents, displacement: Sam
             empty = int((counts == 0).sum())
             if empty:
                 spans = dwell_spans(steps)[counts == 0, 0]
-                where = [f'{steps.run_ids[steps.run[e]]} stop {steps.index[e]}' for e in spans]
+                places = [f'{steps.run_ids[steps.run[e]]} stop {steps.index[e]}' for e in spans]
                 warnings.append(f'{empty} of {len(counts)} dwells hold no {label} sample: '
-                                f'{listed(where, 3)}')
+                                f'{listed(places, 3)}')
     return warnings

@@ -9,22 +9,34 @@ from pathlib import Path
 
 import numpy as np
 
-from stepdiag_ros.bag.blocks import backwards, displacement_samples, order_of, spot_samples, stamps_ns, text
+from stepdiag_ros.bag.blocks import (
+    backwards,
+    displacement_samples,
+    order_of,
+    spot_samples,
+    stamps_ns,
+    strangers,
+    text,
+)
 from stepdiag_ros.bag.check import lost_messages, stop_warnings
 from stepdiag_ros.bag.clocksteps import put_right
 from stepdiag_ros.bag.schemas import (
     DESCRIPTION,
     DISPLACEMENT,
+    DISPLACEMENT_TIMING,
     SCALAR_FIELD,
     SCALE,
     SPOT,
+    SPOT_TIMING,
     STEP,
+    STEP_TIMING,
     TOPICS,
     split_topic,
 )
 from stepdiag_ros.bag.source import BagSource, open_bag
 from stepdiag_ros.bag.tables import Tables, TopicTable, collect
 from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.guard import limits
 from stepdiag_ros.model.description import Description
 from stepdiag_ros.model.log import CalibrationLog, Samples, ScalarSeries, StepEvents
 
@@ -91,27 +103,31 @@ def build_log(source: BagSource, tables: Tables, namespace: str | None = None,
         warnings.append('the file carries no CRCs: a changed byte in it would not be noticed')
     if description is None:
         description = _description(source.path, name, mine[DESCRIPTION])
+    tables_of: dict[str, TopicTable] = {}
     for relative in (STEP, DISPLACEMENT):
-        if mine[relative] is None or not mine[relative].count:
+        table = mine[relative]
+        if table is None or not table.count:
             raise StepdiagError(f'{source.path}: topic {name}/{relative} '
                                 f'({TOPICS[relative]}) is missing or has no message; '
                                 'without it nothing can be evaluated')
+        tables_of[relative] = table
     setup_names = tuple(description.setups)
-    steps, notes = _steps(mine[STEP], setup_names)
+    steps, notes = _steps(tables_of[STEP], setup_names)
     warnings += notes
     warnings += _repeated(steps.run_ids)
-    displacement, notes = displacement_samples(mine[DISPLACEMENT], setup_names)
+    displacement, notes = displacement_samples(tables_of[DISPLACEMENT], setup_names, mine[DISPLACEMENT_TIMING])
     warnings += notes
     for found, relative in ((steps, STEP), (displacement, DISPLACEMENT)):
         if not len(found):
             raise StepdiagError(f'{source.path}: topic {name}/{relative} holds nothing that can be '
                                 f'used: {notes_of(warnings, relative)}')
     spot = Samples.empty(2)
-    if mine[SPOT] is None or not mine[SPOT].count:
+    spots = mine[SPOT]
+    if spots is None or not spots.count:
         warnings.append(f'{name}/{SPOT} is missing: no angle is measured, '
                         'the evaluation rests on distances alone')
     else:
-        spot, notes = spot_samples(mine[SPOT], setup_names)
+        spot, notes = spot_samples(spots, setup_names, mine[SPOT_TIMING])
         warnings += notes
     environment: dict[str, ScalarSeries] = {}
     for relative, table in mine.items():
@@ -120,13 +136,23 @@ def build_log(source: BagSource, tables: Tables, namespace: str | None = None,
             environment |= series
             warnings += notes
     for table in mine.values():
-        lost = lost_messages(table) if table is not None else None
-        if lost:
+        if table is not None and (lost := lost_messages(table)):
             warnings.append(f'{table.topic}: {lost} message(s) were lost before the recorder '
                             '(gaps in the sequence numbers)')
     warnings += stop_warnings(description, steps, displacement, spot)
     return CalibrationLog(description, steps, displacement, spot, environment, str(source.path),
-                          name, tuple(warnings))
+                          name, tuple(warnings), _clocks(mine))
+
+
+def _clocks(mine: dict[str, TopicTable | None]) -> dict[str, str]:
+    """Names of the clocks that stamped; of a source that names several there is none."""
+    clocks = {}
+    for source, relative in (('sequencer', STEP_TIMING), ('interferometer', DISPLACEMENT_TIMING), ('psd', SPOT_TIMING)):
+        table = mine[relative]
+        names = {bytes(raw) for group in table.groups for raw in group.values['clock']} if table is not None else ()
+        if len(names) == 1 and (clock := names.pop().decode('utf-8', 'replace')):
+            clocks[source] = clock
+    return clocks
 
 
 def notes_of(warnings: list[str], relative: str) -> str:
@@ -168,11 +194,13 @@ def _description(path: Path, name: str, table: TopicTable | None) -> Description
                             'message; without the description of machine and setups nothing can be '
                             'evaluated')
     texts = {bytes(raw).decode('utf-8', 'replace') for g in table.groups for raw in g.values['data']}
-    found = [Description.from_yaml(t, f'{path}: {topic}') for t in sorted(texts)]
-    if any(other != found[0] for other in found[1:]):
-        raise StepdiagError(f'{path}: topic {topic} holds {len(found)} descriptions that differ; '
+    first, *others = sorted(texts)
+    found = Description.from_yaml(first, f'{path}: {topic}')
+    if len(texts) > limits.DESCRIPTIONS or \
+            any(Description.from_yaml(other, f'{path}: {topic}') != found for other in others):
+        raise StepdiagError(f'{path}: topic {topic} holds {len(texts)} descriptions that differ; '
                             'record each cell in a bag of its own')
-    return found[0]
+    return found
 
 
 def _stack(table: TopicTable, path: str) -> np.ndarray:
@@ -212,10 +240,8 @@ def _steps(table: TopicTable, setup_names: tuple[str, ...]) -> tuple[StepEvents,
         if count:
             warnings.append(f'{table.topic}: left out {count} event(s) {why}')
 
-    for position, name in enumerate(names):
-        if name not in setup_names:
-            drop(inverse == position, f'of unknown setup {name!r} '
-                                      f'(the description has {", ".join(setup_names)})')
+    for rows, which in strangers(names, inverse, setup_names):
+        drop(rows, f'of unknown setup {which} (the description has {", ".join(setup_names)})')
     drop(~np.isin(columns['phase'], (0, 1, 2)), 'whose phase is none of MOVE, DWELL, DONE')
     drop(~np.isin(columns['axis'], (0, 1, 2, 255)), 'whose axis is none of X, Y, Z, NONE')
     drop(~np.isin(columns['direction'], (-1, 1)), 'whose direction is neither +1 nor -1')
@@ -223,21 +249,24 @@ def _steps(table: TopicTable, setup_names: tuple[str, ...]) -> tuple[StepEvents,
     same[1:] = np.logical_and.reduce([c[1:] == c[:-1] for c in (stamp, *columns.values())])
     drop(same, 'that the log holds twice')
     run_names, run = text(columns['run_id'])
-    first = np.array([np.flatnonzero(good & (run == k))[:1].sum() if (good & (run == k)).any() else -1
-                      for k in range(len(run_names))], np.intp)
+    first = np.full(len(run_names), len(run), np.intp)
+    np.minimum.at(first, run[good], np.flatnonzero(good))
     # Runs are numbered in the order in which they began.
-    present = [int(k) for k in np.argsort(first, kind='stable') if first[k] >= 0]
+    present = [int(k) for k in np.argsort(first, kind='stable') if first[k] < len(run)]
     renumber = np.full(len(run_names), -1, np.intp)
     renumber[present] = np.arange(len(present))
+    numbers = {key: columns[key][good].astype(np.int64) for key in ('repeat', 'direction', 'index', 'axis', 'phase')}
     events = StepEvents(
-        stamp[good], tuple(run_names[k] for k in present), renumber[run][good], setup_names,
-        setup[good], *(columns[key][good].astype(np.int64)
-                       for key in ('repeat', 'direction', 'index', 'axis')),
-        commanded[good], columns['phase'][good].astype(np.int64))
-    odd = int((~np.isfinite(events.commanded)).any(axis=1).sum())
+        time_ns=stamp[good], run_ids=tuple(run_names[k] for k in present), run=renumber[run][good],
+        setup_names=setup_names, setup=setup[good], commanded=commanded[good], **numbers)
+    if len(np.unique(np.stack([events.run, events.setup, events.repeat, events.direction]), axis=1).T) > limits.RUNS:
+        raise StepdiagError(f'{table.topic}: holds more than {limits.RUNS} traverses; no calibration has so many')
+    far = ~(np.abs(events.commanded) <= limits.LENGTH_M)
+    events.commanded[far] = np.nan
+    odd = int(far.any(axis=1).sum())
     if odd:
-        warnings.append(f'{table.topic}: {odd} event(s) carry a commanded position that is NaN or '
-                        'infinite; the plan\'s position stands')
+        warnings.append(f'{table.topic}: {odd} event(s) carry a commanded position that is NaN, '
+                        'infinite or far away; the plan\'s position stands')
     return events, warnings
 
 
@@ -255,20 +284,24 @@ def _scalars(relative: str, table: TopicTable) -> tuple[dict[str, ScalarSeries],
     value = _stack(table, SCALAR_FIELD[TOPICS[relative]])[order].astype(float)
     variance = _stack(table, 'variance')[order].astype(float)
     stamp = stamp[order]
-    good = np.isfinite(value)
+    low, high = limits.ENVIRONMENT[relative.split('/')[-1]]
+    good = (value >= low) & (value <= high)
+    variance = np.where(variance >= 0.0, np.minimum(variance, 1.0e12), 0.0)
     if not good.all():
-        warnings.append(f'{table.topic}: left out {int((~good).sum())} value(s) that are NaN or infinite')
+        warnings.append(f'{table.topic}: left out {int((~good).sum())} value(s) that are NaN, infinite or beyond '
+                        f'{low:g} to {high:g}')
     if relative != SCALE:
         key = relative.split('/')[-1]
         return {key: ScalarSeries(stamp[good], value[good], variance[good])}, warnings
     names, inverse = text(_stack(table, 'header.frame_id')[order])
     series = {}
+    warnings += [f'{table.topic}: left out {int(rows.sum())} value(s) of frame_id {which}; it must be x, y or z'
+                 for rows, which in strangers(names, inverse, ('x', 'y', 'z', 'X', 'Y', 'Z'))]
     for position, name in enumerate(names):
-        rows = good & (inverse == position)
         if name.lower() not in ('x', 'y', 'z'):
-            warnings.append(f'{table.topic}: left out {int(rows.sum())} value(s) of frame_id {name!r}; '
-                            'it must be x, y or z')
-        elif rows.any():
+            continue
+        rows = good & (inverse == position)
+        if rows.any():
             series[f'scale_temperature/{name.lower()}'] = ScalarSeries(stamp[rows], value[rows],
                                                                        variance[rows])
     return series, warnings

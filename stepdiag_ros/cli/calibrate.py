@@ -9,7 +9,6 @@ a new bag.  Ctrl-C cancels: the machine stands still and the bag is whole.
 """
 
 import argparse
-import json
 import sys
 import threading
 from collections.abc import Iterator
@@ -19,6 +18,7 @@ from typing import Any
 
 from stepdiag_ros.cli.progress import Bar
 from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.guard.jsontext import to_json
 
 NAME = 'calibrate'
 HELP = 'run the calibration on a cell and evaluate it'
@@ -60,15 +60,17 @@ def run(args: argparse.Namespace) -> int:
         document = operator.evaluate() if outcome.stops else None
         operator.bring('recorder', 'inactive')   # closes the bag
     if args.json:
-        print(json.dumps({'outcome': outcome.how, 'message': outcome.message, 'bag': str(recorded),
+        print(to_json({'outcome': outcome.how, 'message': outcome.message, 'bag': str(recorded),
                           'stops': outcome.stops, 'run_ids': list(outcome.run_ids),
-                          'evaluation': document}, indent=1))
+                          'evaluation': document}))
     else:
         print(f'{outcome.how}: {outcome.message}')
         print(f'log: {recorded}')
         if document is not None:
             print(summary(document))
             print(f'details: stepdiag evaluate {recorded}')
+    if outcome.how == 'succeeded' and document is not None and document['status'] != 'ok':
+        return 1
     return {'succeeded': 0, 'canceled': 130}.get(outcome.how, 1)
 
 
@@ -117,6 +119,7 @@ def summary(document: dict[str, Any]) -> str:
     lines = [f'status {document["status"]}, reduced chi2 {document["reduced_chi2"]:.3g} '
              f'with {document["dof"]} degrees of freedom',
              f'{"":6}{"range":>10}{"± (k=2)":>10}']
+    lines[1:1] = [f'not sane: {finding["found"]}: {finding["change"]}' for finding in document.get('sanity', ())]
     for name, error in document['errors'].items():
         unit = 'µm' if name[1] in 'XYZ' and name[2] in 'XYZ' else 'µrad'
         if isinstance(error['value'], list):

@@ -9,11 +9,11 @@ errors, misalignments, noise, air and effects.  The same file gives the same log
 
 import argparse
 import dataclasses
-import json
 import shutil
 from pathlib import Path
 
 from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.guard.jsontext import to_json
 
 NAME = 'simulate'
 HELP = 'write the log of a virtual cell without running the graph'
@@ -30,16 +30,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help="another draw of noise and arrivals; the machine stays the file's")
     parser.add_argument('--rate', type=float, metavar='HZ', help='sample rate of both sensors')
     parser.add_argument('--dwell-only', action='store_true', help='sample at rest only, not in motion')
+    parser.add_argument('--effect', metavar='FILE.py', action='append', default=[],
+                        help='let the cell file name this Python file with an effect of your own; it is run, so '
+                             'give only files that you trust')
     parser.add_argument('--force', action='store_true', help='replace a bag that is there already')
     parser.add_argument('--json', action='store_true', help='print what was written as JSON')
 
 
 def run(args: argparse.Namespace) -> int:
     from stepdiag_ros.bag.export import write_log
+    from stepdiag_ros.virtual.acting import allow_effect_files
     from stepdiag_ros.virtual.cell import load_cell
     from stepdiag_ros.virtual.offline import simulate_log
     from stepdiag_ros.virtual.truth import truth
 
+    allow_effect_files(args.effect)
     cell = load_cell(args.cell)
     unknown = [name for name in args.setups or () if name not in cell.setup_names]
     if unknown:
@@ -59,14 +64,14 @@ def run(args: argparse.Namespace) -> int:
                        in_motion=False if args.dwell_only else None)
     write_log(log, args.out)
     if args.truth is not None:
-        args.truth.write_text(json.dumps(truth(cell), indent=1) + '\n', encoding='utf-8')
+        args.truth.write_text(to_json(truth(cell)) + '\n', encoding='utf-8')
     seconds = (int(log.steps.time_ns[-1]) - int(log.steps.time_ns[0])) * 1e-9
     summary = {'bag': str(args.out), 'machine': log.description.machine.name,
                'runs': len(log.steps.run_ids), 'stops': len(log.steps) // 3,
                'displacement_samples': len(log.displacement), 'spot_samples': len(log.spot),
                'duration_s': round(seconds, 3), 'effects': list(cell.effects)}
     if args.json:
-        print(json.dumps(summary, indent=1))
+        print(to_json(summary))
     else:
         print(f'{args.out}: {summary["runs"]} runs, {summary["stops"]} stops, '
               f'{summary["displacement_samples"]} displacement and {summary["spot_samples"]} spot samples, '

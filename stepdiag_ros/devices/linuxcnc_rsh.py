@@ -11,6 +11,7 @@ import time
 import numpy as np
 
 from stepdiag_ros.devices.base import DeviceError
+from stepdiag_ros.devices.heartbeat import Heartbeat
 from stepdiag_ros.devices.link import Link
 
 PORT = 5007
@@ -29,14 +30,17 @@ class LinuxCncRsh:
 
     ``origin_m``: machine coordinates of the volume's lower corner.  ``setup_codes`` maps a setup to
     the M-code that has its mirror mounted; setups that it does not name need none.
-    ``window_m``: distance from the target at which a move counts as arrived.
+    ``window_m``: distance from the target at which a move counts as arrived.  ``watch_port``: where the
+    control's watchdog takes signs of life, 0: it has none.
     """
 
     def __init__(self, host: str, port: int = PORT, origin_m: tuple[float, float, float] = (0, 0, 0),
                  setup_codes: dict[str, str] | None = None, window_m: float = 1.0e-6,
                  timeout_s: float = 5.0, ready_timeout_s: float = 60.0,
-                 password: str = 'EMC', enable_password: str = 'EMCTOO', stop_timeout_s: float = STOP_S):
+                 password: str = 'EMC', enable_password: str = 'EMCTOO', stop_timeout_s: float = STOP_S,
+                 watch_port: int = 0):
         self._link = Link('machine control', host, port, timeout_s)
+        self._heart = Heartbeat(host, watch_port, timeout_s) if watch_port else None
         self._timeout_s = timeout_s
         self._stop_timeout_s = stop_timeout_s
         self._ready_timeout_s = ready_timeout_s
@@ -69,6 +73,8 @@ class LinuxCncRsh:
             raise self._link.fail(f'counts lengths in {unit!r}; set it up in MM or INCH')
         self._unit_m = units[unit]
         self._forget_errors()
+        if self._heart is not None:
+            self._heart.open()
 
     def close(self) -> None:
         if self._link.is_open:
@@ -77,6 +83,8 @@ class LinuxCncRsh:
             except DeviceError:
                 pass   # it went first
         self._link.close()
+        if self._heart is not None:
+            self._heart.close()
 
     def make_ready(self) -> None:
         self._set('estop off')
@@ -115,10 +123,12 @@ class LinuxCncRsh:
         place = (target + self._origin) * 1e3
         words = ' '.join(f'{axis}{value:.6f}' for axis, value in zip(AXES, place, strict=True))
         self._target, self._last, self._still_since = target, None, time.monotonic()
+        self._beat()
         self._mdi(f'G53 G1 {words} F{feed_m_s * 6e4:.3f}')
 
     def in_position(self) -> bool:
         """Idle, and twice at the same place within the window of the target."""
+        self._beat()
         idle, place = self._idle(), self.position()
         same = self._last is not None and np.max(np.abs(place - self._last)) <= self._window
         self._last = place
@@ -189,6 +199,10 @@ class LinuxCncRsh:
         return {'estop': self._get('estop') == 'ON', 'on': self._get('machine') == 'ON',
                 'homed': bool(self._homed()), 'idle': self._idle(),
                 'mode': self._get('mode').lower()}
+
+    def _beat(self) -> None:
+        if self._heart is not None:
+            self._heart.beat()
 
     # -- the protocol
 

@@ -39,6 +39,7 @@ from rclpy.task import Future  # noqa: E402
 from rclpy.timer import Timer  # noqa: E402
 
 from stepdiag_ros.errors import StepdiagError  # noqa: E402
+from stepdiag_ros.guard.show import escaped  # noqa: E402
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
@@ -76,6 +77,31 @@ class Health:
     values: Mapping[str, Any] = field(default_factory=dict)
 
 
+class SafeLogger:
+    """A node's logger that shows names from outside escaped; each level stands on a line of its own, as rclpy wants."""
+
+    def __init__(self, logger: Any):
+        self._logger = logger
+
+    def debug(self, text: str, **options: Any) -> bool:
+        return self._logger.debug(escaped(str(text)), **options)
+
+    def info(self, text: str, **options: Any) -> bool:
+        return self._logger.info(escaped(str(text)), **options)
+
+    def warning(self, text: str, **options: Any) -> bool:
+        return self._logger.warning(escaped(str(text)), **options)
+
+    def error(self, text: str, **options: Any) -> bool:
+        return self._logger.error(escaped(str(text)), **options)
+
+    def fatal(self, text: str, **options: Any) -> bool:
+        return self._logger.fatal(escaped(str(text)), **options)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._logger, name)
+
+
 class StepdiagNode(LifecycleNode):
     """A lifecycle node with described parameters and diagnostics."""
 
@@ -87,6 +113,9 @@ class StepdiagNode(LifecycleNode):
         self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
         self._diagnostics_timer = self.every(1.0, self.publish_diagnostics)
         self._autostart_timer = self.every(1.0, self._start_by_itself) if autostart else None
+
+    def get_logger(self) -> Any:
+        return SafeLogger(super().get_logger())
 
     # -- for the node in question to fill ----------------------------------------
 
@@ -112,23 +141,27 @@ class StepdiagNode(LifecycleNode):
 
     # -- parameters --------------------------------------------------------------
 
+    # ``fixed``: read-only once the node runs.  Whatever names files, hosts, feeds or places is: everybody on this
+    # computer may call the parameter services.
+
     def number(self, name: str, default: float, description: str, low: float, high: float,
-               unit: str = '') -> float:
+               unit: str = '', fixed: bool = False) -> float:
         """Declare a floating-point parameter with its range; returns its value."""
         described = f'{description} [{unit}]' if unit else description
         return self.declare_parameter(name, float(default), ParameterDescriptor(
-            description=described,
+            description=described, read_only=fixed,
             floating_point_range=[FloatingPointRange(from_value=float(low), to_value=float(high))])).value
 
-    def count(self, name: str, default: int, description: str, low: int, high: int) -> int:
+    def count(self, name: str, default: int, description: str, low: int, high: int, fixed: bool = False) -> int:
         """Declare a whole-number parameter with its range; returns its value."""
         return self.declare_parameter(name, int(default), ParameterDescriptor(
-            description=description,
+            description=description, read_only=fixed,
             integer_range=[IntegerRange(from_value=low, to_value=high, step=1)])).value
 
-    def text(self, name: str, default: Any, description: str) -> Any:
+    def text(self, name: str, default: Any, description: str, fixed: bool = False) -> Any:
         """Declare a parameter without a range (text, switch or list); returns its value."""
-        return self.declare_parameter(name, default, ParameterDescriptor(description=description)).value
+        return self.declare_parameter(name, default, ParameterDescriptor(
+            description=description, read_only=fixed)).value
 
     def value(self, name: str) -> Any:
         """The parameter as it stands now."""
@@ -259,10 +292,10 @@ def _run(make: Callable[[], StepdiagNode]) -> int:
         spin(executor, lambda: bool(asked))
         return 0
     except StepdiagError as error:
-        print(f'stepdiag: {error}', file=sys.stderr)
+        print(escaped(f'stepdiag: {error}'), file=sys.stderr)
         return 2
     except InvalidParameterValueException as error:
-        print(f'stepdiag: {error}'.replace('\n', ' '), file=sys.stderr)
+        print(escaped(f'stepdiag: {error}'.replace('\n', ' ')), file=sys.stderr)
         return 2
     finally:
         if node is not None:

@@ -31,9 +31,10 @@ class Recorder(StepdiagNode):
 
     def __init__(self):
         super().__init__('recorder')
-        self.text('bag', '', 'directory to write, which must not exist; empty: a new one, named after '
-                             'machine and time, in bag_folder')
-        self.text('bag_folder', '.', 'where new bags are made')
+        self.text('bag', '', 'directory that is written first, which must not exist; empty: a new one in bag_folder',
+                  fixed=True)
+        self.text('bag_folder', '.', 'where new bags are made', fixed=True)
+        self.text('name', '', "the next bag's name in bag_folder; empty: after machine and time")
         self.text('compression', 'zstd', f'of the chunks: {", ".join(COMPRESSIONS)}')
         self.text('go_on', False, 'go on in the bag, which exists: its recorder has died')
         self.count('queue_depth', 10_000, 'messages of a topic that may wait to be written', 1, 1_000_000)
@@ -87,11 +88,15 @@ class Recorder(StepdiagNode):
         self._ears = None
 
     def _path(self) -> Path:
-        if self.value('bag'):
+        if self.value('bag') and not self._bag:
             return Path(self.value('bag')).expanduser().absolute()
+        folder = Path(self.value('bag_folder')).expanduser().absolute()
+        if name := self.value('name'):
+            if Path(name).name != name or not name.isprintable():
+                raise StepdiagError(f'recorder: parameter name is {name!r}; give a name without a folder')
+            return folder / name
         machine = self.get_namespace().strip('/').replace('/', '_') or 'machine'
         name = f'{machine}_{datetime.now():%Y%m%d_%H%M%S}'
-        folder = Path(self.value('bag_folder')).expanduser().absolute()
         # Two bags may be begun in one second.
         candidates = [folder / name, *(folder / f'{name}_{i}' for i in range(2, 100))]
         return next(path for path in candidates if not path.exists())

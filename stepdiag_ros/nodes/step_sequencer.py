@@ -29,9 +29,9 @@ from std_srvs.srv import Trigger
 from unique_identifier_msgs.msg import UUID
 
 from stepdiag_msgs.action import RunStepDiagonal
-from stepdiag_msgs.msg import Displacement, RecorderStatus, SpotPosition, Step
+from stepdiag_msgs.msg import Displacement, RecorderStatus, SampleTiming, SpotPosition, Step
 from stepdiag_msgs.srv import ResetDisplacement, SelectSetup
-from stepdiag_ros.bag.schemas import DESCRIPTION, DISPLACEMENT, SPOT, STEP
+from stepdiag_ros.bag.schemas import DESCRIPTION, DISPLACEMENT, SPOT, STEP, STEP_TIMING
 from stepdiag_ros.devices.hostclock import HOST
 from stepdiag_ros.devices.linuxcnc_rsh import PORT, LinuxCncRsh
 from stepdiag_ros.errors import StepdiagError
@@ -52,7 +52,7 @@ from stepdiag_ros.nodes.ears import HEARS
 from stepdiag_ros.nodes.marked import Marked
 from stepdiag_ros.nodes.ownership import SEQUENCER, Ownership
 from stepdiag_ros.nodes.runner import Cancelled, Interrupted, Outcome, Progress, Runner
-from stepdiag_ros.nodes.stamps import ns_of, stamp_of
+from stepdiag_ros.nodes.stamps import clock_name, ns_of, stamp_of
 from stepdiag_ros.nodes.watch import Recording, Watch
 
 #: Setup services wait for an operator who mounts a mirror.
@@ -72,20 +72,21 @@ class StepSequencer(StepdiagNode):
 
     def __init__(self):
         super().__init__('step_sequencer')
-        self.text('host', '127.0.0.1', 'host name or address of the machine control')
-        self.count('port', PORT, 'TCP port of the machine control', 1, 65535)
+        self.text('host', '127.0.0.1', 'host name or address of the machine control', fixed=True)
+        self.count('port', PORT, 'TCP port of the machine control', 1, 65535, fixed=True)
+        self.count('watch_port', 0, "TCP port of the control's watchdog; 0: it has none", 0, 65535, fixed=True)
         self.number('timeout', 5.0, 'silence after which the control counts as stalled',
                     0.1, 120.0, 's')
-        self.text('description_file', '', 'YAML file of the cell description')
+        self.text('description_file', '', 'YAML file of the cell description', fixed=True)
         self.count('steps', 0, "steps of each axis along a diagonal; 0: the description's", 0, 10_000)
-        self.number('feed', 0.02, 'feed of every move', 1.0e-6, 5.0, 'm/s')
+        self.number('feed', 0.02, 'feed of every move', 1.0e-6, 5.0, 'm/s', fixed=True)
         self.number('dwell', 0.5, 'measuring time at a stop, where the goal gives none',
                     0.001, 600.0, 's')
         self.number('stand', 0.0, 'so much longer is the first dwell after a mounting', 0.0, 3600.0, 's')
         self.number('guard', 0.025, 'rest after a dwell before the next move: as late as a sample may '
                     'be taken after its stamp', 0.0, 10.0, 's')
-        self.text('origin', [0.0, 0.0, 0.0], "machine coordinates of the volume's lower corner [m]")
-        self.text('setup_codes', [''], 'what has a mirror mounted: setup=M-code, e.g. ppp=M101')
+        self.text('origin', [0.0, 0.0, 0.0], "machine coordinates of the volume's lower corner [m]", fixed=True)
+        self.text('setup_codes', [''], 'what has a mirror mounted: setup=M-code, e.g. ppp=M101', fixed=True)
         self.text('ask_operator', False, 'a setup without a code is mounted by a person, who confirms by the '
                                          'service sequencer/mounted')
         self.number('lease', 5.0, 'a client that has not renewed its lease for so long is lost', 0.5, 3600.0, 's')
@@ -94,8 +95,8 @@ class StepSequencer(StepdiagNode):
         self.number('resume_timeout', 60.0, 'wait for a node or an instrument that broke a run off before the '
                     'calibration ends; 0: none', 0.0, 3600.0, 's')
         self.text('listeners', ['recorder', 'evaluation_solver'],
-                  'nodes that must be connected to sequencer/step and hear the sources before a start')
-        self.text('sources', [DISPLACEMENT, SPOT], 'topics that must deliver before a start')
+                  'nodes that must be connected to sequencer/step and hear the sources before a start', fixed=True)
+        self.text('sources', [DISPLACEMENT, SPOT], 'topics that must deliver before a start', fixed=True)
         self.number('ready_timeout', 20.0, 'wait for sources, recorder and listeners before a goal is refused',
                     0.0, 600.0, 's')
         self.number('source_timeout', 3.0, 'silence after which a source counts as lost',
@@ -103,6 +104,7 @@ class StepSequencer(StepdiagNode):
         self._ownership = Ownership(self.get_namespace(), SEQUENCER)
         self._marked = Marked(self)
         self._steps = self._marked.publisher(Step, STEP)
+        self._timing = self._marked.publisher(SampleTiming, STEP_TIMING)
         self._description_publisher: Publisher | None = None
         self._select = {sensor: self.create_client(SelectSetup, f'{sensor}/select_setup')
                         for sensor in ('interferometer', 'psd')}
@@ -157,7 +159,7 @@ class StepSequencer(StepdiagNode):
                                 'give three coordinates in metres')
         self.controller = LinuxCncRsh(self.value('host'), self.value('port'), origin,
                                       _codes(self.value('setup_codes')),
-                                      timeout_s=self.value('timeout'))
+                                      timeout_s=self.value('timeout'), watch_port=self.value('watch_port'))
         if self.value('lost_client') not in (NEXT_STOP, AT_ONCE):
             raise StepdiagError(f'step_sequencer: parameter lost_client is {self.value("lost_client")!r}; '
                                 f'choose {NEXT_STOP} or {AT_ONCE}')
@@ -459,6 +461,7 @@ class StepSequencer(StepdiagNode):
         self._watch.begin()
 
     def _zero(self) -> None:
+        self._timing.publish(SampleTiming(header=Header(stamp=stamp_of(HOST.now_ns())), clock=clock_name()))
         self._call(self._reset, ResetDisplacement.Request(), 'interferometer/reset')
         self._watch.begin()
 

@@ -6,12 +6,14 @@ drawn here, from the seed alone, so that a cell is the same machine wherever it 
 loaded.
 """
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.guard import limits
 from stepdiag_ros.model.description import (
     DIAGONALS,
     LINEAR,
@@ -24,6 +26,8 @@ from stepdiag_ros.model.description import (
 from stepdiag_ros.model.machine import GeometricErrors
 from stepdiag_ros.model.sensor import Misalignment
 from stepdiag_ros.virtual import drawn
+from stepdiag_ros.virtual.noise import NoiseLaw, NoiseLaws, Spread
+from stepdiag_ros.virtual.surroundings import BELIEVED, believed_air, budget, scales
 from stepdiag_ros.virtual.yamlreader import Reader, parse_yaml, read_yaml
 
 SCHEMA = 1
@@ -57,8 +61,9 @@ class Motion:
     """How the control moves: limits [m/s, m/s², m/s³], window [m], servo time constant, times [s].
 
     The window is far below the sensors' noise: what creeps in afterwards is an effect, servo_settling.
-    ``dwell`` is how long a stop is measured, ``mount`` how long a change of setup takes
-    on the virtual clock (offline only; the operator's time is his own).
+    ``dwell`` is how long a stop is measured, ``stand`` how much longer the first one after a mounting
+    (live only), ``mount`` how long a change of setup takes on the virtual clock (offline only; the
+    operator's time is his own).
     """
 
     feed: float = 0.1
@@ -67,6 +72,7 @@ class Motion:
     in_position: float = 1.0e-9
     settling: float = 0.004
     dwell: float = 0.5
+    stand: float = 0.0
     mount: float = 60.0
 
 
@@ -83,7 +89,7 @@ class Detector:
     """The PSD behind its analogue inputs: edge length [m], sum signal [V], inputs, mounting.
 
     ``channels``: inputs of I1…I4; ``rotation`` [rad] from the detector's x to u, ``gain``
-    along its x and y, ``zero`` [m] as the driver is told to take them off.
+    along its x and y, ``zero`` [m] as the driver is told to take them off.  ``mode``: ``stream`` or ``poll``.
     """
 
     length: float = 0.010
@@ -92,6 +98,7 @@ class Detector:
     rotation: float = 0.0
     gain: tuple[float, float] = (1.0, 1.0)
     zero: tuple[float, float] = (0.0, 0.0)
+    mode: str = 'stream'
 
 
 @dataclass(frozen=True)
@@ -101,8 +108,10 @@ class Instruments:
     ``namespace`` is the firmware's (``ids`` before 1.9, ``sen`` since); ``newline`` whether it ends
     an answer with one.  ``multiplexer`` names the machines that share the interferometer through an
     optical ``switch``, this one first (empty: it is this one's alone); ``machine_files`` are the cell
-    files of the others.  ``watchdog`` [s]: the virtual control brakes when its client has said nothing
-    for so long while the axes move.
+    files of the others.  ``setup_codes``: what has a real machine's mirror mounted, M-code by setup.
+    ``watchdog`` [s]: the virtual control brakes when its client has said nothing for so long while the
+    axes move.  ``control`` of a virtual cell: ``virtual``, or ``linuxcnc`` for a real one; ``config`` is the
+    folder of its configuration, ``watch_port`` where its watchdog takes signs of life.
     """
 
     interferometer: Endpoint = Endpoint()
@@ -114,8 +123,12 @@ class Instruments:
     multiplexer: tuple[str, ...] = ()
     machine_files: tuple[str, ...] = ()
     switch: Endpoint = Endpoint()
+    control: str = 'virtual'
+    config: str = ''
+    watch_port: int = 0
     detector: Detector = Detector()
     watchdog: float = 1.0
+    setup_codes: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -145,7 +158,8 @@ class Cell:
 
     ``description`` is what the log will say; the rest is the truth behind it.
     ``misalignments`` and ``psd_zero`` [m] are by setup; ``effects`` maps the contract's
-    names to parameters; ``faults`` are injected by the servers (tests).  ``network``: whom the nodes
+    names to parameters; ``noise_law`` says how the noise falls, ``description.noise`` how large it is; ``faults`` are
+    injected by the servers (tests).  ``network``: whom the nodes
     talk to, ``loopback`` (this computer alone) or ``open``.
     """
 
@@ -163,6 +177,7 @@ class Cell:
     faults: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     client: Client = Client()
     network: str = 'loopback'
+    noise_law: NoiseLaws = field(default_factory=NoiseLaws)
 
     @property
     def setup_names(self) -> tuple[str, ...]:
@@ -181,8 +196,8 @@ def parse_cell(text: str, source: str = 'cell') -> Cell:
 
 def _cell(top: Reader) -> Cell:
     keys = top.mapping(('schema', 'seed', 'machine', 'plan', 'setups', 'noise', 'geometry',
-                        'misalignments', 'air', 'motion', 'effects', 'instruments', 'sampling',
-                        'faults', 'network', 'client'))
+                        'misalignments', 'air', 'material', 'budget', 'motion', 'effects', 'instruments',
+                        'sampling', 'faults', 'network', 'client', 'noise_law'))
     if 'schema' in keys and keys['schema'].count() != SCHEMA:
         raise keys['schema'].fail(f'must be {SCHEMA} for this version')
     for needed in ('machine', 'plan', 'setups'):
@@ -191,13 +206,14 @@ def _cell(top: Reader) -> Cell:
     seed = keys['seed'].count() if 'seed' in keys else 0
     machine = _machine(keys['machine'])
     setups = _setups(keys['setups'], machine)
-    description = Description(machine, _plan(keys['plan']), setups, _noise(keys.get('noise')))
+    description = Description(machine, _plan(keys['plan']), setups, _noise(keys.get('noise')),
+                              believed_air(keys.get('air')), scales(keys.get('material')), budget(keys.get('budget')))
     misalignments, zero = drawn.misalignments(keys.get('misalignments'), seed, tuple(setups))
     motion = _fill(Motion, keys.get('motion'), {
         'feed': {'above': 0.0, 'unit': 'm/s'}, 'acceleration': {'above': 0.0, 'unit': 'm/s²'},
         'jerk': {'above': 0.0, 'unit': 'm/s³'}, 'in_position': {'above': 0.0, 'unit': 'm'},
         'settling': {'minimum': 0.0, 'unit': 's'}, 'dwell': {'above': 0.0, 'unit': 's'},
-        'mount': {'minimum': 0.0, 'unit': 's'}})
+        'stand': {'minimum': 0.0, 'maximum': 3600.0, 'unit': 's'}, 'mount': {'minimum': 0.0, 'unit': 's'}})
     return Cell(source=top.source, seed=seed, description=description,
                 geometry=drawn.geometry(keys.get('geometry'), seed, description),
                 misalignments=misalignments, psd_zero=zero, air=_air(keys.get('air')),
@@ -205,11 +221,12 @@ def _cell(top: Reader) -> Cell:
                 instruments=_instruments(keys.get('instruments'), machine.name),
                 sampling=_sampling(keys.get('sampling')),
                 faults=_named_mappings(keys.get('faults')), client=_client(keys.get('client')),
-                network=keys['network'].text(('loopback', 'open')) if 'network' in keys else 'loopback')
+                network=keys['network'].text(('loopback', 'open')) if 'network' in keys else 'loopback',
+                noise_law=_noise_laws(keys.get('noise_law')))
 
 
 def _machine(node: Reader) -> Machine:
-    keys = node.mapping(('name', 'chain', 'volume', 'tool'))
+    keys = node.mapping(('name', 'chain', 'volume', 'tool', 'origin'))
     if 'volume' not in keys:
         raise node.fail("the key 'volume' is missing; give the travels of X, Y, Z [m]")
     chain = keys['chain'].text().upper() if 'chain' in keys else 'FXYZ'
@@ -217,7 +234,10 @@ def _machine(node: Reader) -> Machine:
         raise keys['chain'].fail(f"is {chain!r}; write F, X, Y and Z once each, e.g. 'FXYZ'")
     tool = keys['tool'].vector(3) if 'tool' in keys else (0.0, 0.0, 0.0)
     name = keys['name'].text() if 'name' in keys else 'machine'
-    return Machine(name, chain, keys['volume'].vector(3, above=0.0), tool)
+    if len(name) > limits.NAME_LETTERS:
+        raise keys['name'].fail(f'has {len(name)} letters; give at most {limits.NAME_LETTERS}')
+    origin = keys['origin'].vector(3, unit='m') if 'origin' in keys else None
+    return Machine(name, chain, keys['volume'].vector(3, above=0.0), tool, origin)
 
 
 def _plan(node: Reader) -> Plan:
@@ -227,8 +247,8 @@ def _plan(node: Reader) -> Plan:
     order = keys['order'].text().upper() if 'order' in keys else 'XYZ'
     if sorted(order) != ['X', 'Y', 'Z']:
         raise keys['order'].fail(f'is {order!r}; name X, Y and Z once each')
-    repeats = keys['repeats'].count(1) if 'repeats' in keys else 1
-    return Plan(keys['steps'].count(1), order, repeats)
+    repeats = keys['repeats'].count(1, limits.REPEATS) if 'repeats' in keys else 1
+    return Plan(keys['steps'].count(1, limits.STEPS), order, repeats)
 
 
 def _setups(node: Reader, machine: Machine) -> dict[str, Setup]:
@@ -237,7 +257,8 @@ def _setups(node: Reader, machine: Machine) -> dict[str, Setup]:
         linear = name in LINEAR
         keys = child.mapping(('standoff', 'psd_offset', 'beams')
                              + (('length', 'stops') if linear else ()))
-        standoff = keys['standoff'].number(minimum=0.0, unit='m') if 'standoff' in keys else 0.0
+        standoff = keys['standoff'].number(minimum=0.0, maximum=limits.LENGTH_M, unit='m') if 'standoff' in keys \
+            else 0.0
         offset = keys['psd_offset'].vector(2) if 'psd_offset' in keys else (0.0, 0.0)
         beams = tuple(b.vector(2) for b in keys['beams'].items()) if 'beams' in keys \
             else ((0.0, 0.0),)
@@ -248,7 +269,7 @@ def _setups(node: Reader, machine: Machine) -> dict[str, Setup]:
             travel = machine.volume['xyz'.index(name[-1])]
             length = keys['length'].number(above=0.0, maximum=travel, unit='m') \
                 if 'length' in keys else travel
-            stops = keys['stops'].count(2) if 'stops' in keys else 2
+            stops = keys['stops'].count(2, limits.STOPS) if 'stops' in keys else 2
         setups[name] = Setup(name, standoff, offset, beams, length, stops)
     if not setups:
         raise node.fail(f'is empty; name at least one of {", ".join(DIAGONALS + LINEAR)}')
@@ -257,6 +278,28 @@ def _setups(node: Reader, machine: Machine) -> dict[str, Setup]:
 
 def _noise(node: Reader | None) -> Noise:
     return _fill(Noise, node, {key: {'minimum': 0.0} for key in vars(Noise())})
+
+
+SPREAD: dict[str, dict] = {'dof': {'above': 2.0}, 'correlation': {'minimum': -0.999, 'maximum': 0.999}}
+SHARE = {'minimum': 0.0, 'maximum': 0.9}
+SENSOR_LAW: dict[str, dict] = SPREAD | {
+    'quantum': {'minimum': 0.0, 'unit': 'm'}, 'dropouts': SHARE, 'burst': {'minimum': 1}, 'spikes': SHARE,
+    'spike_size': {'minimum': 0.0}, 'duplicates': SHARE, 'late': {'minimum': 0.0, 'maximum': 1.0},
+    'delay': {'minimum': 0.0, 'maximum': 1.0, 'unit': 's'}}
+
+
+def _noise_laws(node: Reader | None) -> NoiseLaws:
+    if node is None or node.is_null:
+        return NoiseLaws()
+    laws: dict[str, Any] = {}
+    for name, child in node.mapping(('displacement', 'spot', 'position', 'angle')).items():
+        sensor = name in ('displacement', 'spot')
+        rules = SENSOR_LAW if sensor else SPREAD
+        given = {} if child.is_null else {
+            key: value.count(**rules[key]) if key == 'burst' else value.number(**rules[key])
+            for key, value in child.mapping(tuple(rules)).items()}
+        laws[name] = NoiseLaw(**given) if sensor else Spread(**given)
+    return NoiseLaws(**laws)
 
 
 def _fill(kind: type, node: Reader | None, rules: dict[str, dict]) -> Any:
@@ -271,7 +314,7 @@ def _air(node: Reader | None) -> Air:
     if node is None or node.is_null:
         return Air()
     keys = node.mapping(('temperature', 'pressure', 'humidity', 'drift', 'compensated', 'sensors',
-                         'scale_temperature', 'scale_drift', 'period'))
+                         'scale_temperature', 'scale_drift', 'period', *BELIEVED))
     given: dict[str, Any] = {}
     for key, rule in {'temperature': {'minimum': -20.0, 'maximum': 60.0, 'unit': '°C'},
                       'pressure': {'minimum': 5.0e4, 'maximum': 1.2e5, 'unit': 'Pa'},
@@ -314,12 +357,14 @@ def _instruments(node: Reader | None, name: str) -> Instruments:
             given |= _multiplexer(keys['multiplexer'], name)
     if 'psd' in top:
         keys = top['psd'].mapping(('host', 'port', 'stream_port', 'length', 'sum_voltage',
-                                   'channels', 'rotation', 'gain', 'zero'))
+                                   'channels', 'rotation', 'gain', 'zero', 'mode'))
         given['psd'], given['psd_stream'] = _endpoint(keys), _endpoint(keys, 'stream_port')
         detector: dict[str, Any] = {}
         for key, unit in (('length', 'm'), ('sum_voltage', 'V')):
             if key in keys:
                 detector[key] = keys[key].number(above=0.0, unit=unit)
+        if 'mode' in keys:
+            detector['mode'] = keys['mode'].text(('stream', 'poll'))
         if 'rotation' in keys:
             detector['rotation'] = keys['rotation'].number(unit='rad')
         for key, unit in (('gain', '1'), ('zero', 'm')):
@@ -332,11 +377,27 @@ def _instruments(node: Reader | None, name: str) -> Instruments:
             detector['channels'] = channels
         given['detector'] = Detector(**detector)
     if 'cnc' in top:
-        keys = top['cnc'].mapping(('host', 'port', 'watchdog'))
+        keys = top['cnc'].mapping(('host', 'port', 'watchdog', 'control', 'config', 'watch_port', 'setup_codes'))
         given['cnc'] = _endpoint(keys)
         if 'watchdog' in keys:
             given['watchdog'] = keys['watchdog'].number(minimum=0.05, maximum=10.0, unit='s')
+        if 'control' in keys:
+            given['control'] = keys['control'].text(('virtual', 'linuxcnc'))
+        if 'config' in keys:
+            given['config'] = keys['config'].text()
+        if 'watch_port' in keys:
+            given['watch_port'] = keys['watch_port'].count(0, 65535)
+        if 'setup_codes' in keys:
+            given['setup_codes'] = {setup: _m_code(code) for setup, code
+                                    in keys['setup_codes'].mapping(DIAGONALS + LINEAR).items()}
     return Instruments(**given)
+
+
+def _m_code(node: Reader) -> str:
+    code = node.text()
+    if not re.fullmatch(r'M1\d\d', code):
+        raise node.fail(f"is {code!r}; give one of the control's own M-codes, M100 to M199")
+    return code
 
 
 def _multiplexer(node: Reader, name: str) -> dict[str, Any]:

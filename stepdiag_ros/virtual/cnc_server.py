@@ -66,9 +66,10 @@ class Machine:
         self._heard_s = 0.0
         self._queue: deque[_Order] = deque()
         self._braking = False
-        self._target = np.zeros(3)      # where the orders given so far end
+        self._target = np.zeros(3)      # in the volume, where the orders given so far end
         self._place = np.zeros(3)       # where the last move of the history ends
         self._end_ns = now_ns()
+        self._origin = np.array(cell.description.machine.origin or (0.0, 0.0, 0.0))
         self._feed = 0.0
         self._unit = 1e-3
         self._setup = -1
@@ -81,10 +82,10 @@ class Machine:
         return not self._queue and now_ns() >= self._end_ns
 
     def position(self, actual: bool = True) -> np.ndarray:
-        """(3,) [m] now, of the axes or of the command."""
+        """(3,) [m] now, of the axes or of the command, in machine coordinates."""
         _, commanded, followed, _ = self.history.locate(np.array([now_ns()]),
                                                         self.cell.motion.settling)
-        return (followed if actual else commanded)[0]
+        return (followed if actual else commanded)[0] + self._origin
 
     # -- who commands
 
@@ -139,7 +140,7 @@ class Machine:
         if 4 in g:
             self._order(self._target, _rest(), pause_s=values.get('P', 0.0))
         elif any(axis in values for axis in 'XYZ'):
-            target = np.array([values[axis] * self._unit if axis in values else self._target[i]
+            target = np.array([values[axis] * self._unit - self._origin[i] if axis in values else self._target[i]
                                for i, axis in enumerate('XYZ')])
             self._go(target, self.cell.motion.feed if 0 in g else self._feed)
 
