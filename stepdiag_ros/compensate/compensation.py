@@ -2,8 +2,8 @@
 
     compensation(solution, machine, CONTROLS['linuxcnc'], origin=…) → Compensation
 
-Everything that is said of the machine under its tables is computed from the files' text, read back as the control
-reads it.  Tables are made only of what the log tells (:mod:`open_directions`), for a functional point
+Everything reported about the machine under its tables is computed from the files' text, read back as the control
+reads it.  Tables are made only of what the log determines (:mod:`open_directions`), for a functional point
 (:mod:`functional`), so that no place becomes worse (:mod:`harmless`), on top of what the control holds already.
 """
 

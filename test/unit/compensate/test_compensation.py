@@ -1,4 +1,4 @@
-"""Tables applied by implementations of their own, angles and levers present: what is said of them is true."""
+"""Tables applied by implementations of their own, angles and levers present: what is reported about them is true."""
 
 from dataclasses import replace
 
