@@ -1,4 +1,4 @@
-"""The machine's errors as a log determines them, before anything acts on them: evaluation, causes taken out, reversal."""
+"""The machine's errors before anything acts on them: evaluation of a log, causes taken out, reversal."""
 
 from dataclasses import dataclass, replace
 

@@ -61,8 +61,8 @@ def read(files: Mapping[str, str], place: Place) -> dict[str, Trim]:
                 taken[name] = Trim(np.zeros(1), -half, half)
             continue
         if not named and any(f.lower().endswith('.ini') for f in files):
-            raise StepdiagError(f'{file}: the INI file names no COMP_FILE for joint {joint}, so LinuxCNC does not read it; '
-                                'leave it away, or give the INI file that the control runs')
+            raise StepdiagError(f'{file}: the INI file names no COMP_FILE for joint {joint}, so LinuxCNC does not '
+                                'read it; leave it away, or give the INI file that the control runs')
         rows = _rows(files[file])
         trim = trim_of(rows[:, 0], rows[:, 1], rows[:, 2], file)
         if (int(_value(entry, 'COMP_FILE_TYPE', joint)) if named else _guessed(rows, file)) == 0:
