@@ -50,8 +50,8 @@ def run(args: argparse.Namespace) -> int:
     tolerances = _tolerances(args.tolerance)
     predicted = None
     if args.prediction is not None:
-        told = read_text(args.prediction, limits.TEXT_BYTES, 'prediction (--prediction)')
-        predicted = predicted_of(told, str(args.prediction))
+        text_of_it = read_text(args.prediction, limits.TEXT_BYTES, 'prediction (--prediction)')
+        predicted = predicted_of(text_of_it, str(args.prediction))
     logs = [read_log(bag, args.namespace) for bag in (args.before, args.after)]
     machine = logs[1].description.machine
     _same_machine(logs[0].description.machine, machine, args)

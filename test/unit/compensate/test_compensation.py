@@ -1,4 +1,4 @@
-"""Tables applied by implementations of their own, angles and levers present: what is said of them is true."""
+"""Tables applied by implementations of their own, angles and levers present: what is reported about them is true."""
 
 from dataclasses import replace
 
@@ -77,6 +77,18 @@ def test_tables_of_a_line_that_harm_are_refused_and_held_back_otherwise():
     held = compensation(solution, machine, CONTROLS['linuxcnc'], ORIGIN).checked()
     assert held.line_alone is not None
     assert held.worst_after[0] < held.worst_before[0]
+
+
+def test_many_knots_are_held_back_as_well():
+    """More places than one solution takes at once, more knots than places are judged at."""
+    machine = machine_of()
+    for knots in (21, 31):
+        held = compensation(made(11, sigma=2e-7, knots=knots), machine, CONTROLS['linuxcnc'], ORIGIN).checked()
+        assert held.line_alone is not None
+        target = held.after.points
+        after = off(made(11, sigma=2e-7, knots=knots), machine, target, APPLIED['linuxcnc'](held.files, target, 1))
+        worse = np.linalg.norm(after, axis=1) - held.before.size_m
+        assert np.all(worse <= K * np.maximum(held.before.size_sigma_m, held.after.size_sigma_m) + ROUNDING_M)
 
 
 def test_what_the_kind_of_table_cannot_carry_is_computed():

@@ -84,6 +84,8 @@ def test_linuxcnc_tables_of_reached_positions_are_told_from_trims():
         assert trim.reverse == pytest.approx([-1e-6, 3e-6, 4e-6])
     with pytest.raises(StepdiagError, match='was not given'):
         CONTROLS['linuxcnc'].read({'mill.ini': ini}, PLACE)
+    with pytest.raises(StepdiagError, match='names no COMP_FILE for joint 1'):
+        CONTROLS['linuxcnc'].read({'mill.ini': ini, 'x.comp': reached, 'y.comp': reached}, PLACE)
 
 
 def test_linuxcnc_backlash_of_the_ini_file_acts_where_there_is_no_table():
