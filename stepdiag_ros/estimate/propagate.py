@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import linalg, sparse, stats
 
-from stepdiag_ros.estimate.conditions import UNREFERRED, Conditions
+from stepdiag_ros.estimate.conditions import ANY_SCALE, UNREFERRED, Conditions
 from stepdiag_ros.estimate.enhanced import Fit, readings_of
 from stepdiag_ros.estimate.forward import ForwardModel
 from stepdiag_ros.estimate.gauge import reporting_matrix
@@ -173,7 +173,8 @@ def _thermal_slopes(contributor: Contributor, conditions: Conditions) -> np.ndar
         sigma = np.where(np.isfinite(given), given, contributor.standard)
         return np.where(referred, sigma * np.abs(np.array(conditions.scales) - REFERENCE_TEMPERATURE), 0.0)
     by_sensor = contributor.standard * np.where(np.isfinite(own), own, contributor.coefficient)
-    return np.where(referred, by_sensor, np.hypot(by_sensor, UNREFERRED))
+    shown = ANY_SCALE * np.hypot(np.array(conditions.away), contributor.standard)
+    return np.where(referred, by_sensor, np.maximum(by_sensor, np.fmin(shown, UNREFERRED)))
 
 
 def _systematic(kind: str, contributor: Contributor, setting: Setting) -> np.ndarray:
