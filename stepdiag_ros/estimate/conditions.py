@@ -11,9 +11,11 @@ NO_AIR = 3.0e-4 / np.sqrt(3.0)
 UNSEEN_VARIATION = 6.2e-7
 """Standard deviation of the index in a workshop that nobody watches over a calibration: 1 K and 200 Pa, half
 widths of rectangular distributions."""
-UNREFERRED = 1.39e-5 * 0.5
-"""Standard uncertainty [1] of a positioning error's slope at a temperature that is not referred to 20 °C: scales of
-glass ceramics to aluminium (0 to 24e-6 1/K) that stay within about 0.5 K while they are measured."""
+ANY_SCALE = 24.0e-6 / np.sqrt(3.0)
+"""Standard uncertainty [1/K] of the expansion of scales of which nothing is known: glass ceramics to aluminium."""
+UNREFERRED = 0.5 * ANY_SCALE
+"""Standard uncertainty [1] of a positioning error's slope at a temperature that is not referred to 20 °C: such scales
+stay within about 0.5 K while they are measured.  Less where sensors show that they were nearer than that to 20 °C."""
 PLAUSIBLE = {'temperature': (22.5, 12.5 / np.sqrt(3.0)), 'pressure': (96.0e3, 8.0e3 / np.sqrt(3.0)),
              'humidity': (0.5, 0.5 / np.sqrt(3.0))}
 """Value and standard uncertainty of what neither topics nor the cell tell: workshops from 10 °C to 35 °C, up to
@@ -27,7 +29,8 @@ class Conditions:
     ``doubt``: standard uncertainties [K, Pa, 1] of the air beyond its sensors'; ``unknown``: of the index as a whole,
     ``variation``: of what it does during a run and from run to run, uncorrected [1].
     ``expansion``, ``expansion_sigma`` (3,) [1/K]: NaN where the cell does not say; ``referred`` (3,): whether the
-    axis's positioning error is referred to 20 °C.
+    axis's positioning error is referred to 20 °C; ``away`` (3,) [K]: root mean square distance of a scale from 20 °C,
+    NaN where no sensor shows it.
     """
 
     temperature: float = 20.0
@@ -42,6 +45,7 @@ class Conditions:
     expansion: tuple[float, float, float] = (np.nan, np.nan, np.nan)
     expansion_sigma: tuple[float, float, float] = (np.nan, np.nan, np.nan)
     referred: tuple[bool, bool, bool] = (True, True, True)
+    away: tuple[float, float, float] = (np.nan, np.nan, np.nan)
 
     @property
     def air(self) -> tuple[float, float, float]:

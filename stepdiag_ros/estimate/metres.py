@@ -267,11 +267,12 @@ def _referred(log: CalibrationLog, table: StopTable,
     directions = np.array([setup_direction(description.machine, name) for name in table.setup_names])[table.setup]
     excess, referred = np.zeros(len(table)), [False] * 3
     scales, measured = list(conditions.scales), {}
-    expansion, sigma = list(conditions.expansion), list(conditions.expansion_sigma)
+    expansion, sigma, away = list(conditions.expansion), list(conditions.expansion_sigma), [np.nan] * 3
     for axis, letter in enumerate('xyz'):
         told, _ = _told(log.environment.get(f'scale_temperature/{letter}'), log, middle, LIMITS['temperature'])
         if told is not None:
             scales[axis] = measured[letter] = float(told.mean())
+            away[axis] = float(np.sqrt(np.mean((told - REFERENCE_TEMPERATURE)**2)))
         material = description.scales.get(letter)
         if material is not None:
             expansion[axis], sigma[axis] = material.expansion, material.sigma
@@ -280,7 +281,7 @@ def _referred(log: CalibrationLog, table: StopTable,
             excess += directions[:, axis] * material.expansion * (told - REFERENCE_TEMPERATURE) \
                 * table.commanded[:, axis]
     conditions = replace(conditions, scales=tuple(scales), expansion=tuple(expansion), expansion_sigma=tuple(sigma),
-                         referred=tuple(referred))
+                         referred=tuple(referred), away=tuple(away))
     if not any(referred):
         return table, conditions, measured
     lengths = table.displacement.copy()

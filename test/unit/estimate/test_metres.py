@@ -167,3 +167,13 @@ def test_the_diagnosis_gets_lengths_and_keeps_the_drift():
     assert one.refractive_index[0] == pytest.approx(1.000267, abs=1e-6)
     unknown = describing(without_topics(log), air=None)
     assert with_one_index(unknown, table) is table
+
+
+def test_scales_near_20_degrees_need_no_material():
+    """Half a kelvin of any material counts where no sensor shows the scales; less where one shows them near 20 °C."""
+    log = describing(log_of(cell(('scale_temperature: [22.0, 22.5, 23.0]', 'scale_temperature: [20.02, 22.5, 20.0]'))),
+                     scales={})
+    shown, unknown = evaluate(log), evaluate(without_topics(log, *(f'scale_temperature/{axis}' for axis in 'xyz')))
+    assert shown.curve('EXX')[2][-1] < 0.5 * unknown.curve('EXX')[2][-1]
+    assert shown.curve('EYY')[2][-1] == pytest.approx(unknown.curve('EYY')[2][-1], rel=1e-2)
+    assert unknown.curve('EXX')[2][-1] == pytest.approx(0.5 * 24e-6 / np.sqrt(3.0) * 0.2, rel=0.1)
