@@ -20,6 +20,19 @@ NODES = (
     'bringup',
 )
 
+# From the oldest that `make test-floor` passes with (requirements/floor.txt) to before the next major version after
+# those of requirements/run.txt; pymodbus changes what it offers with each minor one.
+REQUIRES = (
+    'numpy>=1.26.4,<3',
+    'scipy>=1.11.4,<2',
+    'PyYAML>=6.0.1,<7',
+    'matplotlib>=3.6.3,<4',
+    'mcap>=1.5.0,<2',
+    'zstandard>=0.22.0,<1',
+    'lz4>=4.0.2,<5',
+    'pymodbus>=3.6.3,<3.17',
+)
+
 manifest = ElementTree.parse(Path(__file__).with_name('package.xml')).getroot()
 
 setup(
@@ -32,7 +45,7 @@ setup(
     packages=find_packages(include=[NAME, f'{NAME}.*']),
     package_data={NAME: [f'**/*.{kind}' for kind in ('yaml', 'html', 'css', 'js', 'svg', 'xml', 'c', 'h', 'hal')]},
     python_requires='>=3.11',
-    install_requires=['setuptools', 'numpy', 'scipy', 'PyYAML', 'mcap', 'matplotlib', 'pymodbus'],
+    install_requires=['setuptools', *REQUIRES],
     zip_safe=False,
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stepdiag_ros.bag.tables import Group, TopicTable
+from stepdiag_ros.guard import limits
 from stepdiag_ros.model.log import Samples
 
 SECOND = 1_000_000_000
@@ -24,6 +25,16 @@ def text(values: np.ndarray) -> tuple[list[str], np.ndarray]:
     """Distinct strings of a bytes array (n,), and for each element its index, (n,)."""
     unique, inverse = np.unique(values, return_inverse=True)
     return [bytes(u).decode('utf-8', 'replace') for u in unique], inverse
+
+
+def strangers(names: list[str], inverse: np.ndarray, known: tuple[str, ...]) -> list[tuple[np.ndarray, str]]:
+    """Rows (n,) of names that are not ``known`` and the name quoted; after the first few names, all others in one."""
+    unknown = [k for k, name in enumerate(names) if name not in known]
+    found = [(inverse == k, repr(names[k])) for k in unknown[:limits.NAMES_LISTED]]
+    if len(unknown) > limits.NAMES_LISTED:
+        rest = unknown[limits.NAMES_LISTED:]
+        found.append((np.isin(inverse, rest), f'{names[rest[0]]!r} and {len(rest) - 1} others'))
+    return found
 
 
 def order_of(stamp: np.ndarray, sequence: np.ndarray, number: np.ndarray) -> np.ndarray:
@@ -95,13 +106,13 @@ def _displacement_parts(group: Group, dropped: _Dropped) -> list[_Part]:
     for beams in np.unique(v['beams']):
         rows = np.flatnonzero(v['beams'] == beams)
         beams = int(beams)
-        whole = beams > 0 and total == marks * beams
+        whole = 0 < beams <= limits.BEAMS and total == marks * beams
         index = v['refractive_index'][rows]
         good = dropped.keep(np.full(len(rows), whole),
                             'whose displacement, beams and quality disagree in length')
-        good &= dropped.keep(np.isfinite(index) & (index > 0) | ~good,
-                             'with a refractive index that is no number above 0 '
-                             '(1.0 means: not divided out)')
+        good &= dropped.keep((index >= limits.INDEX[0]) & (index <= limits.INDEX[1]) | ~good,
+                             f'with a refractive index that is no number from {limits.INDEX[0]} to '
+                             f'{limits.INDEX[1]} (1.0 means: not divided out)')
         if good.any() and marks:
             chosen = slice(None) if good.all() and len(good) == len(group.number) else rows[good]
             lengths = v['displacement'][chosen]
@@ -167,7 +178,8 @@ def _assemble(table: TopicTable, parts: list[_Part], setup_names: tuple[str, ...
     setup = np.repeat(np.concatenate([setup for _, setup in kept])[order], sizes[order])
     samples = Samples(time, values, health, index, setup_names, setup,
                       np.repeat(np.arange(len(order)), sizes[order]))
-    return _tidy(samples, _finite(samples, kept, order, sizes), table.topic, warnings)
+    far = limits.DISPLACEMENT_M if columns == 1 else limits.SPOT_M
+    return _tidy(samples, _finite(samples, kept, order, sizes, far), table.topic, warnings)
 
 
 def _put(target: np.ndarray, at: slice | np.ndarray, blocks: np.ndarray) -> None:
@@ -197,19 +209,21 @@ def _runs(starts: np.ndarray, count: int) -> list[tuple[slice | np.ndarray, slic
 
 
 def _finite(samples: Samples, kept: list[tuple[_Part, np.ndarray]], order: np.ndarray,
-            sizes: np.ndarray) -> np.ndarray | None:
-    """Mask (n,) of the samples that are numbers; ``None`` if all are.
+            sizes: np.ndarray, far: float) -> np.ndarray | None:
+    """Mask (n,) of the samples that are numbers and none beyond ``far``; ``None`` if all are.
 
     Beams that a block does not have are NaN on purpose and do not count.
     """
     alike = len({len(p.columns) for p, _ in kept}) == 1
     with np.errstate(invalid='ignore', over='ignore'):
-        # One NaN or infinity anywhere makes the sum one: a pass without a temporary.
-        if alike and np.isfinite(samples.values.sum()) and np.isfinite(samples.health.sum()):
+        # One NaN anywhere makes least and greatest one: passes without a temporary.
+        if alike and -far <= samples.values.min() and samples.values.max() <= far \
+                and -limits.SIGNAL <= samples.health.min() and samples.health.max() <= limits.SIGNAL:
             return None
     beams = np.repeat([len(p.columns) for p, _ in kept], [len(p.stamp) for p, _ in kept])[order]
     absent = np.arange(samples.values.shape[1]) >= np.repeat(beams, sizes[order])[:, None]
-    mask = (np.isfinite(samples.values) | absent).all(axis=1) & np.isfinite(samples.health)
+    with np.errstate(invalid='ignore'):
+        mask = ((np.abs(samples.values) <= far) | absent).all(axis=1) & (np.abs(samples.health) <= limits.SIGNAL)
     return None if mask.all() else mask
 
 
@@ -218,10 +232,8 @@ def _usable(part: _Part, setup_names: tuple[str, ...], dropped: _Dropped) -> tup
     names, inverse = text(part.frame)
     setup = np.array([setup_names.index(n) if n in setup_names else -1 for n in names], np.intp)[inverse]
     good = np.ones(len(setup), bool)
-    for position, name in enumerate(names):
-        if name not in setup_names:
-            good &= dropped.keep(inverse != position, f'of unknown setup {name!r} (the description '
-                                 f'has {", ".join(setup_names)})')
+    for rows, which in strangers(names, inverse, setup_names):
+        good &= dropped.keep(~rows, f'of unknown setup {which} (the description has {", ".join(setup_names)})')
     # Longer than years cannot be meant, and would not fit the nanoseconds.
     timed = (part.period > 0) & (part.period * part.health.shape[1] < 1e9) | (part.health.shape[1] == 1)
     good &= dropped.keep(timed | ~good, 'with a sample period that is no sensible number above 0')
@@ -237,7 +249,7 @@ def _tidy(samples: Samples, finite: np.ndarray | None, topic: str,
     good = finite
     if finite is not None:
         warnings.append(f'{topic}: left out {int((~finite).sum())} of {len(finite)} samples '
-                        'that are NaN or infinite')
+                        'that are NaN, infinite or far beyond any reading')
     twice = _repeated(samples)
     if twice is not None:
         warnings.append(f'{topic}: left out {len(np.unique(samples.block[twice]))} block(s) that '

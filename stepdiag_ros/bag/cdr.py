@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stepdiag_ros.bag.msgdef import SEQUENCE, SIZES, UNSUPPORTED, Field
+from stepdiag_ros.guard import limits
 
 #: Representation identifier -> (byte order, greatest alignment).
 REPRESENTATIONS = {0x0000: ('>', 8), 0x0001: ('<', 8),
@@ -52,12 +53,13 @@ def decode(matrix: np.ndarray, fields: tuple[Field, ...],
     if matrix.shape[1] < ENCAPSULATION:
         return done, np.arange(len(matrix))
     identifier = matrix[:, 0].astype(np.uint16) << 8 | matrix[:, 1]
-    for value in np.unique(identifier):
-        rows = np.flatnonzero(identifier == value)
-        if int(value) not in REPRESENTATIONS:
-            bad.append(rows)
+    known = np.isin(identifier, list(REPRESENTATIONS))
+    if not known.all():
+        bad.append(np.flatnonzero(~known))
+    for value, rows in alike(identifier):
+        if value not in REPRESENTATIONS:
             continue
-        order, greatest = REPRESENTATIONS[int(value)]
+        order, greatest = REPRESENTATIONS[value]
         _decode_rows(matrix, rows, fields, wanted, order, greatest, done, bad)
     return done, np.sort(np.concatenate(bad)) if bad else np.zeros(0, np.intp)
 
@@ -89,6 +91,9 @@ def _decode_rows(matrix: np.ndarray, rows: np.ndarray, fields: tuple[Field, ...]
                     stack += _split(rows, counts, position, number, values)
                     break
                 position += 4
+                if field.kind == 'string' and count > _longest(field.path):
+                    bad.append(rows)
+                    break
             size = 1 if field.kind == 'string' else SIZES[field.kind]
             if count:
                 position = _align(position, size, greatest)
@@ -103,12 +108,25 @@ def _decode_rows(matrix: np.ndarray, rows: np.ndarray, fields: tuple[Field, ...]
             done.append(Decoded(rows, values))
 
 
+def _longest(path: str) -> int:
+    """Bytes that a text may have: a document, or a name."""
+    return limits.YAML_BYTES if path == 'data' else 4 * limits.NAME_LETTERS
+
+
+def alike(values: np.ndarray) -> list[tuple[int, np.ndarray]]:
+    """Each distinct value of an integer array (n,), and where it stands, in rising order."""
+    order = np.argsort(values, kind='stable')
+    kept = values[order]
+    starts = np.flatnonzero(np.concatenate([[True], kept[1:] != kept[:-1]])) if len(kept) else np.zeros(0, np.intp)
+    return [(int(kept[start]), rows) for start, rows in
+            zip(starts, np.split(order, starts[1:]) if len(starts) else [], strict=True)]
+
+
 def _split(rows: np.ndarray, counts: np.ndarray, position: int, number: int,
            values: dict[str, np.ndarray]) -> list[tuple]:
     """One entry of the stack for each count that occurs."""
     parts = []
-    for count in np.unique(counts):
-        some = np.flatnonzero(counts == count)
+    for _, some in alike(counts):
         parts.append((rows[some], position, number, {k: v[some] for k, v in values.items()}))
     return parts
 

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from stepdiag_ros.bag.cdr import alike
 from stepdiag_ros.bag.tables import TopicTable
 from stepdiag_ros.model.description import Description
 from stepdiag_ros.model.log import DONE, DWELL, Samples, StepEvents
@@ -50,12 +51,13 @@ def traverses(description: Description, steps: StepEvents) -> list[Traverse]:
         if len(steps) else np.zeros((0, 4), np.int64)
     unique, first, inverse = np.unique(keys, axis=0, return_index=True, return_inverse=True)
     found = []
+    members = dict(alike(inverse.ravel()))
     for k in np.argsort(first, kind='stable'):
         run, setup, repeat, direction = (int(v) for v in unique[k])
         name = steps.setup_names[setup]
         planned = planned_stops(description, name)
-        dwell = (inverse.ravel() == k) & (steps.phase == DWELL)
-        seen, counts = np.unique(steps.index[dwell], return_counts=True)
+        mine = members[int(k)]
+        seen, counts = np.unique(steps.index[mine[steps.phase[mine] == DWELL]], return_counts=True)
         inside = seen < planned
         found.append(Traverse(
             steps.run_ids[run], name, repeat, direction, planned,

@@ -18,6 +18,8 @@ from pathlib import Path
 import numpy as np
 
 from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.guard import limits
+from stepdiag_ros.guard.files import read_text
 from stepdiag_ros.model.description import Description, Machine, Noise, Plan, Setup
 from stepdiag_ros.model.log import DONE, DWELL, MOVE, NONE, CalibrationLog, Samples, StepEvents
 
@@ -68,11 +70,7 @@ def import_csv(path: str | Path, axis: str | None = None, cadence_s: float = CAD
 
 def read_table(path: Path) -> Table:
     """Parse and check the columns of a CSV."""
-    try:
-        text = path.read_text(encoding='utf-8-sig')
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else 'it is not UTF-8 text'
-        raise StepdiagError(f'{path}: cannot be read: {reason}') from None
+    text = read_text(path, limits.TEXT_BYTES, 'table', 'utf-8-sig')
     lines = [(number, line) for number, line in enumerate(text.splitlines(), 1)
              if line.strip() and not line.lstrip().startswith('#')]
     if not lines:

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 from stepdiag_ros.bag.schemas import DEFINITIONS
 from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.guard import limits
 
 #: Size in bytes of each primitive; also its alignment.
 SIZES = {'bool': 1, 'byte': 1, 'char': 1, 'int8': 1, 'uint8': 1, 'int16': 2, 'uint16': 2,
@@ -81,6 +82,8 @@ def parse(name: str, text: str) -> tuple[Field, ...]:
 
     Raises ``ValueError`` with what is wrong if the text is no message definition.
     """
+    if len(text) > limits.SCHEMA_BYTES:
+        raise ValueError(f'it has {len(text)} letters, at most {limits.SCHEMA_BYTES} are read')
     head, *tail = re.split(r'(?m)^={3,}\s*$', text)
     definitions = {}
     for part in tail:
@@ -91,9 +94,11 @@ def parse(name: str, text: str) -> tuple[Field, ...]:
     fields: list[Field] = []
 
     def walk(package: str, body: str, prefix: str, depth: int) -> None:
-        if depth > 16:
+        if depth > limits.SCHEMA_DEPTH:
             raise ValueError('definitions contain each other')
         for member in _members(body):
+            if len(fields) >= limits.SCHEMA_FIELDS:
+                raise ValueError(f'it has more than {limits.SCHEMA_FIELDS} fields')
             path = prefix + member.name
             if member.type in SIZES or member.type == 'string':
                 unreadable = member.type == 'string' and member.array is not None

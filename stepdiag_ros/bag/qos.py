@@ -3,6 +3,7 @@
 import yaml
 
 from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.guard import strict_yaml
 
 _FOREVER = {'sec': 9223372036, 'nsec': 854775807}
 
@@ -24,11 +25,11 @@ def qos_yaml(*profiles: dict) -> str:
 def parse_qos(text: str, topic: str) -> list[dict]:
     """The list behind ``text``; :class:`StepdiagError` if it is none."""
     try:
-        profiles = yaml.safe_load(text) if text.strip() else []
-    except yaml.YAMLError as error:
+        profiles: object = strict_yaml.load(text, topic) if text.strip() else []
+    except StepdiagError as error:
         profiles = error
     if not isinstance(profiles, list) or not all(isinstance(p, dict) for p in profiles):
-        raise StepdiagError(f'topic {topic}: its QoS is no YAML list of profiles: {text.strip()!r}')
+        raise StepdiagError(f'topic {topic}: its QoS is no YAML list of profiles: {text.strip()[:80]!r}')
     return profiles
 
 

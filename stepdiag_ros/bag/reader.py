@@ -9,8 +9,17 @@ from pathlib import Path
 
 import numpy as np
 
-from stepdiag_ros.bag.blocks import backwards, displacement_samples, order_of, spot_samples, stamps_ns, text
+from stepdiag_ros.bag.blocks import (
+    backwards,
+    displacement_samples,
+    order_of,
+    spot_samples,
+    stamps_ns,
+    strangers,
+    text,
+)
 from stepdiag_ros.bag.check import lost_messages, stop_warnings
+from stepdiag_ros.bag.clocksteps import put_right
 from stepdiag_ros.bag.schemas import (
     DESCRIPTION,
     DISPLACEMENT,
@@ -24,6 +33,7 @@ from stepdiag_ros.bag.schemas import (
 from stepdiag_ros.bag.source import BagSource, open_bag
 from stepdiag_ros.bag.tables import Tables, TopicTable, collect
 from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.guard import limits
 from stepdiag_ros.model.description import Description
 from stepdiag_ros.model.log import CalibrationLog, Samples, ScalarSeries, StepEvents
 
@@ -84,7 +94,8 @@ def build_log(source: BagSource, tables: Tables, namespace: str | None = None,
     mine = {relative: tables.topics.get(f'{name}/{relative}' if name else relative)
             or tables.topics.get(f'/{relative}' if not name else f'{name}/{relative}')
             for relative in TOPICS}
-    warnings = [*source.warnings, *tables.warnings, *_wrong_counts(source, tables), *_notes(source)]
+    warnings = [*source.warnings, *tables.warnings, *_wrong_counts(source, tables), *_notes(source),
+                *put_right(mine)]
     if not tables.checked:
         warnings.append('the file carries no CRCs: a changed byte in it would not be noticed')
     if description is None:
@@ -159,11 +170,13 @@ def _description(path: Path, name: str, table: TopicTable | None) -> Description
                             'message; without the description of machine and setups nothing can be '
                             'evaluated')
     texts = {bytes(raw).decode('utf-8', 'replace') for g in table.groups for raw in g.values['data']}
-    found = [Description.from_yaml(t, f'{path}: {topic}') for t in sorted(texts)]
-    if any(other != found[0] for other in found[1:]):
-        raise StepdiagError(f'{path}: topic {topic} holds {len(found)} descriptions that differ; '
+    first, *others = sorted(texts)
+    found = Description.from_yaml(first, f'{path}: {topic}')
+    if len(texts) > limits.DESCRIPTIONS or \
+            any(Description.from_yaml(other, f'{path}: {topic}') != found for other in others):
+        raise StepdiagError(f'{path}: topic {topic} holds {len(texts)} descriptions that differ; '
                             'record each cell in a bag of its own')
-    return found[0]
+    return found
 
 
 def _stack(table: TopicTable, path: str) -> np.ndarray:
@@ -203,10 +216,8 @@ def _steps(table: TopicTable, setup_names: tuple[str, ...]) -> tuple[StepEvents,
         if count:
             warnings.append(f'{table.topic}: left out {count} event(s) {why}')
 
-    for position, name in enumerate(names):
-        if name not in setup_names:
-            drop(inverse == position, f'of unknown setup {name!r} '
-                                      f'(the description has {", ".join(setup_names)})')
+    for rows, which in strangers(names, inverse, setup_names):
+        drop(rows, f'of unknown setup {which} (the description has {", ".join(setup_names)})')
     drop(~np.isin(columns['phase'], (0, 1, 2)), 'whose phase is none of MOVE, DWELL, DONE')
     drop(~np.isin(columns['axis'], (0, 1, 2, 255)), 'whose axis is none of X, Y, Z, NONE')
     drop(~np.isin(columns['direction'], (-1, 1)), 'whose direction is neither +1 nor -1')
@@ -214,10 +225,10 @@ def _steps(table: TopicTable, setup_names: tuple[str, ...]) -> tuple[StepEvents,
     same[1:] = np.logical_and.reduce([c[1:] == c[:-1] for c in (stamp, *columns.values())])
     drop(same, 'that the log holds twice')
     run_names, run = text(columns['run_id'])
-    first = np.array([np.flatnonzero(good & (run == k))[:1].sum() if (good & (run == k)).any() else -1
-                      for k in range(len(run_names))], np.intp)
+    first = np.full(len(run_names), len(run), np.intp)
+    np.minimum.at(first, run[good], np.flatnonzero(good))
     # Runs are numbered in the order in which they began.
-    present = [int(k) for k in np.argsort(first, kind='stable') if first[k] >= 0]
+    present = [int(k) for k in np.argsort(first, kind='stable') if first[k] < len(run)]
     renumber = np.full(len(run_names), -1, np.intp)
     renumber[present] = np.arange(len(present))
     events = StepEvents(
@@ -225,10 +236,14 @@ def _steps(table: TopicTable, setup_names: tuple[str, ...]) -> tuple[StepEvents,
         setup[good], *(columns[key][good].astype(np.int64)
                        for key in ('repeat', 'direction', 'index', 'axis')),
         commanded[good], columns['phase'][good].astype(np.int64))
-    odd = int((~np.isfinite(events.commanded)).any(axis=1).sum())
+    if len(np.unique(np.stack([events.run, events.setup, events.repeat, events.direction]), axis=1).T) > limits.RUNS:
+        raise StepdiagError(f'{table.topic}: holds more than {limits.RUNS} traverses; no calibration has so many')
+    far = ~(np.abs(events.commanded) <= limits.LENGTH_M)
+    events.commanded[far] = np.nan
+    odd = int(far.any(axis=1).sum())
     if odd:
-        warnings.append(f'{table.topic}: {odd} event(s) carry a commanded position that is NaN or '
-                        'infinite; the plan\'s position stands')
+        warnings.append(f'{table.topic}: {odd} event(s) carry a commanded position that is NaN, '
+                        'infinite or far away; the plan\'s position stands')
     return events, warnings
 
 
@@ -246,20 +261,24 @@ def _scalars(relative: str, table: TopicTable) -> tuple[dict[str, ScalarSeries],
     value = _stack(table, SCALAR_FIELD[TOPICS[relative]])[order].astype(float)
     variance = _stack(table, 'variance')[order].astype(float)
     stamp = stamp[order]
-    good = np.isfinite(value)
+    low, high = limits.ENVIRONMENT[relative.split('/')[-1]]
+    good = (value >= low) & (value <= high)
+    variance = np.where(variance >= 0.0, np.minimum(variance, 1.0e12), 0.0)
     if not good.all():
-        warnings.append(f'{table.topic}: left out {int((~good).sum())} value(s) that are NaN or infinite')
+        warnings.append(f'{table.topic}: left out {int((~good).sum())} value(s) that are NaN, infinite or beyond '
+                        f'{low:g} to {high:g}')
     if relative != SCALE:
         key = relative.split('/')[-1]
         return {key: ScalarSeries(stamp[good], value[good], variance[good])}, warnings
     names, inverse = text(_stack(table, 'header.frame_id')[order])
     series = {}
+    warnings += [f'{table.topic}: left out {int(rows.sum())} value(s) of frame_id {which}; it must be x, y or z'
+                 for rows, which in strangers(names, inverse, ('x', 'y', 'z', 'X', 'Y', 'Z'))]
     for position, name in enumerate(names):
-        rows = good & (inverse == position)
         if name.lower() not in ('x', 'y', 'z'):
-            warnings.append(f'{table.topic}: left out {int(rows.sum())} value(s) of frame_id {name!r}; '
-                            'it must be x, y or z')
-        elif rows.any():
+            continue
+        rows = good & (inverse == position)
+        if rows.any():
             series[f'scale_temperature/{name.lower()}'] = ScalarSeries(stamp[rows], value[rows],
                                                                        variance[rows])
     return series, warnings

@@ -13,7 +13,7 @@ from stepdiag_ros.bag.check import lost_messages
 from stepdiag_ros.bag.msgdef import long_name
 from stepdiag_ros.bag.scan import HEADER_SIZE, McapFile
 from stepdiag_ros.bag.source import BagSource, open_bag
-from stepdiag_ros.bag.tables import Tables, collect
+from stepdiag_ros.bag.tables import Tables, collect, room_of
 from stepdiag_ros.bag.writer import BagWriter
 from stepdiag_ros.errors import StepdiagError
 
@@ -61,11 +61,12 @@ def recover(path: str | Path, target: str | Path | None = None) -> Recovery:
     faults = list(source.warnings)
     notes: list[str] = []
     expected: Counter = Counter()
-    written = Counter()
+    written: Counter = Counter()
+    room = room_of(source)
     writer: BagWriter | None = None
     try:
         for file_path in source.files:
-            file = McapFile(file_path, tolerant=True, bag=source.path)
+            file = McapFile(file_path, tolerant=True, bag=source.path, room=room)
             skipped: Counter = Counter()
             for segment in _segments(file, faults):
                 if writer is None:

@@ -1,7 +1,7 @@
 """One MCAP file, read front to back, CRCs checked, messages found but not copied.
 
 Whole chunks go out as :class:`Segment`: the decompressed bytes and where in them
-each message lies, so each message lies, so that the decoder can lay NumPy views over them.  The message
+each message lies, so that the decoder can lay NumPy views over them.  The message
 indexes are hints only, because no CRC guards them: what they say is checked against
 the records themselves, and whatever they leave out is walked (decision 0010).
 """
@@ -10,6 +10,7 @@ import io
 import os
 import struct
 import zlib
+from bisect import bisect_right
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -22,12 +23,15 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Footer, Header, Metadata, Schema, Statistics
 
 from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.guard import limits
+from stepdiag_ros.guard.files import open_regular
 
 MAGIC = b'\x89MCAP0\r\n'
 HEADER_SIZE = 31    # opcode, length, channel, sequence, log time, publish time of a message
 _RECORD = struct.Struct('<BQ')
 _CHUNK = struct.Struct('<QQQI')
 _WORTH = 300    # messages in a chunk from which its indexes pay
+_LOOSE_BYTES = 32 * limits.MIB
 _TAIL = struct.Struct('<BQQQI8s')    # footer and closing magic
 
 
@@ -64,6 +68,20 @@ def gather(buffer: np.ndarray, offsets: np.ndarray, length: int) -> np.ndarray:
     return windows[offsets]
 
 
+class Room:
+    """How much the files of a bag, of ``size`` bytes together, may still unpack to."""
+
+    def __init__(self, size: int):
+        self.most = self.left = limits.unpacked_most(size)
+
+    def take(self, size: int) -> bool:
+        """Whether so many bytes more may be had; they are counted."""
+        if size > self.left:
+            return False
+        self.left -= size
+        return True
+
+
 @dataclass
 class McapFile:
     """A scan of the file at ``path``; iterate :meth:`segments` once, the rest fills meanwhile.
@@ -72,7 +90,8 @@ class McapFile:
     ``tolerant``: damage is noted in ``faults`` and what can be read is read.
     ``bag`` is what the remedy names.  ``complete`` says that footer and closing magic
     were there, ``checked`` that a CRC covers every message; ``lost`` counts, by channel,
-    messages of chunks that could not be read, as far as their indexes tell.
+    messages of chunks that could not be read, as far as their indexes tell.  ``room``: what
+    the file may still unpack to, where several files share it.
     """
 
     path: Path
@@ -87,13 +106,17 @@ class McapFile:
     complete: bool = False
     checked: bool = True
     lost: Counter = field(default_factory=Counter)
+    room: 'Room | None' = None
+    _described: int = 0
     _guarded: bool = False
 
     def segments(self) -> Iterator[Segment]:
         """Chunks in file order, then messages that stand outside chunks."""
         try:
-            size = os.path.getsize(self.path)
-            with open(self.path, 'rb') as stream:
+            with open_regular(self.path) as stream:
+                size = os.fstat(stream.fileno()).st_size
+                if self.room is None:
+                    self.room = Room(size)
                 yield from self._read(stream, size)
         except OSError as error:
             raise StepdiagError(f'{self.path}: cannot be read: {error.strerror}') from None
@@ -109,7 +132,7 @@ class McapFile:
         running = zlib.crc32(MAGIC)
         loose: list[bytes] = []
         starts = self._summary(stream, size) if self.tolerant else []
-        found = chunks = 0
+        found = chunks = loose_bytes = 0
         chunk: _Chunk | None = None
         while True:
             begin = stream.tell()
@@ -117,14 +140,16 @@ class McapFile:
             if not head:
                 break
             opcode, length = _RECORD.unpack(head) if len(head) == _RECORD.size else (0, 1 << 63)
-            if begin + _RECORD.size + length > size:
+            if begin + _RECORD.size + length > size or length > limits.CHUNK_BYTES:
                 self._fault(f'ends in the middle of a record at byte {begin} of {size}: '
-                            'it is truncated or damaged')
-                later = [start for start in starts if start > begin]
-                if not later:
+                            'it is truncated or damaged' if begin + _RECORD.size + length > size else
+                            f'has a record of {length} bytes at byte {begin}; '
+                            f'at most {limits.CHUNK_BYTES} are read')
+                later = starts[bisect_right(starts, begin):]
+                if not later or len(self.faults) >= limits.FAULTS:
                     if chunk is not None:
                         yield self._walk(chunk)
-                    chunk = self._salvage(stream.read()) if opcode == Opcode.CHUNK else None
+                    chunk = self._salvage(stream.read(limits.CHUNK_BYTES)) if opcode == Opcode.CHUNK else None
                     break
                 stream.seek(later[0])
                 continue
@@ -147,10 +172,15 @@ class McapFile:
                 chunk = self._chunk(body, f'chunk {chunks} at byte {begin}')
             elif opcode == Opcode.MESSAGE:
                 found += 1
+                if length < HEADER_SIZE - 9:
+                    self._fault(f'the message at byte {begin} is cut off')
+                    continue
+                self._take(length)
                 loose.append(head + body)
-                if len(loose) >= 100_000:
+                loose_bytes += len(loose[-1])
+                if len(loose) >= 100_000 or loose_bytes > _LOOSE_BYTES:
                     yield _join(loose)
-                    loose = []
+                    loose, loose_bytes = [], 0
             elif opcode == Opcode.DATA_END:
                 if expected and running != expected:
                     self._fault('the CRC of its data section is wrong: a byte was changed')
@@ -173,7 +203,16 @@ class McapFile:
     def _fault(self, what: str) -> None:
         if not self.tolerant:
             raise StepdiagError(f'{self.path}: {what}; mend it with: stepdiag recover {self.bag or self.path}')
-        self.faults.append(what)
+        if len(self.faults) < limits.FAULTS:
+            self.faults.append(what)
+
+    def _take(self, size: int) -> None:
+        if not self.room.take(max(0, size)):
+            raise self._too_much()
+
+    def _too_much(self) -> StepdiagError:
+        return StepdiagError(f'{self.path}: holds more than {self.room.most} bytes of messages, many times its '
+                             'size on disk: no calibration log does')
 
     def _summary(self, stream, size: int) -> list[int]:
         """Take in the summary, if there is one, and give the places of the chunks."""
@@ -183,7 +222,7 @@ class McapFile:
         if len(tail) == _TAIL.size and tail.endswith(MAGIC) and tail[0] == Opcode.FOOTER:
             summary = _TAIL.unpack(tail)[2]
             stream.seek(min(summary, size))
-            data = stream.read() if summary else b''
+            data = stream.read(limits.SUMMARY_BYTES) if summary else b''
             position = 0
             while position + 9 <= len(data):
                 opcode, length = _RECORD.unpack_from(data, position)
@@ -194,7 +233,7 @@ class McapFile:
                     self._small(opcode, body, summary + position)
                 position += 9 + length
         stream.seek(here)
-        return sorted(start for start in starts if start < size)
+        return sorted({start for start in starts if start < size})
 
     def _salvage(self, body: bytes) -> '_Chunk | None':
         """What a chunk holds that was cut off: no CRC can vouch for it, only its records."""
@@ -208,6 +247,8 @@ class McapFile:
             try:
                 for at in range(0, len(data), 4096):
                     pieces += unpacker.decompress(data[at:at + 4096])
+                    if len(pieces) > min(limits.CHUNK_BYTES, self.room.left):
+                        break
             except zstandard.ZstdError:
                 pass    # what came out before stays good
             data = bytes(pieces)
@@ -238,7 +279,11 @@ class McapFile:
         return crc
 
     def _footer(self, stream, body: bytes, size: int) -> None:
-        footer = Footer.read(_stream(body))
+        try:
+            footer = Footer.read(_stream(body))
+        except (struct.error, ValueError, McapError):
+            self._fault('has a footer that is cut off')
+            return
         if stream.read(len(MAGIC)) != MAGIC:
             self._fault('does not end with the MCAP magic: it is truncated')
             return
@@ -246,7 +291,10 @@ class McapFile:
         if footer.summary_crc and footer.summary_start:
             stream.seek(footer.summary_start)
             # The CRC covers the summary and the footer up to the CRC itself.
-            if zlib.crc32(stream.read(size - footer.summary_start - 12)) != footer.summary_crc:
+            left, running = max(0, size - footer.summary_start - 12), 0
+            while left and (piece := stream.read(min(left, 1 << 20))):
+                running, left = zlib.crc32(piece, running), left - len(piece)
+            if running != footer.summary_crc:
                 self._fault('the CRC of its summary is wrong: a byte was changed')
 
     def _chunk(self, body: bytes, where: str) -> '_Chunk | None':
@@ -254,8 +302,11 @@ class McapFile:
             _, _, full, crc = _CHUNK.unpack_from(body)
             at = _CHUNK.size
             named = int.from_bytes(body[at:at + 4], 'little')
-            compression = body[at + 4:at + 4 + named].decode('ascii')
+            compression = body[at + 4:at + 4 + named][:40].decode('ascii')
             at += 4 + named + 8
+            if full > limits.CHUNK_BYTES or not self.room.take(full):
+                raise ValueError(f'it unpacks to {full} bytes, more than {limits.CHUNK_BYTES} in one chunk or '
+                                 f'{self.room.most} in the bag')
             data = _decompress(compression, memoryview(body)[at:], full)
         except (struct.error, UnicodeDecodeError, ValueError) as error:
             self._fault(f'{where} is damaged: {error}')
@@ -276,6 +327,7 @@ class McapFile:
             walked, whole = self._walk_gaps(chunk, offsets, lengths)
         if not whole:
             self._fault(f'{chunk.where} holds a record that is cut off')
+        self._take(limits.SMALLEST_MESSAGE * (len(walked) + len(offsets)) - len(chunk.data))
         if walked:
             more = np.array(walked, np.intp)
             offsets = np.concatenate([offsets, more[:, 0]])
@@ -295,14 +347,17 @@ class McapFile:
         begins = np.append(offsets, len(chunk.data))
         unpack, message, extra = _RECORD.unpack_from, int(Opcode.MESSAGE), HEADER_SIZE - 9
         data, found = chunk.data, []
+        most = (len(data) + self.room.left) // limits.SMALLEST_MESSAGE
         for gap in np.flatnonzero(begins != ends):
             position, end = int(ends[gap]), int(begins[gap])
             while position + 9 <= end:
                 opcode, length = unpack(data, position)
-                if position + 9 + length > end or (opcode == message and length < extra):
+                if opcode == 0 or position + 9 + length > end or (opcode == message and length < extra):
                     break
                 if opcode == message:
                     found.append((position, length - extra))
+                    if len(found) > most:
+                        raise self._too_much()
                 else:
                     self._small(opcode, bytes(data[position + 9:position + 9 + length]), position)
                 position += 9 + length
@@ -312,6 +367,10 @@ class McapFile:
 
     def _small(self, opcode: int, body: bytes, begin: int) -> None:
         """Records that describe; indexes and what we do not know are passed over."""
+        self._described += 1
+        if self._described > limits.DESCRIBING_RECORDS:
+            raise StepdiagError(f'{self.path}: holds more than {limits.DESCRIBING_RECORDS} records that are no '
+                                'messages: no recorder writes so')
         try:
             stream = _stream(body)
             if opcode == Opcode.SCHEMA:
@@ -355,7 +414,7 @@ def _hinted(buffer: np.ndarray, hints: list[bytes]) -> tuple[np.ndarray, np.ndar
     if not pieces:
         return none
     offsets = np.sort(np.concatenate(pieces))
-    if offsets[-1] + np.uint64(HEADER_SIZE) > len(buffer):
+    if int(offsets[-1]) + HEADER_SIZE > len(buffer):
         return none
     offsets = offsets.astype(np.intp)
     head = gather(buffer, offsets, 9)
@@ -390,14 +449,18 @@ def _decompress(name: str, data: memoryview, size: int) -> bytes | memoryview:
     elif name == 'zstd':
         import zstandard
         try:
+            # The frame's own word about its size is what the library would take memory for.
+            said = zstandard.frame_content_size(data)
+            if said not in (-1, size):
+                raise ValueError(f'it holds {said} bytes and announces {size}')
             result = zstandard.ZstdDecompressor().decompress(data, max_output_size=size)
         except zstandard.ZstdError as error:
             raise ValueError(f'zstd cannot decompress it ({error})') from None
     elif name == 'lz4':
         import lz4.frame
         try:
-            result = lz4.frame.decompress(data)
-        except RuntimeError as error:
+            result = lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size + 1)
+        except (RuntimeError, EOFError) as error:
             raise ValueError(f'lz4 cannot decompress it ({error})') from None
     else:
         raise ValueError(f'its compression {name!r} is unknown (known: none, zstd, lz4)')

@@ -23,6 +23,7 @@ DEFINITIONS = {
     'stepdiag_msgs/msg/SpotPosition':
         'std_msgs/Header header\nfloat64 sample_period\nfloat64[] x\nfloat64[] y\n'
         'float64[] intensity\n',
+    'stepdiag_msgs/msg/ClockStep': 'std_msgs/Header header\nfloat64 step\nstring topic\nuint64 published\n',
     'stepdiag_msgs/msg/Step':
         'uint8 MOVE=0\nuint8 DWELL=1\nuint8 DONE=2\nuint8 NONE=255\nstd_msgs/Header header\n'
         'string run_id\nstring setup\nuint16 repeat\nint8 direction\nuint16 index\nuint8 axis\n'
@@ -34,6 +35,7 @@ STEP = 'sequencer/step'
 DISPLACEMENT = 'interferometer/displacement'
 SPOT = 'psd/spot'
 SCALE = 'environment/scale_temperature'
+CLOCK_STEP = 'clock_step'
 
 #: Contract topics, relative to a machine's namespace, and their types.
 TOPICS = {
@@ -45,6 +47,7 @@ TOPICS = {
     'environment/air_pressure': 'sensor_msgs/msg/FluidPressure',
     'environment/humidity': 'sensor_msgs/msg/RelativeHumidity',
     SCALE: 'sensor_msgs/msg/Temperature',
+    CLOCK_STEP: 'stepdiag_msgs/msg/ClockStep',
 }
 
 #: The scalar of each environment type, and the key of ``CalibrationLog.environment``.

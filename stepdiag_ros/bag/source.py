@@ -4,13 +4,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.guard import limits, strict_yaml
+from stepdiag_ros.guard.files import open_regular, read_text
 
 METADATA = 'metadata.yaml'
-#: libyaml's loader where PyYAML was built with it: ten times as fast.
-_Loader = getattr(yaml, 'CSafeLoader', yaml.SafeLoader)
 
 
 @dataclass(frozen=True)
@@ -31,13 +29,17 @@ class BagSource:
 def open_bag(path: str | Path) -> BagSource:
     """Resolve ``path``; :class:`StepdiagError` if there is no bag."""
     path = Path(path)
-    if not path.exists():
+    if '\0' in str(path) or not path.exists():
         raise StepdiagError(f'{path}: does not exist; give a rosbag2 directory or a .mcap file')
-    if path.is_file():
-        if path.name == METADATA:
-            return open_bag(path.parent)
-        return BagSource(path, (path,))
-    present = tuple(sorted(path.glob('*.mcap')))
+    if not path.is_dir():
+        open_regular(path).close()
+        return open_bag(path.parent) if path.name == METADATA else BagSource(path, (path,))
+    try:
+        present = tuple(sorted(file for file in path.glob('*.mcap') if file.is_file()))
+    except OSError as error:
+        raise StepdiagError(f'{path}: cannot be read: {error.strerror}') from None
+    if len(present) > limits.BAG_FILES:
+        raise StepdiagError(f'{path}: holds {len(present)} .mcap files; a bag has at most {limits.BAG_FILES}')
     file = path / METADATA
     if not file.exists():
         if not present:
@@ -51,15 +53,16 @@ def open_bag(path: str | Path) -> BagSource:
 
 
 def _from_metadata(path: Path, file: Path, present: tuple[Path, ...]) -> BagSource:
+    text = read_text(file, limits.YAML_BYTES, 'rosbag2 metadata file')
     try:
-        info = yaml.load(file.read_text(encoding='utf-8'), _Loader)['rosbag2_bagfile_information']
+        info = strict_yaml.load(text, str(file))['rosbag2_bagfile_information']
         storage = str(info.get('storage_identifier', 'mcap'))
         listed = [str(name) for name in info.get('relative_file_paths') or []]
         counts = {str(entry['topic_metadata']['name']): int(entry['message_count'])
                   for entry in info.get('topics_with_message_count') or []}
-    except (yaml.YAMLError, UnicodeDecodeError, KeyError, TypeError, ValueError, AttributeError) as error:
+    except (StepdiagError, KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         if not present:
-            raise StepdiagError(f'{file}: cannot be read as rosbag2 metadata ({error!r}) and there '
+            raise StepdiagError(f'{file}: cannot be read as rosbag2 metadata ({error}) and there '
                                 'is no .mcap file beside it') from None
         return BagSource(path, present, warnings=(
             f'{METADATA} cannot be read as rosbag2 metadata; reading the .mcap files by name',))
@@ -73,6 +76,11 @@ def _from_metadata(path: Path, file: Path, present: tuple[Path, ...]) -> BagSour
     if str(info.get('compression_mode') or '').lower() == 'message':
         raise StepdiagError(f'{path}: its messages are compressed one by one; convert it: '
                             f'ros2 bag convert -i {path} -o out.yaml without compression_mode')
+    outside = [name for name in listed if Path(name).is_absolute() or '..' in Path(name).parts or '\0' in name]
+    if outside or len(listed) > limits.BAG_FILES or len(set(listed)) != len(listed):
+        what = f'the file {outside[0]!r}, which is not below it' if outside else \
+            f'{len(listed)} files' if len(listed) > limits.BAG_FILES else 'a file twice'
+        raise StepdiagError(f'{path}: {METADATA} names {what}; mend it with: stepdiag recover {path}')
     files = tuple(path / name for name in listed)
     absent = [f.name for f in files if not f.exists()]
     if absent and len(absent) < len(files):

@@ -9,12 +9,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from stepdiag_ros.bag.cdr import decode
+from stepdiag_ros.bag.cdr import alike, decode
 from stepdiag_ros.bag.msgdef import Field, layout, long_name
-from stepdiag_ros.bag.scan import HEADER_SIZE, McapFile, Segment, gather
+from stepdiag_ros.bag.scan import HEADER_SIZE, McapFile, Room, Segment, gather
 from stepdiag_ros.bag.schemas import TOPICS, split_topic
 from stepdiag_ros.bag.source import BagSource
 from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.guard import limits
 
 BATCH = 32 << 20
 _STAMP = ('header.stamp.sec', 'header.stamp.nanosec', 'header.frame_id')
@@ -27,6 +28,7 @@ WANTED = {
     'stepdiag_msgs/msg/Displacement': (*_STAMP, 'sample_period', 'beams', 'displacement',
                                        'refractive_index', 'quality'),
     'stepdiag_msgs/msg/SpotPosition': (*_STAMP, 'sample_period', 'x', 'y', 'intensity'),
+    'stepdiag_msgs/msg/ClockStep': (*_STAMP, 'step', 'topic', 'published'),
     'sensor_msgs/msg/Temperature': (*_STAMP, 'temperature', 'variance'),
     'sensor_msgs/msg/FluidPressure': (*_STAMP, 'fluid_pressure', 'variance'),
     'sensor_msgs/msg/RelativeHumidity': (*_STAMP, 'relative_humidity', 'variance'),
@@ -76,8 +78,9 @@ def collect(source: BagSource, wanted: Callable[[str], bool], tolerant: bool = F
     """
     tables = Tables()
     number = 0
+    room = room_of(source)
     for path in source.files:
-        file = McapFile(path, tolerant, source.path)
+        file = McapFile(path, tolerant, source.path, room=room)
         batch = _Batch(file, tables, wanted, number)
         for segment in file.segments():
             batch.add(segment)
@@ -90,6 +93,11 @@ def collect(source: BagSource, wanted: Callable[[str], bool], tolerant: bool = F
         for record in file.metadata:
             tables.metadata.update({f'{record.name}.{k}': v for k, v in record.metadata.items()})
     return tables
+
+
+def room_of(source: BagSource) -> Room:
+    """What the files of a bag may unpack to together."""
+    return Room(sum(path.stat().st_size for path in source.files if path.is_file()))
 
 
 class _Batch:
@@ -128,8 +136,7 @@ class _Batch:
         ids, sequence, log_time, _ = segment.headers()
         numbers = np.arange(self.number, self.number + len(segment))
         self.number += len(segment)
-        for channel in np.unique(ids):
-            mine = np.flatnonzero(ids == channel)
+        for channel, mine in alike(ids):
             table = self.table(int(channel))
             table.count += len(mine)
             table.log_times.append(log_time[mine].astype(np.int64))
@@ -139,13 +146,16 @@ class _Batch:
                 continue
             names = frozenset(WANTED[TOPICS[split_topic(table.topic)[1]]])
             lengths = segment.lengths[mine]
-            for length in np.unique(lengths):
-                rows = mine[lengths == length]
+            for length, which in alike(lengths):
+                rows = mine[which]
                 matrix = gather(segment.buffer, segment.offsets[rows] + HEADER_SIZE, int(length))
                 done, bad = decode(matrix, fields, names)
                 table.malformed += len(bad)
                 table.groups += [Group(d.values, numbers[rows[d.rows]], sequence[rows[d.rows]])
                                  for d in done]
+                if len(table.groups) > limits.LAYOUTS:
+                    raise StepdiagError(f'{self.file.path}: topic {table.topic}: its messages have more than '
+                                        f'{limits.LAYOUTS} layouts; no recorder writes so')
 
     def table(self, channel_id: int) -> TopicTable:
         channel = self.file.channels.get(channel_id)

@@ -18,6 +18,7 @@ from stepdiag_ros.blind.seal import LOGS, MANIFEST, SCHEMA, write_json
 from stepdiag_ros.effects import all_effects
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.gap.diagnose import diagnose
+from stepdiag_ros.guard.jsontext import to_json
 
 ANSWERS, ANSWER_HASHES = 'answers', 'answers.json'
 FILES = ('gap.json', 'extra.json')
@@ -61,7 +62,7 @@ def answer(folder: Path, processes: int = 2, progress: bool = True) -> str:
 def lock(folder: Path, names: list[str]) -> str:
     """Hash the answers and publish; returns the hash of all."""
     hashes = answer_hashes(folder, names)
-    whole = hashlib.sha256(json.dumps(hashes, sort_keys=True).encode()).hexdigest()
+    whole = hashlib.sha256(to_json(hashes, indent=None, sort_keys=True).encode()).hexdigest()
     write_json(folder / ANSWER_HASHES, {'schema': SCHEMA, 'answers_sha256': whole, 'files': hashes})
     return whole
 

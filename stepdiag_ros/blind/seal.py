@@ -20,6 +20,7 @@ from stepdiag_ros.blind.pool import side_by_side
 from stepdiag_ros.blind.vocabulary import NAMES
 from stepdiag_ros.blind.world import PURPOSES, Order, make
 from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.guard.jsontext import to_json
 
 SCHEMA = 1
 MANIFEST, SEALED, LOGS = 'manifest.json', 'sealed/truth.json', 'logs'
@@ -82,7 +83,7 @@ def seal(out: Path, todo: list[Order], processes: int = 2, progress: bool = True
         pass
     truth = {'schema': SCHEMA, 'purpose': todo[0].purpose, 'seed': todo[0].seed,
              'logs': {name: json.loads((parts / f'{name}.json').read_text()) for name in names}}
-    text = json.dumps(truth, indent=1, sort_keys=True)
+    text = to_json(truth, sort_keys=True)
     (out / SEALED).write_text(text)
     for part in parts.iterdir():
         part.unlink()
@@ -112,5 +113,5 @@ def read_json(path: Path) -> dict[str, Any]:
 def write_json(path: Path, data: dict[str, Any]) -> None:
     """Write at once or not at all."""
     temporary = path.with_name(f'.{path.name}.{os.getpid()}')
-    temporary.write_text(json.dumps(data, indent=1, sort_keys=True) + '\n')
+    temporary.write_text(to_json(data, sort_keys=True) + '\n')
     temporary.replace(path)

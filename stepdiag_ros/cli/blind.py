@@ -6,9 +6,10 @@ scores.
 """
 
 import argparse
-import json
 import sys
 from pathlib import Path
+
+from stepdiag_ros.guard.jsontext import to_json
 
 NAME = 'blind'
 HELP = 'seal, answer and open the blind check of the diagnosis'
@@ -79,7 +80,7 @@ def _open(args: argparse.Namespace) -> int:
     result = open_set(args.folder)
     if args.page is not None:
         into_page(result, args.folder, args.page)
-    print(json.dumps(result, indent=1) if args.json else table(result))
+    print(to_json(result) if args.json else table(result))
     return 0
 
 

@@ -9,7 +9,6 @@ a new bag.  Ctrl-C cancels: the machine stands still and the bag is whole.
 """
 
 import argparse
-import json
 import sys
 import threading
 from collections.abc import Iterator
@@ -19,6 +18,7 @@ from typing import Any
 
 from stepdiag_ros.cli.progress import Bar
 from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.guard.jsontext import to_json
 
 NAME = 'calibrate'
 HELP = 'run the calibration on a cell and evaluate it'
@@ -60,9 +60,9 @@ def run(args: argparse.Namespace) -> int:
         document = operator.evaluate() if outcome.stops else None
         operator.bring('recorder', 'inactive')   # closes the bag
     if args.json:
-        print(json.dumps({'outcome': outcome.how, 'message': outcome.message, 'bag': str(recorded),
+        print(to_json({'outcome': outcome.how, 'message': outcome.message, 'bag': str(recorded),
                           'stops': outcome.stops, 'run_ids': list(outcome.run_ids),
-                          'evaluation': document}, indent=1))
+                          'evaluation': document}))
     else:
         print(f'{outcome.how}: {outcome.message}')
         print(f'log: {recorded}')

@@ -9,13 +9,15 @@ are named with what they would need.
 """
 
 import argparse
-import json
 from pathlib import Path
 
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate.compare import Comparison, compare, text_table, truth_of
 from stepdiag_ros.estimate.methods import METHODS, run_all
 from stepdiag_ros.estimate.solution import Solution
+from stepdiag_ros.guard import limits
+from stepdiag_ros.guard.files import read_text
+from stepdiag_ros.guard.jsontext import to_json
 
 NAME = 'compare'
 HELP = 'evaluate a log with every method that fits it, side by side'
@@ -39,10 +41,7 @@ def run(args: argparse.Namespace) -> int:
     name = Path(args.bag).resolve()
     name = name.stem if name.suffix == '.mcap' else name.name
     if args.truth is not None:
-        try:
-            text = args.truth.read_text(encoding='utf-8')
-        except (OSError, UnicodeDecodeError) as error:
-            raise StepdiagError(f'{args.truth}: cannot be read: {error}') from None
+        text = read_text(args.truth, limits.TEXT_BYTES, 'file of known errors')
         reference, label = truth_of(text, log.description, name, str(args.truth)), 'truth'
     else:
         best = results.get('enhanced')
@@ -57,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
         solutions = {n: r for n, r in results.items() if isinstance(r, Solution)}
         draw(outcome, solutions, args.out, title=name)
     if args.json:
-        print(json.dumps(_json(outcome, results, skipped), indent=1))
+        print(to_json(_json(outcome, results, skipped)))
     else:
         print(text_table(outcome))
         print()
@@ -72,6 +71,7 @@ def _json(outcome: Comparison, results: dict, skipped: dict[str, str]) -> dict:
     return {'reference': outcome.reference,
             'largest_deviation': {m: dict(d) for m, d in outcome.deviation.items()},
             'within_k2': dict(outcome.within_k2),
+            'largest_sigma': {m: dict(s) for m, s in outcome.sigma.items()},
             'figures': {m: [{'name': n, 'measured_m': a, 'reference_m': b} for n, a, b in rows]
                         for m, rows in outcome.figures.items()},
             'results': {m: r.to_json_dict() for m, r in results.items()},

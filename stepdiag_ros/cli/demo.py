@@ -6,7 +6,6 @@ if what was found agrees with the truth.
 """
 
 import argparse
-import json
 import os
 import time
 from datetime import datetime
@@ -14,6 +13,7 @@ from pathlib import Path
 
 from stepdiag_ros.cli.progress import Bar
 from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.guard.jsontext import to_json
 
 NAME = 'demo'
 HELP = 'bring a virtual machine up, calibrate it, show the errors found'
@@ -80,7 +80,7 @@ def run(args: argparse.Namespace) -> int:
     same = same_result(live, solution.to_json_dict())
     outcome_vs_truth = compare({solution.method: solution}, truth, 'truth', log.description)
     share = outcome_vs_truth.within_k2[solution.method]
-    (out / 'solution.json').write_text(json.dumps(solution.to_json_dict(), indent=1), encoding='utf-8')
+    (out / 'solution.json').write_text(to_json(solution.to_json_dict()), encoding='utf-8')
     (out / 'truth.json').write_text(truth_text, encoding='utf-8')
     picture = _picture(outcome_vs_truth, solution, truth, out / 'errors.png')
     chi2 = solution.reduced_chi2
@@ -89,7 +89,7 @@ def run(args: argparse.Namespace) -> int:
               'stops': outcome.stops, 'seconds': round(time.monotonic() - began, 1),
               'seconds_to_start': round(up_s, 1), 'bag': str(bag), 'picture': str(picture)}
     if args.json:
-        print(json.dumps(report | {'evaluation': solution.to_json_dict()}, indent=1))
+        print(to_json(report | {'evaluation': solution.to_json_dict()}))
     else:
         print(f'\n{text_table(outcome_vs_truth)}\n')
         print(f'{outcome.message}; reduced chi2 {chi2:.2f}; '
@@ -105,7 +105,7 @@ def run(args: argparse.Namespace) -> int:
 def same_result(one: dict, other: dict) -> bool:
     """Whether two evaluations have the same bits in every number (warnings name their source)."""
     def bare(document: dict) -> str:
-        return json.dumps({k: v for k, v in document.items() if k != 'warnings'}, sort_keys=True)
+        return to_json({k: v for k, v in document.items() if k != 'warnings'}, sort_keys=True)
     return bare(one) == bare(other)
 
 

@@ -9,13 +9,13 @@ holds enough for.
 """
 
 import argparse
-import json
 
 from stepdiag_ros.bag.reader import read_log
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate.gauge import STRAIGHTNESS
 from stepdiag_ros.estimate.methods import METHODS, run_method
 from stepdiag_ros.estimate.solution import Solution
+from stepdiag_ros.guard.jsontext import to_json
 from stepdiag_ros.model.machine import CURVES, SQUARENESS
 
 NAME = 'evaluate'
@@ -46,7 +46,7 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         documents = {bag: result.to_json_dict() for bag, result in answers.items()}
         whole = documents if len(args.bag) > 1 else next(iter(documents.values()))
-        print(json.dumps(whole, indent=1))
+        print(to_json(whole))
     else:
         for bag, result in answers.items():
             print(text(bag, result) if isinstance(result, Solution)

@@ -12,7 +12,6 @@ cannot be read costs one line and status 2, the others are still done.
 """
 
 import argparse
-import json
 import sys
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
@@ -22,6 +21,9 @@ from pathlib import Path
 
 from stepdiag_ros.cli.progress import Bar
 from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.guard import limits, strict_yaml
+from stepdiag_ros.guard.files import read_text
+from stepdiag_ros.guard.jsontext import to_json
 
 NAME = 'gap'
 HELP = 'where log and simulator disagree, why, and how far it closes'
@@ -43,6 +45,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help='print gap.json (of several bags: an object by name)')
     parser.add_argument('--adopt', metavar='NEW_CELL.yaml', type=Path,
                         help='write a cell file with the errors and effects found (one bag only)')
+    parser.add_argument('--explain', action='store_true',
+                        help='list every set of causes that was weighed: its evidence, its prior probability, and why '
+                             'one may not be claimed')
     parser.add_argument('--jobs', metavar='N', type=int, default=1, help='bags at a time (default: 1)')
     parser.add_argument('--namespace', help="the machine's namespace where a log holds several")
 
@@ -59,6 +64,7 @@ class Job:
     adopt: Path | None
     namespace: str | None
     further: tuple[str, ...] = ()
+    explain: bool = False
 
 
 @dataclass(frozen=True)
@@ -85,7 +91,7 @@ def run(args: argparse.Namespace) -> int:
         from stepdiag_ros.virtual.cell import load_cell
         load_cell(args.cell)
     jobs = [Job(bag, name, args.out / name, args.cell, tuple(args.effect), args.adopt, args.namespace,
-                tuple(args.further))
+                tuple(args.further), args.explain)
             for bag, name in zip(args.bags, _names(args.bags), strict=True)]
     bar = Bar('gap', quiet=not sys.stderr.isatty())
     outcomes: dict[str, Outcome] = {}
@@ -104,7 +110,7 @@ def run(args: argparse.Namespace) -> int:
                      if outcomes[job.name].document is not None}
         if len(jobs) > 1 or documents:
             shown = documents if len(jobs) > 1 else next(iter(documents.values()))
-            print(json.dumps(shown, indent=1))
+            print(to_json(shown))
     return 2 if any(o.error for o in outcomes.values()) else 0
 
 
@@ -147,6 +153,7 @@ def _diagnose_bag(job: Job) -> Outcome:
     from stepdiag_ros.bag.reader import read_log
     from stepdiag_ros.effects import all_effects
     from stepdiag_ros.gap.diagnose import diagnose
+    from stepdiag_ros.gap.summary.explain import table
     from stepdiag_ros.model.joined import joined
     from stepdiag_ros.report.gap_page import gap_page
     from stepdiag_ros.report.gap_words import summary
@@ -170,12 +177,14 @@ def _diagnose_bag(job: Job) -> Outcome:
     document = diagnosis.to_json_dict()
     try:
         job.out.mkdir(parents=True, exist_ok=True)
-        (job.out / 'gap.json').write_text(json.dumps(document, indent=1), encoding='utf-8')
+        (job.out / 'gap.json').write_text(to_json(document), encoding='utf-8')
         (job.out / 'index.html').write_text(gap_page(diagnosis, job.name, notes, again), encoding='utf-8')
     except OSError as error:
         raise StepdiagError(f'{job.out}: cannot be written: {error.strerror or error}; '
                             'name another folder with --out') from None
     text = summary(diagnosis, job.name, notes) + f'\n  page: {job.out / "index.html"}'
+    if job.explain:
+        text += f'\n\n{table(diagnosis.weighed)}'
     return Outcome(job.name, document, text)
 
 
@@ -184,7 +193,9 @@ def _adopt(job: Job, diagnosis):
 
     from stepdiag_ros.twin.adopt import adopt
 
-    base = None if job.cell is None else yaml.safe_load(job.cell.read_text(encoding='utf-8'))
+    base = None
+    if job.cell is not None:
+        base = strict_yaml.load(read_text(job.cell, limits.YAML_BYTES, 'cell file'), str(job.cell))
     adopted = adopt(diagnosis, base)
     head = f'# Cell as found in {job.name} by `stepdiag gap --adopt`.\n'
     head += ''.join(f'# {note}\n' for note in adopted.notes)

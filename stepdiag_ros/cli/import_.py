@@ -9,11 +9,11 @@ mm, um, nm.  Every choice that the table leaves open is printed.
 """
 
 import argparse
-import json
 
 from stepdiag_ros.bag.export import write_log
 from stepdiag_ros.bag.import_csv import CADENCE_S, import_csv
 from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.guard.jsontext import to_json
 
 NAME = 'import'
 HELP = 'bring a table of measurements (CSV) in as a bag'
@@ -37,7 +37,7 @@ def run(args: argparse.Namespace) -> int:
     bag = write_log(result.log, args.to, namespace=args.namespace, custom_data=custom)
     readings = len(result.log.displacement)
     if args.json:
-        print(json.dumps({'bag': str(bag), 'readings': readings, 'notes': list(result.notes)}, indent=1))
+        print(to_json({'bag': str(bag), 'readings': readings, 'notes': list(result.notes)}))
     else:
         print(f'{bag}: {readings} readings as setup {", ".join(result.log.description.setups)}')
         for note in result.notes:

@@ -9,11 +9,11 @@ its stops seen and planned, and says what is lost, left out or damaged.
 
 import argparse
 import datetime
-import json
 from typing import Any
 
 from stepdiag_ros.bag.check import listed
 from stepdiag_ros.bag.summary import summarise
+from stepdiag_ros.guard.jsontext import to_json
 
 NAME = 'info'
 HELP = 'what a bag holds and what is missing'
@@ -27,16 +27,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     found = summarise(args.bag, args.namespace)
-    print(json.dumps(found, indent=1) if args.json else text(found))
+    print(to_json(found) if args.json else text(found))
     return 0
 
 
 def text(found: dict[str, Any]) -> str:
     """The summary for people."""
-    start = datetime.datetime.fromtimestamp(found['start_ns'] / 1e9, datetime.UTC)
+    try:
+        start = f'{datetime.datetime.fromtimestamp(found["start_ns"] / 1e9, datetime.UTC):%Y-%m-%d %H:%M:%S} UTC'
+    except (ValueError, OverflowError, OSError):   # no calendar knows it
+        start = f'{found["start_ns"]} ns since 1970'
     lines = [f'{found["path"]}: {", ".join(found["files"])}, {_size(found["bytes"])}',
              f'{found["messages"]:,} messages over {_duration(found["duration_s"])} '
-             f'from {start:%Y-%m-%d %H:%M:%S} UTC, '
+             f'from {start}, '
              + ('CRCs checked' if found['crc'] else 'no CRCs: a changed byte would not be noticed'), '']
     width = max((len(t['name']) for t in found['topics']), default=5)
     kinds = max((len(t['type']) for t in found['topics']), default=4)

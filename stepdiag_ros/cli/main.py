@@ -10,10 +10,15 @@ import argparse
 import importlib
 import os
 import sys
+import traceback
 from collections.abc import Sequence
+from contextlib import redirect_stderr, redirect_stdout
 from importlib import metadata
+from pathlib import Path
+from typing import TextIO, cast
 
 from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.guard.show import SafeStream
 
 #: Command, its module, and what the general help says of it, in the order of the help.
 COMMANDS: tuple[tuple[str, str, str], ...] = (
@@ -28,7 +33,8 @@ COMMANDS: tuple[tuple[str, str, str], ...] = (
     ('gap', 'gap', 'where log and simulator disagree, why, and how far it closes'),
     ('blind', 'blind', 'seal, answer and open the blind check of the diagnosis'),
     ('report', 'report', 'figures, sheets and pages of an evaluation'),
-    ('compensate', 'compensate', 'compensation tables for a control'),
+    ('compensate', 'compensate', 'compensation tables for a control that cannot harm'),
+    ('verify', 'verify', 'decide by a log before and one after whether a machine conforms'),
     ('improve', 'improve', 'calibrate, compensate LinuxCNC, calibrate again, and say what it brought'),
     ('linuxcnc', 'linuxcnc', 'install the components for LinuxCNC, add the watchdog to a configuration'),
     ('replay', 'replay', "send a log through the solver node's own function, or onto topics"),
@@ -38,13 +44,19 @@ COMMANDS: tuple[tuple[str, str, str], ...] = (
     ('scene', 'scene', 'draw the beams, the mirror and the course of a cell'),
 )
 
+#: Modules that come with ROS 2, and the extra of the wheel that brings each other one.
+ROS = ('rclpy', 'rcl_interfaces', 'diagnostic_msgs', 'lifecycle_msgs', 'action_msgs', 'std_msgs', 'std_srvs',
+       'sensor_msgs', 'geometry_msgs', 'rosgraph_msgs', 'builtin_interfaces', 'ament_index_python')
+EXTRAS = {'matplotlib': 'pictures', 'zstandard': 'compression', 'lz4': 'compression', 'pymodbus': 'instruments'}
+
 DESCRIPTION = """\
 In-machine calibration of three-axis machine tools by the enhanced laser step diagonal method.
 """
 
 EPILOG = """\
 Start with `stepdiag demo`.  `stepdiag COMMAND --help` explains a command.
-Exit status: 0 done, 1 a check was not passed, 2 bad input (one line says what), 130 interrupted.
+Exit status: 0 done, 1 a check was not passed, 2 bad input (one line says what), 3 a fault of the program
+itself (one line says which; STEPDIAG_TRACEBACK=1 shows where), 4 a check is undecided, 130 interrupted.
 """
 
 
@@ -78,11 +90,26 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit status."""
     argv = list(sys.argv[1:] if argv is None else argv)
     asked = next((word for word in argv if not word.startswith('-')), None)
+    # Names in logs, cell files and answers reach a terminal through these two streams only.
+    with redirect_stdout(cast(TextIO, SafeStream(sys.stdout))), redirect_stderr(cast(TextIO, SafeStream(sys.stderr))):
+        return _run(asked, argv)
+
+
+def _run(asked: str | None, argv: list[str]) -> int:
     try:
         args = build_parser(asked).parse_args(argv)
         return int(args.run(args) or 0)
     except StepdiagError as error:
-        print(f'stepdiag: {error}', file=sys.stderr)
+        print(f'stepdiag: {one_line(str(error))}', file=sys.stderr)
+        return 2
+    except ModuleNotFoundError as error:
+        if not error.name or error.name.split('.')[0] == 'stepdiag_ros':
+            return _fault(asked, error)
+        print(f'stepdiag: {asked} needs {missing(error.name)}', file=sys.stderr)
+        return 2
+    except (MemoryError, RecursionError) as error:
+        print(f'stepdiag: {asked}: what it was given needs more than this computer has ({type(error).__name__})',
+              file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print('stepdiag: interrupted', file=sys.stderr)
@@ -91,6 +118,35 @@ def main(argv: Sequence[str] | None = None) -> int:
         # The reader of our output has gone (`stepdiag … | head`): nothing is left to say.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
+    except Exception as error:
+        return _fault(asked, error)
+
+
+def _fault(asked: str | None, error: Exception) -> int:
+    """One line about a fault of the program itself; never a traceback that nobody asked for."""
+    if os.environ.get('STEPDIAG_TRACEBACK'):
+        traceback.print_exception(error)
+    frame = traceback.extract_tb(error.__traceback__)[-1]
+    print(f'stepdiag: {asked}: internal fault, {type(error).__name__}: {one_line(str(error))[:200]} '
+          f'({Path(frame.filename).name}:{frame.lineno}); please report it with its input', file=sys.stderr)
+    return 3
+
+
+def one_line(text: str) -> str:
+    """``text`` with its line breaks made spaces."""
+    return ' '.join(text.split('\n'))
+
+
+def missing(module: str) -> str:
+    """What is not installed, and how to get it."""
+    top = module.split('.')[0]
+    if top == 'stepdiag_msgs':
+        return ('the messages package stepdiag_msgs, which is not installed: in a ROS workspace lay both packages '
+                'side by side with `make ros-workspace WS=/path/to/ws` and build it with colcon')
+    if top in ROS:
+        return (f'ROS 2 Jazzy ({top} is not installed): source its setup file, or in a checkout run `make setup`, '
+                'which installs it from wheels')
+    return f'the package {top}, which is not installed: pip install "stepdiag_ros[{EXTRAS.get(top, "all")}]"'
 
 
 def _version() -> str:

@@ -11,7 +11,6 @@ cancels the deviation, all in metres.
 
 import argparse
 import csv
-import json
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +19,7 @@ from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate.methods import run_method
 from stepdiag_ros.estimate.prediction import Prediction, compensated_command, predict, volumetric_map
 from stepdiag_ros.estimate.solution import Solution
+from stepdiag_ros.guard.jsontext import to_json
 from stepdiag_ros.model.description import Machine
 
 NAME = 'map'
@@ -71,7 +71,7 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         answer = {'position_m': prediction.points.tolist(), 'deviation_m': prediction.deviation_m.tolist(),
                   'sigma_m': prediction.sigma_m.tolist(), 'command_m': command.tolist(), 'status': solution.status}
-        print(json.dumps(answer | (dict(chart.to_json_dict()) if chart is not None else {}), indent=1))
+        print(to_json(answer | (dict(chart.to_json_dict()) if chart is not None else {})))
         return 0
     _print(prediction, command, machine, chart is not None)
     for path, what in ((args.csv, 'table'), (args.out, 'picture')):

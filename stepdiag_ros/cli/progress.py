@@ -4,6 +4,8 @@ import sys
 import time
 from typing import TextIO
 
+from stepdiag_ros.guard.show import escaped
+
 WIDTH = 28
 PLAIN_PERIOD_S = 10.0
 
@@ -35,18 +37,25 @@ class Bar:
         full = round(WIDTH * share)
         line = f'{self._title} [{"█" * full}{"·" * (WIDTH - full)}] {done}/{total}{left}  {text}'
         if self._terminal:
-            self._stream.write(f'\r\x1b[K{line}')
+            self._clear()
+            self._stream.write(escaped(line))
             self._open = True
         else:
-            self._stream.write(line + '\n')
+            self._stream.write(escaped(line) + '\n')
         self._stream.flush()
 
     def say(self, text: str) -> None:
         """A line above the bar."""
         if self._quiet:
             return
-        self._stream.write(('\r\x1b[K' if self._open else '') + text + '\n')
+        if self._open:
+            self._clear()
+        self._stream.write(escaped(text) + '\n')
         self._stream.flush()
+
+    def _clear(self) -> None:
+        """Back to the begin of the line, and empty it."""
+        getattr(self._stream, 'control', self._stream.write)('\r\x1b[K')
 
     def close(self) -> None:
         """Leave the bar as it stands and go to the next line."""

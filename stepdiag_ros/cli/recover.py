@@ -9,9 +9,9 @@ back with all checks on; the damaged one stays as it is.
 
 import argparse
 import dataclasses
-import json
 
 from stepdiag_ros.bag.recover import Recovery, recover
+from stepdiag_ros.guard.jsontext import to_json
 
 NAME = 'recover'
 HELP = 'mend a torn bag and say what is lost'
@@ -26,7 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     outcome = recover(args.bag, args.to)
     if args.json:
-        print(json.dumps(dataclasses.asdict(outcome), indent=1, default=str))
+        print(to_json(dataclasses.asdict(outcome)))
     else:
         print(text(outcome))
     return 0

@@ -11,11 +11,11 @@ With --live they are published on their topics, with /clock, at the pace of the 
 """
 
 import argparse
-import json
 import time
 
 from stepdiag_ros.cli.progress import Bar
 from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.guard.jsontext import to_json
 
 NAME = 'replay'
 HELP = "send a log through the solver node's own function, or onto topics"
@@ -45,7 +45,7 @@ def run(args: argparse.Namespace) -> int:
     assembler = assemble(args.bag, args.namespace, lambda done, total: bar.show(done, total))
     bar.close()
     document = evaluate(assembler.build()).to_json_dict()
-    print(json.dumps(document, indent=1) if args.json else summary(document))
+    print(to_json(document) if args.json else summary(document))
     return 0
 
 
@@ -72,7 +72,7 @@ def _live(args: argparse.Namespace) -> int:
         delivered = player.settle()
     taken = time.monotonic() - began
     if args.json:
-        print(json.dumps({'messages': len(messages), 'seconds': round(taken, 3),
+        print(to_json({'messages': len(messages), 'seconds': round(taken, 3),
                           'acknowledged': delivered}))
     else:
         print(f'{len(messages)} messages in {taken:.1f} s'

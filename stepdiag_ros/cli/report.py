@@ -7,10 +7,12 @@ Writes DIR/index.html, which needs nothing from outside, DIR/errors.png and DIR/
 """
 
 import argparse
-import json
 from pathlib import Path
 
 from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.guard import limits
+from stepdiag_ros.guard.files import read_text
+from stepdiag_ros.guard.jsontext import to_json
 
 NAME = 'report'
 HELP = 'figures, sheets and pages of an evaluation'
@@ -37,22 +39,19 @@ def run(args: argparse.Namespace) -> int:
     name = path.stem if path.suffix == '.mcap' else path.name
     truth = None
     if args.truth is not None:
-        try:
-            text = args.truth.read_text(encoding='utf-8')
-        except (OSError, UnicodeDecodeError) as error:
-            raise StepdiagError(f'{args.truth}: cannot be read: {error}') from None
+        text = read_text(args.truth, limits.TEXT_BYTES, 'file of known errors')
         truth = truth_of(text, log.description, name, str(args.truth))
     solution = evaluate(log)
     document = solution.to_json_dict()
     try:
         args.out.mkdir(parents=True, exist_ok=True)
         (args.out / 'index.html').write_text(evaluation_page(solution, log.description, name), encoding='utf-8')
-        (args.out / 'evaluation.json').write_text(json.dumps(document, indent=1), encoding='utf-8')
+        (args.out / 'evaluation.json').write_text(to_json(document), encoding='utf-8')
     except OSError as error:
         raise StepdiagError(f'{args.out}: cannot be written: {error.strerror or error}') from None
     calibration_figure(solution, truth, args.out / 'errors.png')
     if args.json:
-        print(json.dumps(document, indent=1))
+        print(to_json(document))
     else:
         print(args.out / 'index.html')
     return 0

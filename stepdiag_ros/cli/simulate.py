@@ -9,11 +9,11 @@ errors, misalignments, noise, air and effects.  The same file gives the same log
 
 import argparse
 import dataclasses
-import json
 import shutil
 from pathlib import Path
 
 from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.guard.jsontext import to_json
 
 NAME = 'simulate'
 HELP = 'write the log of a virtual cell without running the graph'
@@ -59,14 +59,14 @@ def run(args: argparse.Namespace) -> int:
                        in_motion=False if args.dwell_only else None)
     write_log(log, args.out)
     if args.truth is not None:
-        args.truth.write_text(json.dumps(truth(cell), indent=1) + '\n', encoding='utf-8')
+        args.truth.write_text(to_json(truth(cell)) + '\n', encoding='utf-8')
     seconds = (int(log.steps.time_ns[-1]) - int(log.steps.time_ns[0])) * 1e-9
     summary = {'bag': str(args.out), 'machine': log.description.machine.name,
                'runs': len(log.steps.run_ids), 'stops': len(log.steps) // 3,
                'displacement_samples': len(log.displacement), 'spot_samples': len(log.spot),
                'duration_s': round(seconds, 3), 'effects': list(cell.effects)}
     if args.json:
-        print(json.dumps(summary, indent=1))
+        print(to_json(summary))
     else:
         print(f'{args.out}: {summary["runs"]} runs, {summary["stops"]} stops, '
               f'{summary["displacement_samples"]} displacement and {summary["spot_samples"]} spot samples, '

@@ -28,7 +28,7 @@ class DeviceError(StepdiagError):
 class DisplacementBlock:
     """Samples of one interferometer, oldest first.
 
-    ``stamp_ns``: host's clock (ns since the epoch) at the first sample; sample i was
+    ``stamp_ns``: host's clock (ns since the epoch, :data:`hostclock.HOST`) at the first sample; sample i was
     taken at ``stamp_ns + i * period_s``.  ``displacement_m`` (n, beams), positive away
     from the source, zero at the last reset.  ``quality`` (n,) uint8, 0..100, 0: no
     signal.  ``refractive_index``: what the instrument divided out; 1.0: none.

@@ -10,12 +10,14 @@ trip.  Requests are therefore sent in small groups on the block's time grid with
 waiting, and the answers read meanwhile.
 """
 
+import math
 import time
 from collections import deque
 
 import numpy as np
 
 from stepdiag_ros.devices.base import DeviceError, DisplacementBlock
+from stepdiag_ros.devices.hostclock import HOST
 from stepdiag_ros.devices.jsonstream import JsonStream
 from stepdiag_ros.devices.link import Link
 from stepdiag_ros.devices.optical_switch import OpticalSwitch
@@ -78,7 +80,7 @@ class Ids3010:
     def _start_measuring(self, answer: dict) -> None:
         end = time.monotonic() + max(self._timeout_s, 30.0)
         started = False
-        while (mode := str(answer['result'][-1])) != 'measurement running':
+        while (mode := str(self._result(answer)[-1])) != 'measurement running':
             if time.monotonic() > end:
                 raise self._link.fail(f'does not start to measure, its mode is {mode!r}; '
                                       'align the beams')
@@ -130,8 +132,8 @@ class Ids3010:
             self._encode(f'{self._namespace}.displacement.getAxisSignalQuality', [axis])
             for axis in axes) + self._encode(self._index_method, [0]))
         rows.extend(self._row(answer) for answer in self._answers(samples - len(rows)))
-        arrived += [time.time()] * (samples - len(arrived))
-        contrast = min(float(self._result(answer)[1]) for answer in self._answers(self._beams))
+        arrived += [HOST.now()] * (samples - len(arrived))
+        contrast = min(self._number(self._result(answer)) for answer in self._answers(self._beams))
         index = self._index(self._answers(1)[0])
         self._next_s = begin + samples * period_s
         table = self._table(rows)
@@ -141,22 +143,27 @@ class Ids3010:
                                  (table[:, 1:] - self._zero_pm) * 1e-12,
                                  quality.astype(np.uint8), index)
 
+    def shift_time(self, step_s: float) -> None:
+        """The host's clock has jumped by ``step_s`` [s] since the last block."""
+        if self._next_s is not None:
+            self._next_s += step_s
+
     def _begin(self, length_s: float) -> float:
         """Time [s] of a block's first sample: seamless after the last block where that is possible."""
-        now = time.time()
+        now = HOST.now()
         if self._next_s is not None and -length_s < now - self._next_s < LATE_S:
             return self._next_s
         return now
 
     def _wait_until(self, due_s: float, rows: list, arrived: list[float]) -> None:
         """Until ``due_s`` take in answers and when they came."""
-        while (left := due_s - time.time()) > 0.0:
+        while (left := due_s - HOST.now()) > 0.0:
             data = self._link.receive(wait_s=left)
             if data:
                 self._take(data)
                 while self._waiting:
                     rows.append(self._row(self._waiting.popleft()))
-                    arrived.append(time.time())
+                    arrived.append(HOST.now())
 
     def environment(self) -> dict[str, float]:
         readings = {}
@@ -168,18 +175,19 @@ class Ids3010:
             # Without an environmental unit the device answers with an error: no sensor.
             if isinstance(result, list) and len(result) > 1 and not result[0] \
                     and isinstance(result[1], int | float):
-                readings[name] = result[1] * scale
+                readings[name] = self._number(result) * scale
         return readings
 
     def _index(self, answer: dict) -> float:
-        if answer.get('error', {}).get('code') == METHOD_NOT_FOUND \
+        error = answer.get('error')
+        if isinstance(error, dict) and error.get('code') == METHOD_NOT_FOUND \
                 and self._index_method.endswith('ForCompensation'):
             self._index_method = 'com.attocube.ecu.getRefractiveIndex'
             answer = self._ask(self._index_method)
         result = answer.get('result')
         if not (isinstance(result, list) and len(result) > 1):
             return 1.0
-        index = float(result[1])
+        index = self._number(result)
         if not 0.999 < index < 1.01:
             raise self._link.fail(f'reports a refractive index of {index!r}; check its sensors')
         return index
@@ -193,12 +201,22 @@ class Ids3010:
     def _table(self, rows: list[list[float]]) -> np.ndarray:
         try:
             table = np.array(rows, float)
-        except ValueError:
+        except (TypeError, ValueError, OverflowError):
             raise self._link.fail('answers nonsense (positions that are no numbers); '
                                   'restart it') from None
         if not np.all(np.isfinite(table)):
             raise self._link.fail('answers positions that are not finite; restart it')
         return table
+
+    def _number(self, result: list) -> float:
+        """The first number of an answer, behind its error number."""
+        try:
+            value = float(result[1])
+        except (IndexError, TypeError, ValueError, OverflowError):
+            value = math.nan
+        if not math.isfinite(value):
+            raise self._link.fail(f'answers nonsense ({str(result)[:60]!r} where a number belongs); restart it')
+        return value
 
     def _encode(self, method: str, params: list | None = None) -> bytes:
         number, self._next_id = self._next_id, self._next_id + 1
@@ -233,7 +251,7 @@ class Ids3010:
         if 'error' in answer:
             error = answer['error']
             text = error.get('message', error) if isinstance(error, dict) else error
-            raise self._link.fail(f'refuses a request: {text}')
+            raise self._link.fail(f'refuses a request: {" ".join(str(text)[:200].split())}')
         result = answer.get('result')
         if not isinstance(result, list) or not result \
                 or not all(isinstance(value, int | float | str | bool) for value in result):

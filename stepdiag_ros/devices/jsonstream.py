@@ -7,8 +7,10 @@ framing here needs neither: a value ends where its brackets close.
 import json
 from typing import Any
 
-LIMIT = 1 << 20
-"""A value that has not ended after so many bytes never will."""
+LIMIT = 1 << 16
+"""A value that has not ended after so many bytes never will; an instrument's answers have some hundreds."""
+DEPTH = 32
+"""Brackets within brackets; an instrument's answers have two."""
 
 
 class JsonStream:
@@ -35,13 +37,15 @@ class JsonStream:
                 if end - at > LIMIT or _is_closed(text, at):
                     raise ValueError(f'{text[at:at + 40]!r} is not JSON: {error.msg}') from None
                 break
+            except RecursionError:
+                raise ValueError(f'{text[at:at + 40]!r} is nested too deep') from None
             values.append(value)
         self._text = text[at:]
         return values
 
 
 def _is_closed(text: str, at: int) -> bool:
-    """Whether the brackets opened at ``at`` are closed within ``text``."""
+    """Whether the brackets opened at ``at`` are closed within ``text``, or more are open than an answer has."""
     depth, quoted, escaped = 0, False, False
     for letter in text[at:]:
         if quoted:
@@ -55,6 +59,8 @@ def _is_closed(text: str, at: int) -> bool:
             quoted = True
         elif letter in '{[':
             depth += 1
+            if depth > DEPTH:
+                return True
         elif letter in '}]':
             depth -= 1
             if depth == 0:

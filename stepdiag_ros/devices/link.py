@@ -28,6 +28,10 @@ class Link:
     def is_open(self) -> bool:
         return self._socket is not None
 
+    def set_timeout(self, timeout_s: float) -> None:
+        """Another deadline [s] from the next call on."""
+        self._timeout_s = timeout_s
+
     def open(self) -> None:
         """Connect; does nothing when connected."""
         if self._socket is not None:

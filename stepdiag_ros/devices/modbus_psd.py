@@ -5,15 +5,16 @@ clock and send packets, tens of thousands of scans a second; ``poll`` reads the 
 by request, some hundreds a second, and works with any box that has float32 registers.
 """
 
+import inspect
 import logging
 import time
 
 import numpy as np
 from pymodbus.client import ModbusTcpClient
-from pymodbus.exceptions import ModbusException
 
 from stepdiag_ros.devices import t7
 from stepdiag_ros.devices.base import DeviceError, SpotBlock
+from stepdiag_ros.devices.hostclock import HOST
 from stepdiag_ros.devices.link import FIRST_PAUSE_S, Link
 from stepdiag_ros.devices.psd_signal import SpotOptics
 
@@ -22,6 +23,10 @@ PACKET_S = 5.0e-3
 """Packets of about this time span: short enough for steady stamps, long enough to be few."""
 CLOCK_DRIFT = 1.0e-4
 """How much slower [s/s] than ours the box's clock may be taken to run."""
+
+# pymodbus called its unit `slave` before 3.10.
+UNIT = next(name for name in ('device_id', 'slave')
+            if name in inspect.signature(ModbusTcpClient.read_holding_registers).parameters)
 
 # pymodbus logs what it also raises; the nodes say it once, in one line.
 logging.getLogger('pymodbus').setLevel(logging.CRITICAL)
@@ -69,7 +74,8 @@ class ModbusPsd:
             self._write(t7.INTERNAL_FLASH_READ_POINTER, t7.uint_registers(t7.CALIBRATION_ADDRESS))
             constants = self._read(t7.INTERNAL_FLASH_READ, 8)
             self._calibration = t7.Calibration.unpack(np.array(constants, '>u2').tobytes())
-            if not 1e-5 < self._calibration.positive_slope < 1e-2:
+            if not (1e-5 < self._calibration.positive_slope < 1e-2
+                    and np.isfinite(self._calibration.volts(np.arange(4) * 20_000)).all()):
                 raise self._fail('has no valid calibration constants in its flash; '
                                  'use mode poll or have it calibrated')
 
@@ -94,17 +100,23 @@ class ModbusPsd:
         spot, intensity = self._optics.spot(volts)
         return SpotBlock(round(stamp_s * 1e9), period_s, spot[:, 0], spot[:, 1], intensity)
 
+    def shift_time(self, step_s: float) -> None:
+        """The host's clock has jumped by ``step_s`` [s] since the last block."""
+        if self._next_s is not None:
+            self._next_s += step_s
+        self._origin_s += step_s
+
     # -- by request
 
     def _polled(self, samples: int, period_s: float) -> tuple[float, np.ndarray]:
-        now = time.time()
+        now = HOST.now()
         begin = self._next_s if self._next_s is not None and \
             abs(now - self._next_s) < max(0.05, period_s) else now
         first, last = min(self._channels), max(self._channels)
         columns = [channel - first for channel in self._channels]
         volts = np.empty((samples, len(columns)))
         for i in range(samples):
-            due = begin + i * period_s - time.time()
+            due = begin + i * period_s - HOST.now()
             if due > 0.0:
                 time.sleep(due)
             registers = self._read(t7.AIN0 + 2 * first, 2 * (last - first + 1))
@@ -118,7 +130,7 @@ class ModbusPsd:
 
     def _streamed(self, samples: int, period_s: float) -> tuple[float, np.ndarray]:
         stale = self._next_s is not None and \
-            time.time() - self._next_s > max(1.0, 5.0 * samples * period_s)
+            HOST.now() - self._next_s > max(1.0, 5.0 * samples * period_s)
         if self._period_s != period_s or stale:
             self._start_stream(period_s, samples)
         while len(self._raw) < samples:
@@ -151,13 +163,13 @@ class ModbusPsd:
         self._transaction = 0
         self._taken = 0       # scans handed out
         self._arrived = 0     # scans received
-        asked = time.time()
+        asked = HOST.now()
         self._write(t7.STREAM_ENABLE, t7.uint_registers(1))
-        self._origin_s = 0.5 * (asked + time.time())
+        self._origin_s = 0.5 * (asked + HOST.now())
         self._period_s = period_s
 
     def _take(self, data: bytes) -> None:
-        now = time.time()
+        now = HOST.now()
         try:
             packets = self._packets.feed(data)
         except ValueError as error:
@@ -197,12 +209,12 @@ class ModbusPsd:
 
     def _read(self, address: int, count: int) -> list[int]:
         return self._exchange(lambda: self._client.read_holding_registers(
-            address, count=count, device_id=self._unit), f'reading register {address}',
+            address, count=count, **{UNIT: self._unit}), f'reading register {address}',
             count).registers
 
     def _write(self, address: int, registers: list[int], must: bool = True) -> None:
         self._exchange(lambda: self._client.write_registers(
-            address, registers, device_id=self._unit), f'writing register {address}', must=must)
+            address, registers, **{UNIT: self._unit}), f'writing register {address}', must=must)
 
     def _exchange(self, request, what: str, count: int | None = None, must: bool = True):
         if self._client is None:
@@ -210,18 +222,18 @@ class ModbusPsd:
         asked = time.monotonic()
         try:
             answer = request()
-        except (ModbusException, OSError) as error:
+        except Exception as error:   # besides its own the library passes on what decoding a bad answer raises
             if time.monotonic() - asked > 0.8 * self._timeout_s:
                 raise self._fail(f'stalls: no answer to {what} for {self._timeout_s:g} s; '
                                  'restart it') from None
-            text = str(error).removeprefix('Modbus Error: ')
+            text = ' '.join(str(error).removeprefix('Modbus Error: ').split())[:200]
             raise self._fail(f'dropped the connection or answered nonsense while {what} '
                              f'({text}); reconnect') from None
         if answer.isError():
             if must:
                 raise self._fail(f'refuses {what} ({answer}); is it a T7?')
-        elif count is not None and len(answer.registers) != count:
-            raise self._fail(f'answers nonsense: {len(answer.registers)} registers for {count} '
+        elif count is not None and len(getattr(answer, 'registers', ())) != count:
+            raise self._fail(f'answers nonsense: {len(getattr(answer, "registers", ()))} registers for {count} '
                              f'while {what}; restart it')
         return answer
 

@@ -53,7 +53,7 @@ class OpticalSwitch:
             if len(data) > 4096:
                 raise self._link.fail('answers nonsense (no end of line); is it an optical switch?')
         line, self._rest = data.split(b'\n', 1)
-        found = re.fullmatch(r'\(@(\d+)\)', line.decode('ascii', 'replace').strip())
+        found = re.fullmatch(r'\(@(\d{1,6})\)', line.decode('ascii', 'replace').strip())
         if found is None:
             raise self._link.fail(f'answers nonsense ({line[:40]!r}); is it an optical switch?')
         return int(found.group(1))

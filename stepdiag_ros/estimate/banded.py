@@ -64,7 +64,8 @@ class BandedNormal:
         """
         white = (self._whitener @ jacobian).tocsc()
         rest = self._whitener @ residual
-        inner = sparse.hstack([white[:, :self.border], self._arrivals], format='csc')
+        # SciPy before 1.12 stacks arrays to a matrix, whose sums and products have other shapes.
+        inner = sparse.csc_array(sparse.hstack([white[:, :self.border], self._arrivals], format='csc'))
         outer = white[:, self.border:]
         matrix = (inner.T @ inner).tocoo()
         if self._order is None:

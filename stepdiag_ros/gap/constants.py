@@ -38,8 +38,6 @@ IMITATION_DOUBT = 3.0
 """The same against what has no name and does exactly what an effect does, but of any size: one in twenty."""
 DECOY_SHARE = 0.2
 """Share of what an effect's decoys explain by which a name must beat them."""
-TEMPER = 1.0
-"""Factor on log evidence before it becomes odds."""
 CONFUSED = 3.0
 """Sets closer than this in log evidence (odds of 20) cannot be told apart."""
 VIBRATION_ALARM = 6.0

@@ -21,7 +21,6 @@ from stepdiag_ros.gap.constants import (
     ALARM,
     LEAST_LEFT,
     SCATTER_ALARM,
-    TEMPER,
 )
 from stepdiag_ros.gap.diagnosis import AXIS_LIKE, Diagnosis, Found
 from stepdiag_ros.gap.experiment_design.advice import advise
@@ -56,7 +55,7 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
     alone = fit_jointly(observation, [], noise_of(observation))
     joint, sets, screen = settle(alone, effects)
     best = sets[0] if sets[0].log_bayes > ALARM else EffectSet((), 0.0)
-    names, nothing, weights = probabilities(sets, len(effects) + 1, TEMPER)
+    names, nothing, weights = probabilities(sets, len(effects) + 1)
     if not best.members:
         # Below the alarm nothing is claimed, whatever the odds between the sets say.
         joint = alone
@@ -89,7 +88,7 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
         tuple((tuple(sorted({*s.names, *outside})), w) for s, w in zip(sets, weights, strict=True))[:20],
         groups, observation, joint, clocks, disturbances.unrest.displacement, leftover,
         log.warnings + observation.table.warnings + ((beyond_range,) if beyond_range else ()), sets, screen, words, run,
-        separations(sets, doubtful), hint)
+        separations(sets, doubtful), hint, len(effects) + 1)
 
 
 def _without_pattern(joint: Joint, how_far: Closing, found: bool) -> str:

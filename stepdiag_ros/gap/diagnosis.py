@@ -17,6 +17,7 @@ from stepdiag_ros.gap.preprocess.timing import Timing
 from stepdiag_ros.gap.summary.bands import Band, bands
 from stepdiag_ros.gap.summary.correlates import Correlate, correlates
 from stepdiag_ros.gap.summary.cross_validation import Closing, closing_over_setups
+from stepdiag_ros.gap.summary.explain import Weighed, weighed
 from stepdiag_ros.gap.summary.hint import Hint
 from stepdiag_ros.gap.summary.margins import Margins, margins
 from stepdiag_ros.gap.summary.volume import VolumeChange, volume_change
@@ -49,9 +50,10 @@ class Found:
 class Diagnosis:
     """Everything that a report needs.
 
-    ``verdict`` as in the contract; ``effects`` what the diagnosis would add to the simulator;
-    ``ranking`` probabilities of all effects, ``unknown`` and ``nothing``; ``sets`` the sets thought of with
-    their probabilities; ``separation`` the log evidence by which what may stand for the likeliest falls behind.
+    ``verdict`` as in the contract; ``effects`` what the diagnosis would add to the simulator; ``ranking``
+    probabilities of all effects, ``unknown`` and ``nothing``; ``sets`` the sets thought of with their probabilities,
+    of ``causes`` possible ones; ``separation`` the log evidence by which what may stand for the likeliest falls
+    behind.
     """
 
     log: CalibrationLog
@@ -74,6 +76,7 @@ class Diagnosis:
     next_run: NextRun | None = None
     separation: Mapping[str, float] = field(default_factory=dict)
     hint: Hint | None = None
+    causes: int = 20
 
     def to_json_dict(self) -> dict:
         """``gap.json`` of the contract, and more beside it."""
@@ -96,6 +99,7 @@ class Diagnosis:
             'correlates': [one.to_json_dict() for one in self.correlates],
             'ranking': dict(sorted(self.ranking.items(), key=lambda item: -item[1])),
             'sets': [{'names': list(names), 'probability': p} for names, p in self.sets],
+            'weighed': [row.to_json_dict() for row in self.weighed],
             'volumetric_change': self.volume_change.to_json_dict() if self.volume_change else None,
             'errors': self.solution.to_json_dict()['errors'],
             'errors_before': self.plain.to_json_dict()['errors'] if self.joint.active else None,
@@ -103,6 +107,11 @@ class Diagnosis:
                       'angle_repeatability_rad': self.joint.noise.angle,
                       'source': self.joint.noise.source},
             'warnings': list(self.warnings)}
+
+    @cached_property
+    def weighed(self) -> tuple[Weighed, ...]:
+        """The sets of effects that were weighed, with their evidence and why one may not be claimed."""
+        return weighed(self.raw, self.causes, self.screen)
 
     @property
     def only_stamps(self) -> bool:

@@ -11,6 +11,9 @@ from typing import Any
 import yaml
 
 from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.guard import limits, strict_yaml
+from stepdiag_ros.model.budget import Budget
+from stepdiag_ros.model.surroundings import AirValues, Expansion, air_of, scales_of, scales_to_dict
 
 SCHEMA = 1
 DIAGONALS = ('ppp', 'npp', 'pnp', 'nnp')
@@ -79,26 +82,23 @@ class Noise:
 
 @dataclass(frozen=True)
 class Description:
-    """A whole cell description."""
+    """A whole cell description.
+
+    ``air``: where no topic tells; ``scales``: their material by axis letter; ``budget``: the cell's own lines.
+    """
 
     machine: Machine
     plan: Plan
     setups: dict[str, Setup]
     noise: Noise = field(default_factory=Noise)
+    air: AirValues | None = None
+    scales: dict[str, Expansion] = field(default_factory=dict)
+    budget: Budget | None = None
 
     @classmethod
     def from_yaml(cls, text: str, source: str = 'cell_description') -> 'Description':
         """Parse and check; ``source`` names the file in errors (:class:`StepdiagError`)."""
-        try:
-            data = yaml.safe_load(text)
-        except yaml.YAMLError as error:
-            where = getattr(error, 'problem_mark', None)
-            at = f' line {where.line + 1}' if where else ''
-            raise StepdiagError(
-                f'{source}:{at} cell_description is not valid YAML: '
-                f'{" ".join(str(getattr(error, "problem", error)).split())}; '
-                'write it as the contract shows') from None
-        return cls.from_dict(data, source)
+        return cls.from_dict(strict_yaml.load(text, source), source)
 
     @classmethod
     def from_dict(cls, data: Any, source: str = 'cell_description') -> 'Description':
@@ -114,7 +114,7 @@ class Description:
         if sorted(chain) != sorted('FXYZ'):
             raise StepdiagError(f'{source}: machine.chain is {chain!r}; '
                                 "write the letters F, X, Y, Z once each, e.g. 'FXYZ'")
-        machine = Machine(str(m.get('name', 'machine')), chain,
+        machine = Machine(get.name(m, 'machine.name', 'machine'), chain,
                           get.vector(m, 'machine.volume', 3, positive=True),
                           get.vector(m, 'machine.tool', 3, default=(0.0, 0.0, 0.0)),
                           None if m.get('origin') is None else get.vector(m, 'machine.origin', 3))
@@ -122,11 +122,14 @@ class Description:
         order = str(p.get('order', 'XYZ')).upper()
         if sorted(order) != ['X', 'Y', 'Z']:
             raise StepdiagError(f'{source}: plan.order is {order!r}; name X, Y and Z once each')
-        plan = Plan(get.count(p, 'plan.steps', 1), order, get.count(p, 'plan.repeats', 1, default=1))
+        plan = Plan(get.count(p, 'plan.steps', 1, limits.STEPS), order,
+                    get.count(p, 'plan.repeats', 1, limits.REPEATS, default=1))
         raw = get.mapping(data.get('setups'), 'setups')
         if not raw:
             raise StepdiagError(f'{source}: setups is empty; name at least one of '
                                 f'{", ".join(DIAGONALS + LINEAR)}')
+        if len(raw) > limits.SETUPS:
+            raise StepdiagError(f'{source}: setups names {len(raw)} setups; at most {limits.SETUPS} are read')
         setups = {}
         for name, body in raw.items():
             if path_of(str(name)) not in DIAGONALS + LINEAR:
@@ -135,9 +138,10 @@ class Description:
             setups[name] = _setup(get, name, get.mapping(body, f'setups.{name}'), machine)
         n = data.get('noise') or {}
         get.mapping(n, 'noise')
-        noise = Noise(*(get.number(n, f'noise.{key}', default=value, minimum=0.0)
+        noise = Noise(*(get.number(n, f'noise.{key}', default=value, minimum=0.0, maximum=limits.NOISE)
                         for key, value in vars(Noise()).items()))
-        return cls(machine, plan, setups, noise)
+        return cls(machine, plan, setups, noise, air_of(get, data.get('air')),
+                   scales_of(get, data.get('material')), _budget(data.get('budget'), source))
 
     def to_dict(self) -> dict[str, Any]:
         """The mapping of the contract, plain lists and floats."""
@@ -151,11 +155,18 @@ class Description:
                    'volume': list(self.machine.volume), 'tool': list(self.machine.tool)}
         if self.machine.origin is not None:
             machine['origin'] = list(self.machine.origin)
-        return {'schema': SCHEMA, 'machine': machine,
-                'plan': {'steps': self.plan.steps, 'order': self.plan.order,
-                         'repeats': self.plan.repeats},
-                'setups': setups,
-                'noise': dict(vars(self.noise))}
+        whole = {'schema': SCHEMA, 'machine': machine,
+                 'plan': {'steps': self.plan.steps, 'order': self.plan.order,
+                          'repeats': self.plan.repeats},
+                 'setups': setups,
+                 'noise': dict(vars(self.noise))}
+        if self.air is not None:
+            whole['air'] = self.air.to_dict()
+        if self.scales:
+            whole['material'] = {'scales': scales_to_dict(self.scales)}
+        if self.budget is not None:
+            whole['budget'] = self.budget.to_list()
+        return whole
 
     def to_yaml(self) -> str:
         return yaml.safe_dump(self.to_dict(), sort_keys=False, default_flow_style=None)
@@ -163,17 +174,27 @@ class Description:
 
 def _setup(get: '_Getter', name: str, body: dict, machine: Machine) -> Setup:
     path = f'setups.{name}'
-    standoff = get.number(body, f'{path}.standoff', default=0.0, minimum=0.0)
+    standoff = get.number(body, f'{path}.standoff', default=0.0, minimum=0.0, maximum=limits.LENGTH_M)
     offset = get.vector(body, f'{path}.psd_offset', 2, default=(0.0, 0.0))
     raw = body.get('beams', [[0.0, 0.0]])
-    if not isinstance(raw, list) or not raw:
-        raise StepdiagError(f'{get.source}: {path}.beams must be a list of [u, v] offsets in metres')
+    if not isinstance(raw, list) or not 1 <= len(raw) <= limits.BEAMS:
+        raise StepdiagError(f'{get.source}: {path}.beams must be a list of 1 to {limits.BEAMS} [u, v] offsets '
+                            'in metres')
     beams = tuple(get.vector({'beams': b}, f'{path}.beams', 2) for b in raw)
     if path_of(name) not in LINEAR:
         return Setup(name, standoff, offset, beams)
-    length = get.number(body, f'{path}.length', minimum=0.0,
+    length = get.number(body, f'{path}.length', minimum=0.0, maximum=limits.LENGTH_M,
                         default=machine.volume['xyz'.index(path_of(name)[-1])])
-    return Setup(name, standoff, offset, beams, length, get.count(body, f'{path}.stops', 2, default=2))
+    return Setup(name, standoff, offset, beams, length, get.count(body, f'{path}.stops', 2, limits.STOPS, default=2))
+
+
+def _budget(raw: Any, source: str) -> Budget | None:
+    if raw is None:
+        return None
+    if not isinstance(raw, list) or not raw:
+        raise StepdiagError(f'{source}: budget is {raw!r}; give a list of contributors')
+    return Budget.from_list(raw, lambda number, key, text: StepdiagError(
+        f'{source}: budget[{number}].{key}: {text}'), source)
 
 
 class _Getter:
@@ -188,31 +209,45 @@ class _Getter:
         return value
 
     def number(self, body: dict, path: str, default: float | None = None,
-               minimum: float | None = None) -> float:
+               minimum: float = -math.inf, maximum: float = math.inf) -> float:
         value = body.get(path.rsplit('.', 1)[-1], default)
         try:
-            number = float(value)
-        except (TypeError, ValueError):
+            number = float(value)   # type: ignore[arg-type]
+        except (TypeError, ValueError, OverflowError):
             number = math.nan
-        if isinstance(value, bool) or not math.isfinite(number) or \
-                (minimum is not None and number < minimum):
-            bound = '' if minimum is None else f' of at least {minimum:g}'
-            raise StepdiagError(f'{self.source}: {path} is {value!r}; give a finite number{bound}')
+        if isinstance(value, bool) or not math.isfinite(number) or not minimum <= number <= maximum:
+            bound = '' if minimum == -math.inf else f' of at least {minimum:g}'
+            bound += '' if maximum == math.inf else f' of at most {maximum:g}'
+            raise StepdiagError(f'{self.source}: {path} is {_short(value)}; give a finite number{bound}')
         return number
 
-    def count(self, body: dict, path: str, minimum: int, default: int | None = None) -> int:
+    def name(self, body: dict, path: str, default: str) -> str:
+        value = str(body.get(path.rsplit('.', 1)[-1], default))
+        if not 1 <= len(value) <= limits.NAME_LETTERS:
+            raise StepdiagError(f'{self.source}: {path} is {_short(value)}; give a name of 1 to '
+                                f'{limits.NAME_LETTERS} letters')
+        return value
+
+    def count(self, body: dict, path: str, minimum: int, maximum: int, default: int | None = None) -> int:
         value = body.get(path.rsplit('.', 1)[-1], default)
-        if isinstance(value, bool) or not isinstance(value, int) or value < minimum:
-            raise StepdiagError(f'{self.source}: {path} is {value!r}; '
-                                f'give a whole number of at least {minimum}')
+        if isinstance(value, bool) or not isinstance(value, int) or not minimum <= value <= maximum:
+            raise StepdiagError(f'{self.source}: {path} is {_short(value)}; '
+                                f'give a whole number of at least {minimum} and at most {maximum}')
         return value
 
     def vector(self, body: dict, path: str, size: int, positive: bool = False,
                default: tuple[float, ...] | None = None) -> tuple[float, ...]:
         value = body.get(path.rsplit('.', 1)[-1], default)
         if not isinstance(value, list | tuple) or len(value) != size:
-            raise StepdiagError(f'{self.source}: {path} is {value!r}; give {size} numbers in metres')
-        numbers = tuple(self.number({'_': v}, f'{path}._') for v in value)
+            raise StepdiagError(f'{self.source}: {path} is {_short(value)}; give {size} numbers in metres')
+        numbers = tuple(self.number({'_': v}, f'{path}._', minimum=-limits.LENGTH_M, maximum=limits.LENGTH_M)
+                        for v in value)
         if positive and min(numbers) <= 0.0:
             raise StepdiagError(f'{self.source}: {path} is {value!r}; each must be above zero')
         return numbers
+
+
+def _short(value: Any) -> str:
+    """A value as a complaint shows it."""
+    text = repr(value)
+    return text if len(text) <= 80 else f'{text[:77]}…'

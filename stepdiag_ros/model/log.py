@@ -78,6 +78,19 @@ class ScalarSeries:
     value: np.ndarray
     variance: np.ndarray
 
+    def at(self, time_ns: np.ndarray) -> np.ndarray:
+        """The quantity at ``time_ns`` (k,), smoothed over a few readings so that sensor noise stays out.
+
+        Before the first and after the last reading it stays as it was there.
+        """
+        good = np.isfinite(self.value)
+        time, value = (self.time_ns[good] - self.time_ns[0]) * 1e-9, self.value[good]
+        if len(value) >= 15:
+            kernel = np.hanning(13)[1:-1]
+            padded = np.concatenate([2 * value[0] - value[5:0:-1], value, 2 * value[-1] - value[-2:-7:-1]])
+            value = np.convolve(padded, kernel / kernel.sum(), mode='valid')
+        return np.interp((np.asarray(time_ns, np.int64) - self.time_ns[0]) * 1e-9, time, value)
+
 
 @dataclass(frozen=True)
 class CalibrationLog:

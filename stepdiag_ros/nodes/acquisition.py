@@ -2,9 +2,12 @@
 
 import threading
 import time
+import traceback
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future
+from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 from stepdiag_ros.devices.base import DeviceError
@@ -20,9 +23,10 @@ class Acquisition:
     """Reads blocks from a connected ``instrument`` and hands them to ``deliver``.
 
     ``read()`` returns a block with ``stamp_ns`` and ``period_s``; ``size(block)`` its samples.
-    ``report(text)`` is told when the instrument is lost or back; ``lost()`` is called in the
-    acquisition's thread when the connection broke.  After a :class:`DeviceError` connecting
-    is tried again once a second until :meth:`stop`.
+    ``report(text)`` is called when the instrument is lost or back; ``lost()`` is called in the
+    acquisition's thread when the connection broke.  The thread is supervised: whatever is raised in
+    it, expected or not, stands in ``error``, closes the connection, and connecting is tried again
+    once a second until :meth:`stop`; ``error`` is empty again with the first block that arrives.
     """
 
     def __init__(self, instrument: Any, read: Callable[[], Any], size: Callable[[Any], int],
@@ -69,6 +73,10 @@ class Acquisition:
             self._thread = None
         self._refuse('is not active')
 
+    def retime(self) -> None:
+        """The clock behind the stamps was set: the next block leaves nothing out (to be called by ``read``)."""
+        self._expected_ns = None
+
     def call(self, command: Callable[[], Any]) -> Future:
         """Have ``command()`` called by the thread between two blocks."""
         future: Future = Future()
@@ -83,25 +91,42 @@ class Acquisition:
             future.set_exception(DeviceError(why))
 
     def _run(self) -> None:
+        """The supervised loop: no exception ends it, each one breaks the connection."""
+        connected = True
         while not self._stop.is_set():
             try:
-                while self._commands:
-                    self._obey(*self._commands.popleft())
-                block = self._read()
-            except DeviceError as error:
-                self._break(str(error))
-                continue
-            self._account(block)
-            self._deliver(block)
+                if not connected:
+                    if self._stop.wait(RETRY_S):
+                        return
+                    self._instrument.connect()
+                    connected = True
+                    self.reconnects += 1
+                self._turn()
+            except Exception as error:
+                connected = False
+                self._break(in_one_line(error))
+
+    def _turn(self) -> None:
+        """Commands that wait, then one block."""
+        while self._commands:
+            self._obey(*self._commands.popleft())
+        block = self._read()
+        self._account(block)
+        if self.error:
+            self.error = ''
+            self._report('connected again')
+        self._deliver(block)
 
     def _obey(self, command: Callable[[], Any], future: Future) -> None:
         try:
             future.set_result(command())
-        except DeviceError as error:
-            future.set_exception(error)
-            raise
         except StepdiagError as error:
             future.set_exception(error)
+            if isinstance(error, DeviceError):
+                raise
+        except Exception as error:
+            future.set_exception(DeviceError(in_one_line(error)))
+            raise
         # A command takes time in which nothing is sampled; that is no loss.
         self._expected_ns = None
 
@@ -118,21 +143,21 @@ class Acquisition:
         self._expected_ns = block.stamp_ns + round(count * block.period_s * 1e9)
 
     def _break(self, why: str) -> None:
-        """The connection is gone: say so, and try to get it back until told to stop."""
-        self.error = why
+        """The connection cannot be used any more: close it, and report the first of several such."""
+        first, self.error = not self.error, why
         self._expected_ns = None
-        self._report(f'{why}; trying to connect again')
-        self._lost()
-        self._instrument.close()
+        for step in (lambda: self._report(f'{why}; trying to connect again') if first else None,
+                     self._lost, self._instrument.close):
+            with suppress(Exception):   # whatever is broken beside it, connecting is tried again
+                step()
         self._refuse(why)
-        while not self._stop.wait(RETRY_S):
-            try:
-                self._instrument.connect()
-            except DeviceError as error:
-                self.error = str(error)
-                self._refuse(self.error)
-                continue
-            self.error = ''
-            self.reconnects += 1
-            self._report('connected again')
-            return
+
+
+def in_one_line(error: Exception) -> str:
+    """What an exception says; one that nobody foresaw also says where it was raised."""
+    if isinstance(error, StepdiagError):
+        return str(error)
+    frames = traceback.extract_tb(error.__traceback__)
+    at = f' ({Path(frames[-1].filename).name}:{frames[-1].lineno})' if frames else ''
+    said = ' '.join(str(error).split())[:200]
+    return f'an answer could not be used: {type(error).__name__}{": " if said else ""}{said}{at}'

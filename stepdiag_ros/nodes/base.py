@@ -37,6 +37,7 @@ from rclpy.signals import SignalHandlerOptions  # noqa: E402
 from rclpy.task import Future  # noqa: E402
 
 from stepdiag_ros.errors import StepdiagError  # noqa: E402
+from stepdiag_ros.guard.show import escaped  # noqa: E402
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
@@ -69,6 +70,31 @@ class Health:
     values: Mapping[str, Any] = field(default_factory=dict)
 
 
+class SafeLogger:
+    """A node's logger that shows names from outside escaped; each level stands on a line of its own, as rclpy wants."""
+
+    def __init__(self, logger: Any):
+        self._logger = logger
+
+    def debug(self, text: str, **options: Any) -> bool:
+        return self._logger.debug(escaped(str(text)), **options)
+
+    def info(self, text: str, **options: Any) -> bool:
+        return self._logger.info(escaped(str(text)), **options)
+
+    def warning(self, text: str, **options: Any) -> bool:
+        return self._logger.warning(escaped(str(text)), **options)
+
+    def error(self, text: str, **options: Any) -> bool:
+        return self._logger.error(escaped(str(text)), **options)
+
+    def fatal(self, text: str, **options: Any) -> bool:
+        return self._logger.fatal(escaped(str(text)), **options)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._logger, name)
+
+
 class StepdiagNode(LifecycleNode):
     """A lifecycle node with described parameters and diagnostics."""
 
@@ -80,6 +106,9 @@ class StepdiagNode(LifecycleNode):
         self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
         self._diagnostics_timer = self.create_timer(1.0, self.publish_diagnostics)
         self._autostart_timer = self.create_timer(1.0, self._start_by_itself) if autostart else None
+
+    def get_logger(self) -> Any:
+        return SafeLogger(super().get_logger())
 
     # -- for the node in question to fill ----------------------------------------
 
@@ -248,10 +277,10 @@ def _run(make: Callable[[], StepdiagNode]) -> int:
         spin(executor, lambda: bool(asked))
         return 0
     except StepdiagError as error:
-        print(f'stepdiag: {error}', file=sys.stderr)
+        print(escaped(f'stepdiag: {error}'), file=sys.stderr)
         return 2
     except InvalidParameterValueException as error:
-        print(f'stepdiag: {error}'.replace('\n', ' '), file=sys.stderr)
+        print(escaped(f'stepdiag: {error}'.replace('\n', ' ')), file=sys.stderr)
         return 2
     finally:
         if node is not None:

@@ -8,6 +8,7 @@ from stepdiag_msgs.srv import SelectSetup
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.nodes.acquisition import Acquisition
 from stepdiag_ros.nodes.base import ERROR, OK, WARN, Health, StepdiagNode
+from stepdiag_ros.nodes.marked import Marked
 
 
 class DriverNode(StepdiagNode):
@@ -25,6 +26,7 @@ class DriverNode(StepdiagNode):
         self.number('sample_rate', 1000.0, 'samples a second', 1.0, 1.0e6, 'Hz')
         self.count('block_samples', 50, 'samples in one message', 1, 100_000)
         self.text('setup', '', 'the setup that is mounted at the start, e.g. ppp')
+        self.marked = Marked(self)
         self.instrument: Any = None
         self.acquisition: Acquisition | None = None
         self.setup = self.value('setup')
@@ -43,6 +45,9 @@ class DriverNode(StepdiagNode):
 
     def read(self) -> Any:
         """One block from the instrument."""
+        if step_s := self.marked.follow_clock():
+            self.instrument.shift_time(step_s)
+            self.acquisition.retime()
         return self.instrument.read_block(self.value('block_samples'),
                                           1.0 / self.value('sample_rate'))
 

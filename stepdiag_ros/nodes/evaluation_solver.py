@@ -6,7 +6,6 @@ itself when a calibration has ended, and on the service ``evaluate``.  Activatin
 a new log.
 """
 
-import json
 import sys
 import threading
 import time
@@ -19,6 +18,7 @@ from std_srvs.srv import Trigger
 from stepdiag_msgs.msg import GeometricErrors
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate import Solution, evaluate
+from stepdiag_ros.guard.jsontext import to_json
 from stepdiag_ros.model.machine import SQUARENESS
 from stepdiag_ros.nodes.base import ERROR, OK, Health, overridable, reliable, run_node
 from stepdiag_ros.nodes.listener import ListenerNode
@@ -37,7 +37,7 @@ def errors_message(solution: Solution, time_ns: int) -> GeometricErrors:
         dof=int(solution.dof or 0),
         squareness=[squareness[name][0] for name in ('EC0Y', 'EB0Z', 'EA0Z')],
         squareness_sigma=[squareness[name][1] for name in ('EC0Y', 'EB0Z', 'EA0Z')],
-        json=json.dumps(solution.to_json_dict(), allow_nan=True))
+        json=to_json(solution.to_json_dict(), indent=None))
 
 
 class EvaluationSolver(ListenerNode):

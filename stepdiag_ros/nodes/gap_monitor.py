@@ -6,7 +6,6 @@ a calibration has ended, or on the service ``diagnose``, it runs the whole diagn
 publishes ``gap_report``.
 """
 
-import json
 import math
 import os
 import sys
@@ -25,6 +24,7 @@ from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate import Solution, evaluate
 from stepdiag_ros.gap.diagnose import diagnose
 from stepdiag_ros.gap.diagnosis import Diagnosis
+from stepdiag_ros.guard.jsontext import to_json
 from stepdiag_ros.nodes.base import ERROR, OK, WARN, Health, overridable, reliable, run_node
 from stepdiag_ros.nodes.listener import ListenerNode
 from stepdiag_ros.nodes.stamps import stamp_of
@@ -170,7 +170,7 @@ class GapMonitor(ListenerNode):
 def report_message(diagnosis: Diagnosis, time_ns: int) -> GapReport:
     """A diagnosis as a message."""
     return GapReport(header=Header(stamp=stamp_of(time_ns)), verdict=diagnosis.verdict,
-                     json=json.dumps(diagnosis.to_json_dict()))
+                     json=to_json(diagnosis.to_json_dict(), indent=None))
 
 
 def main() -> int:

@@ -98,6 +98,7 @@ def parameters(cell: Cell, endpoints: Mapping[str, Mapping[str, Any]], descripti
             'description_file': str(description_file), 'feed': float(motion.feed),
             'dwell': float(motion.dwell), 'steps': steps,
             'setup_codes': [f'{setup}={code}' for setup, code in codes.items()] or [''],
+            'lease': float(cell.client.lease), 'lost_client': cell.client.lost,
             # Where no code mounts the mirrors, as on most machines, a person does.
             'ask_operator': not codes},
     }

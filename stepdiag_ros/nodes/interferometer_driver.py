@@ -22,11 +22,12 @@ from stepdiag_msgs.msg import Displacement, Step
 from stepdiag_msgs.srv import ResetDisplacement
 from stepdiag_ros.bag.schemas import STEP
 from stepdiag_ros.devices.base import DisplacementBlock
+from stepdiag_ros.devices.hostclock import HOST
 from stepdiag_ros.devices.ids3010 import PORT, Ids3010
 from stepdiag_ros.devices.optical_switch import PORT as SWITCH_PORT
 from stepdiag_ros.devices.optical_switch import OpticalSwitch
 from stepdiag_ros.errors import StepdiagError
-from stepdiag_ros.nodes.base import ERROR, OK, WARN, Health, overridable, reliable, run_node
+from stepdiag_ros.nodes.base import ERROR, OK, WARN, Health, reliable, run_node
 from stepdiag_ros.nodes.driver import DriverNode
 from stepdiag_ros.nodes.stamps import stamp_of
 
@@ -42,8 +43,7 @@ class _Machine:
 
     def __init__(self, node: 'InterferometerDriver', prefix: str):
         def publisher(kind: type, topic: str):
-            return node.create_lifecycle_publisher(kind, prefix + topic, reliable(),
-                                                   qos_overriding_options=overridable())
+            return node.marked.publisher(kind, topic, prefix)
         self.displacement = publisher(Displacement, 'interferometer/displacement')
         self.environment = {name: publisher(kind, f'environment/{name}')
                             for name, (kind, _, _) in ENVIRONMENT.items()}
@@ -110,7 +110,7 @@ class InterferometerDriver(DriverNode):
     def read(self) -> DisplacementBlock:
         if time.monotonic() >= self._next_environment:
             self._next_environment = time.monotonic() + self.value('environment_period')
-            self._publish_environment(self.instrument.environment(), time.time_ns())
+            self._publish_environment(self.instrument.environment(), HOST.now_ns())
         return super().read()
 
     def size(self, block: DisplacementBlock) -> int:

@@ -11,7 +11,10 @@ import time
 from datetime import datetime
 from pathlib import Path
 
+from rclpy.parameter import Parameter
+
 from stepdiag_msgs.msg import RecorderStatus
+from stepdiag_ros.bag.append import go_on
 from stepdiag_ros.bag.qos import LATCHED, RELIABLE, qos_profile, qos_yaml
 from stepdiag_ros.bag.schemas import DESCRIPTION, TOPICS
 from stepdiag_ros.bag.writer import COMPRESSIONS, BagWriter
@@ -32,12 +35,14 @@ class Recorder(StepdiagNode):
                              'machine and time, in bag_folder')
         self.text('bag_folder', '.', 'where new bags are made')
         self.text('compression', 'zstd', f'of the chunks: {", ".join(COMPRESSIONS)}')
+        self.text('go_on', False, 'go on in the bag, which exists: its recorder has died')
         self.count('queue_depth', 10_000, 'messages of a topic that may wait to be written', 1, 1_000_000)
         self._status = self.create_publisher(RecorderStatus, 'recorder/status', reliable(10))
         self._timer = self.create_timer(STATUS_PERIOD_S, self._publish_status)
         self._writer: BagWriter | None = None
         self._ears: Ears | None = None
         self._bag = ''
+        self._earlier: dict[str, int] = {}
         self._announced: set[str] = set()
 
     def configure(self) -> None:
@@ -48,7 +53,17 @@ class Recorder(StepdiagNode):
     def activate(self) -> None:
         path = self._path()
         self._announced = set()
-        self._writer = BagWriter(path, compression=self.value('compression'))
+        self._earlier = {}
+        if self.value('go_on') and path.exists():
+            continued = go_on(path, self.value('compression'))
+            self._writer, self._earlier = continued.writer, continued.received
+            for name in continued.mended:
+                self.get_logger().warning(f'{path / name} was torn; it is mended, and recording goes on in '
+                                          f'{continued.writer.file.name}')
+            # Only this once: a bag of that name that comes later is a new one.
+            self.set_parameters([Parameter('go_on', value=False)])
+        else:
+            self._writer = BagWriter(path, compression=self.value('compression'))
         self._bag = str(path)
         self._ears = Ears(self, TOPICS, self._write, latched=(DESCRIPTION,),
                           depth=self.value('queue_depth'))
@@ -99,12 +114,13 @@ class Recorder(StepdiagNode):
 
     def _publish_status(self) -> None:
         ears, names = self._ears, self.resolve_topic_name
-        received = ears.received if ears is not None else {}
+        received = {t: n + self._earlier.get(names(t), 0) for t, n in ears.received.items()} \
+            if ears is not None else {}
         lost = ears.lost if ears is not None else {}
         status = RecorderStatus(
             recording=self._writer is not None and not self._trouble(), bag=self._bag,
             topics=[names(t) for t in received], received=list(received.values()),
-            lost=list(lost.values()), hears=[names(t) for t, n in received.items() if n])
+            lost=list(lost.values()), hears=[names(t) for t in ears.heard.split()] if ears is not None else [])
         status.header.stamp = stamp_of(time.time_ns())
         self._status.publish(status)
 

@@ -9,7 +9,8 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.devices.hostclock import HOST
+from stepdiag_ros.nodes.runner import Interrupted
 
 
 @dataclass
@@ -63,7 +64,7 @@ class Watch:
     def begin(self) -> None:
         """A setup was mounted or a zero was set: what came before does not count any more."""
         with self._lock:
-            self._since_ns = time.time_ns()
+            self._since_ns = HOST.now_ns()
             for source in self._sources.values():
                 source.setups.clear()
                 if source.dark_s is not None:
@@ -128,7 +129,7 @@ class Watch:
         return wants
 
     def check(self, bag: str, setup: str) -> None:
-        """Raise :class:`StepdiagError` if a run of ``setup`` into ``bag`` has lost something.
+        """Raise :class:`Interrupted` if a run of ``setup`` into ``bag`` has lost something.
 
         A driver that was started again since the last zero knows neither setup nor zero: it
         shows by the setup of any of its blocks or by their want of signal.
@@ -141,7 +142,7 @@ class Watch:
         if not wants and said is not None and said.bag != bag:
             wants = [f'the recorder began another bag ({said.bag}) while a run was under way']
         if wants:
-            raise StepdiagError('; '.join(wants) + '; stopped, so that no stop goes unmeasured')
+            raise Interrupted('; '.join(wants) + '; stopped, so that no stop goes unmeasured')
 
     def dark(self) -> bool:
         """A source's last block holds no light."""

@@ -8,7 +8,6 @@ too and the exit status is 2.
 """
 
 import argparse
-import json
 import os
 import signal
 import subprocess
@@ -20,6 +19,7 @@ from pathlib import Path
 import yaml
 
 from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.guard.jsontext import to_json
 from stepdiag_ros.virtual.cell import load_cell
 from stepdiag_ros.virtual.serving import (
     ENDPOINTS_FILE,
@@ -155,7 +155,7 @@ def main(arguments: list[str] | None = None) -> int:
         with CellProcess(given.cell, runtime) as cell:
             endpoints = cell.start()
             if given.truth is not None:
-                write_atomically(given.truth, json.dumps(truth(load_cell(given.cell)), indent=1))
+                write_atomically(given.truth, to_json(truth(load_cell(given.cell))))
             print(yaml.safe_dump(endpoints, sort_keys=False), end='', flush=True)
             while not ended:
                 time.sleep(0.1)

@@ -11,7 +11,6 @@ routes the laser to one machine's world or another's.
 import asyncio
 import json
 import re
-import time
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +21,7 @@ from stepdiag_ros.virtual.air import environment
 from stepdiag_ros.virtual.cell import Cell, load_cell
 from stepdiag_ros.virtual.draw import normals
 from stepdiag_ros.virtual.faults import Faults
+from stepdiag_ros.virtual.history import now_ns
 from stepdiag_ros.virtual.offline import SENSOR_SIGMA
 from stepdiag_ros.virtual.serving import announce, open_world, serve
 from stepdiag_ros.virtual.world import World
@@ -46,7 +46,7 @@ class Instrument:
         self._measuring = False
         self._taken = 0                # samples so far: addresses their noise
         self._ecu_read = 0
-        self._last_ns = time.time_ns()
+        self._last_ns = now_ns()
         self._reference = np.zeros(AXES)
         prefix = f'com.attocube.{cell.instruments.namespace}.'
         self.fast = prefix + 'displacement.getAbsolutePositions'
@@ -113,7 +113,7 @@ class Instrument:
                 for number, row in zip(numbers, self._positions(len(numbers)), strict=True)]
 
     def _times(self, count: int) -> np.ndarray:
-        now = time.time_ns()
+        now = now_ns()
         since = now - self._last_ns
         step = since // count if since < GAP_NS else PACE_NS
         self._last_ns = now
@@ -129,18 +129,18 @@ class Instrument:
         if setup is None or not self._measuring or self.faults.kind == 'no_signal':
             rows[:, 0] = NO_SIGNAL_WARNING
             return rows.astype(np.int64).tolist()
-        reading = self.world.read(times - self._late_ns, setup)
+        noise = self.world.displacement
+        reading = self.world.read(times - self._late_ns - noise.delays_ns(first, count), setup)
         beams = reading.length.shape[1]
-        noise = self.world.displacement_noise(first, count, beams)
-        rows[:, 1:1 + beams] = (reading.length + noise) * 1e12
+        rows[:, 1:1 + beams] = noise.readings(reading.length, first) * 1e12
         if zero is not None:
             rows[:, 1:1 + beams] -= zero[:beams]
-        rows[:, 0] = np.where(reading.quality < 1.0, NO_SIGNAL_WARNING, 0)
+        rows[:, 0] = np.where((reading.quality < 1.0) | noise.dark(first, count), NO_SIGNAL_WARNING, 0)
         return np.rint(rows).astype(np.int64).tolist()
 
     def _now(self) -> np.ndarray:
         self.world.history.follow()
-        return np.array([time.time_ns()])
+        return np.array([now_ns()])
 
     def _mode(self, params: list) -> list:
         return [0, 'measurement running' if self._measuring else 'system idle']
@@ -173,7 +173,7 @@ class Instrument:
         return [0, contrast, (1000 - contrast) // 2]
 
     def _seconds(self) -> float:
-        return (time.time_ns() - self.world.epoch_ns) * 1e-9
+        return (now_ns() - self.world.epoch_ns) * 1e-9
 
     def _ecu(self, sensor: str, stream: str, scale: float) -> list:
         if sensor not in self.cell.air.sensors:

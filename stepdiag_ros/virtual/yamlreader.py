@@ -12,29 +12,18 @@ from typing import Any
 import yaml
 
 from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.guard import limits, strict_yaml
+from stepdiag_ros.guard.files import read_text
 
 
 def read_yaml(path: str | Path) -> 'Reader':
     """Parse a file into a :class:`Reader` of its top mapping."""
-    try:
-        text = Path(path).read_text(encoding='utf-8')
-    except OSError as error:
-        raise StepdiagError(f'{path}: cannot be read ({error.strerror}); '
-                            'give the path of a cell file') from None
-    except UnicodeDecodeError:
-        raise StepdiagError(f'{path}: is not a text file; give the path of a cell file') from None
-    return parse_yaml(text, str(path))
+    return parse_yaml(read_text(path, limits.YAML_BYTES, 'cell file'), str(path))
 
 
 def parse_yaml(text: str, source: str) -> 'Reader':
     """Parse text; ``source`` names it in complaints."""
-    try:
-        node = yaml.compose(text, Loader=yaml.SafeLoader)
-    except yaml.YAMLError as error:
-        mark = getattr(error, 'problem_mark', None)
-        at = f':{mark.line + 1}' if mark else ''
-        raise StepdiagError(f'{source}{at}: is not valid YAML: '
-                            f'{getattr(error, "problem", None) or error}') from None
+    node = strict_yaml.compose(text, source)
     if node is None:
         raise StepdiagError(f'{source}: is empty; describe a cell as in cells/demo.yaml')
     return Reader(source, node, '')

@@ -17,6 +17,8 @@ from stepdiag_ros.gap.inference.discrepancy import columns as discrepancy_of
 from stepdiag_ros.gap.inference.evidence import SIZES, Judged, judge, log_evidence, log_mean, log_sum
 from stepdiag_ros.gap.inference.parity import Parity
 
+REMEMBERED = 32
+"""Discrepancies that are kept in mind, those last worked out: each is as long as the data."""
 LEAST_EXPLAINED = 0.02
 """Directions of a set with less variance than this against the noise's are left out."""
 
@@ -177,6 +179,8 @@ class Screen:
         for count in range(1, len(members) + 1):
             key = tuple((m.candidate, m.size) for m in members[:count])
             if key not in self._discrepancies:
+                while len(self._discrepancies) >= REMEMBERED:
+                    del self._discrepancies[next(iter(self._discrepancies))]
                 self._discrepancies[key] = self._discrepancy(members[:count], found)
             if self._discrepancies[key] is not None:
                 found.append(self._discrepancies[key])

@@ -206,13 +206,9 @@ def log_prior(found: EffectSet, effects: int) -> float:
     return float(np.log(PRIOR_NUMBER[number]) - np.log(max(ways, 1.0)) - doubt)
 
 
-def probabilities(sets: Sequence[EffectSet], effects: int,
-                  temper: float = 1.0) -> tuple[Mapping[str, float], float, list[float]]:
-    """Probability of each effect, of nothing, and of each set; sets that may not be claimed have none.
-
-    ``temper`` below 1 flattens: evidence counts only as far as forms are known to hold.
-    """
-    logs = np.array([temper * s.log_bayes + log_prior(s, effects) for s in sets])
+def probabilities(sets: Sequence[EffectSet], effects: int) -> tuple[Mapping[str, float], float, list[float]]:
+    """Probability of each effect, of nothing, and of each set; sets that may not be claimed have none."""
+    logs = np.array([s.log_bayes + log_prior(s, effects) for s in sets])
     logs[[bool(s.refused) for s in sets]] = -np.inf
     weights = np.exp(logs - logs.max())
     weights /= weights.sum()

@@ -1,8 +1,9 @@
 """Everything that the diagnosis looks at, brought into one shape.
 
-A log is reduced to stops, the rigid-body model is fitted, and what an effect may depend on is laid
-beside: times, directions of approach, strikes on the mirror, derivatives, the environment.  Inside
-each dwell the samples are averaged in a few bins, so that what creeps or settles is kept.
+A log is reduced to stops, as recorded: vacuum lengths are divided by one index of air, and what the air does during
+the log stays in, for the diagnosis to find.  The rigid-body model is fitted, and what an effect may depend on is laid
+beside: times, directions of approach, strikes on the mirror, derivatives, the environment.  Inside each dwell the
+samples are averaged in a few bins, so that what creeps or settles is kept.
 """
 
 from dataclasses import dataclass
@@ -11,6 +12,7 @@ import numpy as np
 
 from stepdiag_ros.effects.base import StopView
 from stepdiag_ros.estimate.enhanced import Fit, fit, readings_of
+from stepdiag_ros.estimate.metres import with_one_index
 from stepdiag_ros.estimate.reduce import StopTable, reduce_log
 from stepdiag_ros.model.air import refractive_index
 from stepdiag_ros.model.log import CalibrationLog, ScalarSeries
@@ -49,7 +51,7 @@ class Observation:
 
 def observe(log: CalibrationLog) -> Observation:
     """Reduce, fit and lay out; raises :class:`~stepdiag_ros.errors.StepdiagError` as the reduction does."""
-    table = reduce_log(log, cut=True)
+    table = with_one_index(log, reduce_log(log, cut=True))
     nominal = sane_fit(log, table)
     bins, sigma, time = _bins(log, table)
     return Observation(log, table, nominal, view_of(log, table, nominal, time), bins, sigma)
@@ -134,14 +136,8 @@ def _quality(log: CalibrationLog, table: StopTable) -> np.ndarray:
 
 
 def _interpolate(series: ScalarSeries, table: StopTable) -> np.ndarray:
-    """A quantity at the stops, smoothed over a few readings so that sensor noise stays out."""
-    time = (series.time_ns - table.dwell_ns[0]) * 1e-9
-    value = series.value
-    if len(value) >= 15:
-        kernel = np.hanning(13)[1:-1]
-        padded = np.concatenate([2 * value[0] - value[5:0:-1], value, 2 * value[-1] - value[-2:-7:-1]])
-        value = np.convolve(padded, kernel / kernel.sum(), mode='valid')
-    return np.interp(table.time_s, time, value)
+    """A quantity at the stops."""
+    return series.at((table.dwell_ns + table.done_ns) // 2)
 
 
 def _air(log: CalibrationLog, table: StopTable) -> tuple[np.ndarray | None, float | None]:

@@ -485,7 +485,7 @@ def test_nan_in_samples(tmp_path, small_log, bad):
     keep[[1, 3]] = False
     assert np.array_equal(log.displacement.values, d.values[keep])
     assert np.array_equal(log.displacement.time_ns, d.time_ns[keep])
-    assert warned(log, 'displacement: left out 2 of 50 samples that are NaN or infinite')
+    assert warned(log, 'displacement: left out 2 of 50 samples that are NaN, infinite or far beyond any reading')
 
 
 def test_nan_in_environment(tmp_path, small_log):

@@ -52,7 +52,7 @@ def test_other_methods_are_drawn(bag, capsys):
 
 
 @pytest.mark.parametrize(('arguments', 'said'), [
-    (['--budget', 'nowhere.yaml'], 'nowhere.yaml: budget cannot be read'),
+    (['--budget', 'nowhere.yaml'], 'nowhere.yaml: cannot be read'),
     (['--at', '1,2'], "--at is '1,2'"),
     (['--draws', '1'], '--draws is 1'),
     (['--method', 'step_diagonal'], 'give --draws'),

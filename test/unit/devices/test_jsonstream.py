@@ -30,3 +30,9 @@ def test_a_value_that_never_ends_is_refused():
     with pytest.raises(ValueError):
         for _ in range(3):
             stream.feed(b'{"a": "' + b'x' * 700_000)
+
+
+@pytest.mark.parametrize('data', [b'[' * 100_000, b'{"a":' * 100_000, b'[' * 100_000 + b']' * 100_000])
+def test_what_is_nested_too_deep_is_refused(data):
+    with pytest.raises(ValueError):
+        JsonStream().feed(data)

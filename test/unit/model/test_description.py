@@ -51,7 +51,7 @@ def test_noise_may_be_left_out():
     ('beams: [[0.0, 0.0]]}', 'beams: []}', 'setups.ppp.beams must be a list'),
     ('stops: 2', 'stops: 1', 'setups.lin_x.stops is 1'),
     ('spot: 2.0e-7', 'spot: .nan', 'noise.spot is nan'),
-    ('plan: {', 'plan: [', 'line 3'),
+    ('plan: {', 'plan: [', 'cell.yaml:3: is not valid YAML'),
 ])
 def test_mistakes_name_the_key(old, new, said):
     with pytest.raises(StepdiagError) as caught:

@@ -25,6 +25,7 @@ class Instrument:
 
     def __init__(self):
         self.stamp_ns, self.broken, self.connects, self.skip_ns = 0, False, 0, 0
+        self.unforeseen = None
 
     def connect(self):
         self.connects += 1
@@ -36,6 +37,8 @@ class Instrument:
 
     def read_block(self):
         time.sleep(0.001)
+        if self.unforeseen is not None:
+            raise self.unforeseen
         if self.broken:
             raise DeviceError('interferometer at x:1: stalls')
         stamp = self.stamp_ns + self.skip_ns
@@ -103,3 +106,35 @@ def test_a_stopped_acquisition_refuses_commands(bench):
     work.stop()
     with pytest.raises(DeviceError, match='not active'):
         work.call(lambda: None).result(10)
+
+
+@pytest.mark.parametrize('error', [KeyError('x'), RecursionError('too deep'), MemoryError(), ValueError('two\nlines'),
+                                   AttributeError("'NoneType' object has no attribute 'get'")])
+def test_what_nobody_foresaw_is_a_line_and_sampling_goes_on(bench, error):
+    work, instrument, blocks, said = bench
+    wait_for(lambda: blocks)
+    instrument.unforeseen = error
+    wait_for(lambda: work.error)
+    assert type(error).__name__ in work.error and 'test_acquisition.py:' in work.error and '\n' not in work.error
+    instrument.unforeseen, count = None, len(blocks)
+    wait_for(lambda: len(blocks) > count)
+    assert work.running and not work.error and [line.split(';')[-1] for line in said] == [
+        ' trying to connect again', 'connected again']
+
+
+def test_a_command_that_nobody_foresaw_to_fail_is_refused_and_sampling_goes_on(bench):
+    work, _, blocks, _ = bench
+    wait_for(lambda: blocks)
+    with pytest.raises(DeviceError, match='ZeroDivisionError'):
+        work.call(lambda: 1 // 0).result(10)
+    count = len(blocks)
+    wait_for(lambda: len(blocks) > count)
+    assert work.running
+
+
+def test_a_fault_that_comes_again_and_again_is_reported_once(bench):
+    work, instrument, blocks, said = bench
+    wait_for(lambda: blocks)
+    instrument.unforeseen = KeyError('x')
+    wait_for(lambda: instrument.connects > 4)
+    assert len(said) == 1

@@ -103,3 +103,63 @@ def test_a_leak_between_two_bearings_is_followed(case):
         columns = form.columns[:, :, 0].T
         left.append(np.linalg.norm(leak - columns @ np.linalg.lstsq(columns, leak, rcond=None)[0]))
     assert min(left) < 0.01 * np.linalg.norm(leak)
+
+
+class Shear(Effect):
+    """The detector's axes are not square to each other."""
+
+    name = 'shear'
+
+    def after_light(self, moment):
+        moment.spot = moment.spot + 0.03 * moment.spot[:, ::-1]
+
+
+class HalfPlane(Effect):
+    """The detector's gain along x is another on one side of its middle."""
+
+    name = 'half_plane'
+
+    def after_light(self, moment):
+        x = moment.spot[:, 0]
+        moment.spot = np.column_stack([np.where(x > 0.0, 1.05 * x, x), moment.spot[:, 1]])
+
+
+class CutBeam(Effect):
+    """Towards one end of Z's travel the mirror's edge cuts the beam: light is lost, and the spot's middle moves."""
+
+    name = 'cut_beam'
+
+    def after_light(self, moment):
+        cut = 0.3 * np.clip(moment.commanded[:, 2] / 0.3 - 0.5, 0.0, None) ** 2
+        moment.intensity = moment.intensity * (1.0 - cut)
+        moment.spot = moment.spot + cut[:, None] * np.array([3e-4, -1e-4])
+
+
+@pytest.mark.parametrize(('kind', 'words'), [(Shear, 'not square'), (HalfPlane, 'one side'), (CutBeam, 'follow the')])
+def test_a_detector_that_no_effect_describes_is_not_named(case, kind, words):
+    found = case.diagnose(kind())
+    assert not [e.name for e in found.effects if e.probability > 0.85], [(e.name, e.probability) for e in found.effects]
+    assert words in found.leftover or found.verdict != 'explained'
+
+
+def test_a_standoff_off_is_what_a_fit_of_the_wrong_description_leaves(case):
+    """The form against the difference of two worlds, one with another standoff: an independent way to its column."""
+    import yaml
+
+    from stepdiag_ros.virtual.cell import parse_cell
+    from stepdiag_ros.virtual.offline import simulate_log
+    quiet = case.text.replace('noise: {displacement: 5.0e-9, spot: 2.0e-7, position_repeatability: 3.0e-7, '
+                              'angle_repeatability: 2.0e-7}',
+                              'noise: {displacement: 0.0, spot: 0.0, position_repeatability: 0.0, '
+                              'angle_repeatability: 0.0}')
+    body = yaml.safe_load(quiet)
+    body['setups']['npp']['standoff'] += 1e-3
+    here, there = (simulate_log(parse_cell(text)) for text in (quiet, yaml.safe_dump(body)))
+    from stepdiag_ros.gap.preprocess.observe import observe
+    view = observe(here).view
+    moved = observe(there).view.reading - view.reading
+    forms = {f.label: f for f in beyond_families(view)['standoff']}
+    form = forms['the description: the standoff of npp is off']
+    mine = view.setup == view.setup_names.index('npp')
+    expected = form.columns[0][mine][:, -2:] * 1e-3
+    np.testing.assert_allclose(moved[mine][:, -2:], expected, atol=0.02 * np.abs(expected).max())

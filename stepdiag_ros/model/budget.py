@@ -11,13 +11,15 @@ repeats and scatter in the dwells).  ``dof`` are the degrees of freedom of ``val
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
-import yaml
 
 from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.guard import strict_yaml
 
 SCHEMA = 1
 FROM_LOG = 'from log'
@@ -30,11 +32,19 @@ KINDS: dict[str, tuple[str, str]] = {
     'air_temperature': ('K', 'index of air, through the temperature sensor'),
     'air_pressure': ('Pa', 'index of air, through the pressure sensor'),
     'humidity': ('1', 'index of air, through the humidity sensor (relative, 0 to 1)'),
+    'index_formula': ('1', 'index of air, through the equation and the CO2 content'),
+    'air_variation': ('1', 'change of the index within a run and from run to run, acting on the whole path'),
     'dead_path': ('1', 'change of the index within a run, acting on the path before the first stop'),
+    'cyclic': ('m', 'swing of the interferometer with the fringe, anew at each stop'),
     'cosine': ('rad', 'beam against axis in the linear setups, about each of two axes'),
     'psd_gain': ('1', "scale of the detector, x and y apart"),
     'psd_zero': ('m', 'zero of the detector, x and y, anew in each setup'),
     'psd_rotation': ('rad', 'turn of the detector about the beam'),
+    'mirror_flatness': ('m', 'form of the mirror where a beam strikes, the same in each run over a stop'),
+    'mirror_slope': ('rad', 'slope of that form, which turns the beam of the detector'),
+    'tool': ('m', "knowledge of the tool vector's three components"),
+    'beam_offset': ('m', 'knowledge of where beams and detector lie beside the first beam, each setup'),
+    'standoff': ('m', 'knowledge of the distance from base unit to mirror, each setup'),
     'scale_temperature': ('K', 'temperature of an axis to which positioning errors are referred'),
     'expansion_coefficient': ('1/K', "expansion coefficient, times the axes' distance from 20 °C"),
 }
@@ -44,6 +54,7 @@ MEASURED = ('position_repeatability', 'angle_repeatability', 'interferometer_noi
 SPREAD = {'normal': 1.0, 'rectangular': 1 / math.sqrt(3.0), 'triangular': 1 / math.sqrt(6.0),
           'arcsine': 1 / math.sqrt(2.0)}
 """Standard deviation of each distribution per unit of ``value``."""
+Complaint = Callable[[int, str, str], StepdiagError]
 KEYS = ('name', 'kind', 'type', 'distribution', 'value', 'unit', 'dof', 'coefficient')
 
 
@@ -67,6 +78,13 @@ class Contributor:
     def standard(self) -> float | None:
         """Standard uncertainty in :attr:`unit`."""
         return None if self.value is None else self.value * SPREAD[self.distribution]
+
+    def to_dict(self) -> dict[str, Any]:
+        """The line as it is written in a budget."""
+        line = {'name': self.name, 'kind': self.kind, 'type': self.type, 'distribution': self.distribution,
+                'value': FROM_LOG if self.value is None else self.value, 'unit': self.unit}
+        line |= {'dof': self.dof} if math.isfinite(self.dof) else {}
+        return line | ({'coefficient': self.coefficient} if self.kind == 'scale_temperature' else {})
 
     def draw(self, rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
         """Variates of mean 0 and, for infinite ``dof``, of standard deviation 1.
@@ -100,12 +118,7 @@ class Budget:
     @classmethod
     def from_yaml(cls, text: str, source: str = 'budget') -> 'Budget':
         """Parse and check; :class:`StepdiagError` names source, line and key."""
-        try:
-            node, data = yaml.compose(text, yaml.SafeLoader), yaml.safe_load(text)
-        except yaml.YAMLError as error:
-            mark = getattr(error, 'problem_mark', None)
-            raise StepdiagError(f'{source}:{mark.line + 1 if mark else 1}: not valid YAML: '
-                                f'{" ".join(str(getattr(error, "problem", error)).split())}') from None
+        node, data = strict_yaml.compose(text, source), strict_yaml.load(text, source)
         if not isinstance(data, dict) or data.get('schema') != SCHEMA:
             raise StepdiagError(f'{source}:1: schema is '
                                 f'{data.get("schema") if isinstance(data, dict) else None!r}; '
@@ -119,24 +132,36 @@ class Budget:
         if not isinstance(raw, list) or not raw:
             raise StepdiagError(f'{source}:1: contributors is missing or empty; list at least one')
         entries = places['contributors'][1].value
+
+        def wrong(number: int, key: str, text: str) -> StepdiagError:
+            entry = entries[number]
+            lines = {k.value: k.start_mark.line + 1 for k, _ in entry.value} if isinstance(raw[number], dict) else {}
+            return StepdiagError(f'{source}:{lines.get(key, entry.start_mark.line + 1)}: {key}: {text}')
+        return cls.from_list(raw, wrong, source)
+
+    @classmethod
+    def from_list(cls, raw: list, wrong: 'Complaint', source: str = 'budget') -> 'Budget':
+        """Check parsed lines; ``wrong(number of the line, key, text)`` makes the error to raise."""
         found: list[Contributor] = []
-        for body, entry in zip(raw, entries, strict=True):
-            contributor = _contributor(body, entry, source)
+        for number, body in enumerate(raw):
+            contributor = _contributor(body, partial(wrong, number))
             if contributor.name in [c.name for c in found]:
-                raise StepdiagError(f'{source}:{entry.start_mark.line + 1}: name: {contributor.name!r} '
-                                    'comes twice; give each contributor a name of its own')
+                raise wrong(number, 'name',
+                            f'{contributor.name!r} comes twice; give each contributor a name of its own')
             found.append(contributor)
         return cls(tuple(found), source)
 
+    def to_list(self) -> list[dict[str, Any]]:
+        """The lines as :meth:`from_list` reads them."""
+        return [c.to_dict() for c in self.contributors]
 
-def _contributor(body: Any, node: yaml.Node, source: str) -> Contributor:
-    lines = {}
-    if isinstance(body, dict):
-        lines = {key.value: key.start_mark.line + 1 for key, _ in node.value}
+    def over(self, standard: 'Budget') -> 'Budget':
+        """This budget where it names a kind, ``standard`` for the kinds that it leaves out."""
+        own = {c.kind for c in self.contributors}
+        return Budget((*self.contributors, *(c for c in standard.contributors if c.kind not in own)), self.source)
 
-    def wrong(key: str, text: str) -> StepdiagError:
-        return StepdiagError(f'{source}:{lines.get(key, node.start_mark.line + 1)}: {key}: {text}')
 
+def _contributor(body: Any, wrong: Callable[[str, str], StepdiagError]) -> Contributor:
     if not isinstance(body, dict):
         raise wrong('contributors', 'each entry is a mapping with name, kind, type, distribution, value, unit')
     for key in body:

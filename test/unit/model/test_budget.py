@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from stepdiag_ros.cli.uncertainty import default_budget
 from stepdiag_ros.errors import StepdiagError
-from stepdiag_ros.estimate.budget import KINDS, Budget
+from stepdiag_ros.model.budget import KINDS, Budget
+from stepdiag_ros.model.standard_budget import standard_budget
 
 LINE = '  - {name: a, kind: scale, type: B, distribution: normal, value: 2.0e-8, unit: m/m}'
 
@@ -15,7 +15,7 @@ def budget(*lines):
 
 
 def test_the_shipped_budget_names_every_kind_once():
-    contributors = Budget.from_yaml(default_budget(), 'default').contributors
+    contributors = standard_budget().contributors
     assert sorted(c.kind for c in contributors) == sorted(KINDS)
     assert {c.type for c in contributors} == {'A', 'B'}
 
