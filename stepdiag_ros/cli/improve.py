@@ -178,9 +178,9 @@ def _fresh_noise(path: Path, cell: Any, out: Path) -> Path:
 def _plan(change: 'Change', folder: Path) -> str:
     """What the machine is like, would be like, and what would be written."""
     now, then = change.worst_before, change.worst_after
-    lines = [f'largest deviation in the volume now       {MICRO * now[0]:8.2f} µm, U = {MICRO * now[1]:.2f} µm (k = 2)',
-             f'predicted with level {change.level:8}            {MICRO * then[0]:8.2f} µm, U = {MICRO * then[1]:.2f} µm '
-             '(k = 2)', f'files in {folder}:']
+    lines = [f'largest deviation in the volume, {when:20} {MICRO * size:8.2f} µm, U = {MICRO * spread:.2f} µm (k = 2)'
+             for when, (size, spread, _) in (('now', now), (f'with level {change.level}', then))]
+    lines.append(f'files in {folder}:')
     lines += [f'  {"write" if text is not None else "remove"} {name}' for name, text in change.files.items()
               if text is not None or (folder / name).exists()]
     return '\n'.join([*lines, *(f'note: {note}' for note in change.notes)])

@@ -201,4 +201,5 @@ def _harm(before: Prediction, after: Prediction) -> tuple[str, ...]:
         return ()
     at = ', '.join(f'{1e3 * c:.0f}' for c in before.points[row])
     return (f'the place ({at}) mm of the volume would become worse beyond its U, from '
-            f'{1e6 * before.size_m[row]:.1f} to {1e6 * after.size_m[row]:.1f} µm (U = {1e6 * K * after.size_sigma_m[row]:.1f} µm, k = 2)',)
+            f'{1e6 * before.size_m[row]:.1f} to {1e6 * after.size_m[row]:.1f} µm '
+            f'(U = {1e6 * K * after.size_sigma_m[row]:.1f} µm, k = 2)',)
