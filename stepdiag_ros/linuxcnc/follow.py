@@ -28,8 +28,8 @@ class Track:
         with open(part, 'wb') as file:
             file.truncate(HEADER.size + CAPACITY * RECORD.size)
         os.chmod(part, 0o644)
-        self._file = open(part, 'r+b')
-        self._map = mmap.mmap(self._file.fileno(), 0)
+        with open(part, 'r+b') as file:
+            self._map = mmap.mmap(file.fileno(), 0)
         self._count = 0
         self._last = None
         self._written_ns = 0
