@@ -18,7 +18,7 @@ from stepdiag_ros.virtual.serving import MOTION_FILE, announce, serve
 TRACK = 'track.bin'
 WATCH_S = 0.2
 SILENCE_S = 1.0
-"""Silence of the client that a simulated machine bears: nothing is harmed, and a busy computer keeps clients waiting."""
+"""Silence of the client that a simulated machine bears: nothing is harmed, and busy computers keep clients waiting."""
 
 
 def setup_codes(cell: Cell) -> dict[str, str]:
