@@ -20,6 +20,8 @@ DEFINITIONS = {
     'stepdiag_msgs/msg/Displacement':
         'std_msgs/Header header\nfloat64 sample_period\nuint8 beams\nfloat64[] displacement\n'
         'float64 refractive_index\nuint8[] quality\n',
+    'stepdiag_msgs/msg/SampleTiming':
+        'std_msgs/Header header\nint32[] taken\nuint32[] uncertainty\nuint32 missed\nstring clock\n',
     'stepdiag_msgs/msg/SpotPosition':
         'std_msgs/Header header\nfloat64 sample_period\nfloat64[] x\nfloat64[] y\n'
         'float64[] intensity\n',
@@ -35,6 +37,9 @@ STEP = 'sequencer/step'
 DISPLACEMENT = 'interferometer/displacement'
 SPOT = 'psd/spot'
 SCALE = 'environment/scale_temperature'
+DISPLACEMENT_TIMING = 'interferometer/timing'
+SPOT_TIMING = 'psd/timing'
+STEP_TIMING = 'sequencer/timing'
 CLOCK_STEP = 'clock_step'
 
 #: Contract topics, relative to a machine's namespace, and their types.
@@ -47,6 +52,9 @@ TOPICS = {
     'environment/air_pressure': 'sensor_msgs/msg/FluidPressure',
     'environment/humidity': 'sensor_msgs/msg/RelativeHumidity',
     SCALE: 'sensor_msgs/msg/Temperature',
+    DISPLACEMENT_TIMING: 'stepdiag_msgs/msg/SampleTiming',
+    SPOT_TIMING: 'stepdiag_msgs/msg/SampleTiming',
+    STEP_TIMING: 'stepdiag_msgs/msg/SampleTiming',
     CLOCK_STEP: 'stepdiag_msgs/msg/ClockStep',
 }
 

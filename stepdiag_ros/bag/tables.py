@@ -28,6 +28,7 @@ WANTED = {
     'stepdiag_msgs/msg/Displacement': (*_STAMP, 'sample_period', 'beams', 'displacement',
                                        'refractive_index', 'quality'),
     'stepdiag_msgs/msg/SpotPosition': (*_STAMP, 'sample_period', 'x', 'y', 'intensity'),
+    'stepdiag_msgs/msg/SampleTiming': (*_STAMP, 'taken', 'uncertainty', 'clock'),
     'stepdiag_msgs/msg/ClockStep': (*_STAMP, 'step', 'topic', 'published'),
     'sensor_msgs/msg/Temperature': (*_STAMP, 'temperature', 'variance'),
     'sensor_msgs/msg/FluidPressure': (*_STAMP, 'fluid_pressure', 'variance'),
@@ -141,10 +142,10 @@ class _Batch:
             table.count += len(mine)
             table.log_times.append(log_time[mine].astype(np.int64))
             table.sequences.append(sequence[mine].copy())
-            fields = self._layout(int(channel), table)
-            if fields is None:
+            fields, split = self._layout(int(channel), table), split_topic(table.topic)
+            if fields is None or split is None:
                 continue
-            names = frozenset(WANTED[TOPICS[split_topic(table.topic)[1]]])
+            names = frozenset(WANTED[TOPICS[split[1]]])
             lengths = segment.lengths[mine]
             for length, which in alike(lengths):
                 rows = mine[which]

@@ -76,8 +76,6 @@ def run(args: argparse.Namespace) -> int:
                          args.exact, not_metres(known.solution, log), args.volume, known.reversal)
     if args.json:
         print(to_json(document(found, args.bag)))
-    elif found.refusals:
-        print(summary(found))
     found.checked()
     name = Path(args.bag).resolve().stem
     files = {**found.files, **found.before_files, 'README.txt': readme(found, name),

@@ -1,4 +1,4 @@
-"""What a log tells of the machine's errors before anything acts on them: evaluation, causes taken out, reversal."""
+"""The machine's errors before anything acts on them: evaluation of a log, causes taken out, reversal."""
 
 from dataclasses import dataclass, replace
 

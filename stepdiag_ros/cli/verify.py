@@ -50,8 +50,8 @@ def run(args: argparse.Namespace) -> int:
     tolerances = _tolerances(args.tolerance)
     predicted = None
     if args.prediction is not None:
-        told = read_text(args.prediction, limits.TEXT_BYTES, 'prediction (--prediction)')
-        predicted = predicted_of(told, str(args.prediction))
+        text_of_it = read_text(args.prediction, limits.TEXT_BYTES, 'prediction (--prediction)')
+        predicted = predicted_of(text_of_it, str(args.prediction))
     logs = [read_log(bag, args.namespace) for bag in (args.before, args.after)]
     machine = logs[1].description.machine
     _same_machine(logs[0].description.machine, machine, args)
@@ -60,6 +60,8 @@ def run(args: argparse.Namespace) -> int:
         known = known_errors(log, bag)
         if reason := not_metres(known.solution, log):
             raise StepdiagError(f'{bag}: {reason}; nothing is verified')
+        if 'not converged' in known.solution.status:
+            raise StepdiagError(f'{bag}: the evaluation is {known.solution.status}; nothing is verified')
         left = openness(known.solution)
         if left.open:
             raise StepdiagError(f'{bag}: the log leaves {", ".join(left.open)} open ({"; ".join(left.runs)}); '

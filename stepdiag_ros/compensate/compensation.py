@@ -2,8 +2,8 @@
 
     compensation(solution, machine, CONTROLS['linuxcnc'], origin=…) → Compensation
 
-Everything that is said of the machine under its tables is computed from the files' text, read back as the control
-reads it.  Tables are made only of what the log tells (:mod:`open_directions`), for a functional point
+Everything reported about the machine under its tables is computed from the files' text, read back as the control
+reads it.  Tables are made only of what the log determines (:mod:`open_directions`), for a functional point
 (:mod:`functional`), so that no place becomes worse (:mod:`harmless`), on top of what the control holds already.
 """
 
@@ -35,7 +35,6 @@ LEAST_GROWTH_M = 5e-9
 """What rounding in the files may add to the largest deviation."""
 MOST_KNOTS = 21
 """Positions an axis at most on which places are judged."""
-FITTED_KNOTS = 11
 BEFORE = 'before/'
 
 
@@ -136,6 +135,8 @@ def compensation(solution: Solution, machine: Machine, control: Control, origin:
     place = place_of(machine, origin)
     known = openness(solution)
     refusals = [air] if air else []
+    if 'not converged' in solution.status:
+        refusals.append(f'the evaluation is {solution.status}')
     touched = _used(control, known.open, solution, known.unmeasured)
     if touched and not partial:
         refusals.append(f'the log leaves {", ".join(touched)} open ({"; ".join(known.runs)}); '
@@ -247,14 +248,13 @@ def _slope(solution: Solution, name: str) -> float:
 
 def _harmless(line: dict[str, Trim], solution: Solution, machine: Machine, point: FunctionalPoint,
               measured: list[int], whole: bool) -> dict[str, Trim]:
-    """The tables of the line, held back where places would become worse; first on few places, then on all."""
-    for most in (FITTED_KNOTS, MOST_KNOTS):
-        points = _places(solution, machine, point, measured, whole, most)
-        before = predict(solution, machine, points, point.tool)
-        line = held_back(line, points, before.deviation_m, ROOM * K * before.size_sigma_m)
-        if len(points) <= FITTED_KNOTS**3:
-            break
-    return line
+    """The tables of the line, held back where places would become worse, at positions where places are judged."""
+    points = _places(solution, machine, point, measured, whole, MOST_KNOTS)
+    before = predict(solution, machine, points, point.tool)
+    judged = {axis: np.unique(points[:, axis]) for axis in range(3)}
+    line = {name: trim if len(trim.position) <= MOST_KNOTS else trim.at(judged[AXES.index(name[2])])
+            for name, trim in line.items()}
+    return held_back(line, points, before.deviation_m, ROOM * K * before.size_sigma_m)
 
 
 def _with_reversal(taken: Mapping[str, Trim], lost: Mapping[str, tuple[float, float]]) -> dict[str, Trim]:

@@ -75,11 +75,11 @@ def predicted_of(text: str, source: str) -> Predicted:
             raise StepdiagError(f'{source}: schema is {data["schema"]!r}; this version reads {SCHEMA}')
         if not data['written']:
             raise StepdiagError(f'{source}: no tables were written then; nothing was predicted')
-        told = data['errors_after']
-        curves = {n: Curve(np.array(told[n]['position_m'], float), np.array(told[n]['value'], float))
-                  for n in CURVES if n in told}
-        square = {n: float(told[n]['value']) for n in SQUARENESS if n in told}
-        sigma = {n: np.atleast_1d(np.array(told[n]['sigma'], float)) for n in told}
+        listed = data['errors_after']
+        curves = {n: Curve(np.array(listed[n]['position_m'], float), np.array(listed[n]['value'], float))
+                  for n in CURVES if n in listed}
+        square = {n: float(listed[n]['value']) for n in SQUARENESS if n in listed}
+        sigma = {n: np.atleast_1d(np.array(listed[n]['sigma'], float)) for n in listed}
         tool = np.array(data['tool_m'], float)
         numbers = [*(v for c in curves.values() for v in (c.position, c.value)), *sigma.values(), tool,
                    np.array([*square.values(), data['after_as_measured']['largest_m']], float)]

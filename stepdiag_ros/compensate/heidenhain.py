@@ -63,7 +63,7 @@ def write(taken: Taken, place: Place) -> dict[str, str]:
 
 
 def read(files: Mapping[str, str], place: Place) -> dict[str, Trim]:
-    """What the tables take off; which axis a table belongs to is told by its name, ``X_AXIS.COM`` or ``X.COM``."""
+    """What the tables take off; a table's name says its axis, ``X_AXIS.COM`` or ``X.COM``."""
     taken = {}
     for file, text in files.items():
         if not file.upper().endswith('.COM'):

@@ -43,25 +43,29 @@ def write(taken: Taken, place: Place) -> dict[str, str]:
 
 
 def read(files: Mapping[str, str], place: Place) -> dict[str, Trim]:
-    """What the tables take off; the INI file tells type, joint and ``BACKLASH``, without it names and values do."""
+    """What the tables take off; type, joint and ``BACKLASH`` come from the INI file, else from names and values."""
     joints = _ini(files)
     taken = {}
     for joint in range(3):
-        name, told = OWN[joint], joints.get(joint, {})
-        file = told.get('COMP_FILE') or f'{AXES[joint].lower()}.comp'
+        name, entry = OWN[joint], joints.get(joint, {})
+        named = entry.get('COMP_FILE')
+        file = named or f'{AXES[joint].lower()}.comp'
         file = next((f for f in files if f.split('/')[-1].lower() == file.split('/')[-1].lower()), None)
         if file is None:
-            if told.get('COMP_FILE'):
-                raise StepdiagError(f'{told["COMP_FILE"]}: is named by the INI file and was not given; '
+            if named:
+                raise StepdiagError(f'{named}: is named by the INI file and was not given; '
                                     'give it with --present too')
-            lost = _value(told, 'BACKLASH', joint)
+            lost = _value(entry, 'BACKLASH', joint)
             if lost:    # compute_screw_comp without a table: half of it on either side
                 half = np.array([0.5 * lost / MILLI])
                 taken[name] = Trim(np.zeros(1), -half, half)
             continue
+        if not named and any(f.lower().endswith('.ini') for f in files):
+            raise StepdiagError(f'{file}: the INI file names no COMP_FILE for joint {joint}, so LinuxCNC does not '
+                                'read it; leave it away, or give the INI file that the control runs')
         rows = _rows(files[file])
         trim = trim_of(rows[:, 0], rows[:, 1], rows[:, 2], file)
-        if (int(_value(told, 'COMP_FILE_TYPE', joint)) if told else _guessed(rows, file)) == 0:
+        if (int(_value(entry, 'COMP_FILE_TYPE', joint)) if named else _guessed(rows, file)) == 0:
             forward, reverse = trim.position - trim.forward, trim.position - trim.reverse
         else:
             forward, reverse = trim.forward, trim.reverse
@@ -85,7 +89,7 @@ def _rows(text: str) -> np.ndarray:
 
 
 def _guessed(rows: np.ndarray, file: str) -> int:
-    """Type of a table that no INI file tells: reached positions follow the nominal ones, trims do not."""
+    """Type of a table without an INI file: reached positions follow the nominal ones, trims do not."""
     span = np.ptp(rows[:, 0])
     follows = np.abs(rows[:, 1] - rows[:, 0]).max()
     small = np.abs(rows[:, 1]).max()
@@ -114,11 +118,11 @@ def _ini(files: Mapping[str, str]) -> dict[int, dict[str, str]]:
     return joints
 
 
-def _value(told: Mapping[str, str], key: str, joint: int) -> float:
+def _value(entry: Mapping[str, str], key: str, joint: int) -> float:
     try:
-        return float(told.get(key, '0'))
+        return float(entry.get(key, '0'))
     except ValueError:
-        raise StepdiagError(f'[JOINT_{joint}] {key} is {told[key]!r}; give a number') from None
+        raise StepdiagError(f'[JOINT_{joint}] {key} is {entry[key]!r}; give a number') from None
 
 
 CONTROL = Control(

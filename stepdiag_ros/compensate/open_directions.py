@@ -64,11 +64,13 @@ def _owes(solution: Solution, name: str, named: list[str]) -> bool:
     if not named:
         return False
     rows, own = [_last(solution, n) for n in named], _last(solution, name)
-    own_variance = solution.covariance[own, own]
+    # Of the repeats: a scale or a tool that the budget knows little of ties errors together that no log could part.
+    covariance = solution.covariance if solution.repeatability is None else solution.repeatability
+    own_variance = covariance[own, own]
     if own_variance <= 0.0:
         return False
-    cross = solution.covariance[own, rows]
-    explained = cross @ np.linalg.pinv(solution.covariance[np.ix_(rows, rows)]) @ cross
+    cross = covariance[own, rows]
+    explained = cross @ np.linalg.pinv(covariance[np.ix_(rows, rows)]) @ cross
     return bool(explained > OWED * own_variance)
 
 

@@ -51,6 +51,8 @@ class Samples:
     ``refractive_index`` (n,): what the interferometer divided out (1.0: none); ones for a PSD.
     ``setup`` (n,) index into ``setup_names`` (the blocks' frame_id).
     ``block`` (n,): number of the block that a sample came in.
+    ``uncertainty_ns`` (n,): by how much each time can be off at most, where the log says so (−1: it does not);
+    None: it says so of none.
     """
 
     time_ns: np.ndarray
@@ -60,6 +62,7 @@ class Samples:
     setup_names: tuple[str, ...]
     setup: np.ndarray
     block: np.ndarray
+    uncertainty_ns: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.time_ns)
@@ -98,6 +101,7 @@ class CalibrationLog:
 
     ``environment`` maps ``air_temperature``, ``air_pressure``, ``humidity``,
     ``scale_temperature/x`` (``/y``, ``/z``) to series; absent keys were not logged.
+    ``clocks`` maps ``sequencer``, ``interferometer``, ``psd`` to the name of the clock that stamped them, where known.
     ``warnings`` say what the reader repaired or left out; ``namespace`` is the machine's.
     """
 
@@ -109,3 +113,4 @@ class CalibrationLog:
     source: str = 'log'
     namespace: str = ''
     warnings: tuple[str, ...] = ()
+    clocks: dict[str, str] = field(default_factory=dict)

@@ -1,14 +1,20 @@
 """What both sensor drivers share: one instrument, its thread, the setup in the stamps."""
 
+import array
 from abc import abstractmethod
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
+from std_msgs.msg import Header
+
+from stepdiag_msgs.msg import SampleTiming
 from stepdiag_msgs.srv import SelectSetup
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.nodes.acquisition import Acquisition
 from stepdiag_ros.nodes.base import ERROR, OK, WARN, Health, StepdiagNode
 from stepdiag_ros.nodes.marked import Marked
+from stepdiag_ros.nodes.stamps import clock_name, stamp_of
 
 
 class DriverNode(StepdiagNode):
@@ -19,8 +25,8 @@ class DriverNode(StepdiagNode):
 
     def __init__(self, name: str, port: int):
         super().__init__(name)
-        self.text('host', '127.0.0.1', 'host name or address of the instrument')
-        self.count('port', port, 'TCP port of the instrument', 1, 65535)
+        self.text('host', '127.0.0.1', 'host name or address of the instrument', fixed=True)
+        self.count('port', port, 'TCP port of the instrument', 1, 65535, fixed=True)
         self.number('timeout', 5.0, 'silence after which the instrument counts as stalled',
                     0.1, 120.0, 's')
         self.number('sample_rate', 1000.0, 'samples a second', 1.0, 1.0e6, 'Hz')
@@ -38,6 +44,15 @@ class DriverNode(StepdiagNode):
     @abstractmethod
     def publish(self, block: Any) -> None:
         """Publish one block."""
+
+    def timing_of(self, block: Any) -> SampleTiming:
+        """When the samples of a block were taken, as it is published."""
+        return SampleTiming(
+            header=Header(stamp=stamp_of(block.stamp_ns), frame_id=self.setup),
+            taken=array.array('i', block.accuracy.taken_ns.astype(np.int32).tobytes()),
+            uncertainty=array.array('I', np.minimum(block.accuracy.uncertainty_ns, 2**32 - 1).astype(
+                np.uint32).tobytes()),
+            missed=block.accuracy.missed, clock=clock_name())
 
     @abstractmethod
     def size(self, block: Any) -> int:

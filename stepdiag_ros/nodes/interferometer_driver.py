@@ -18,9 +18,9 @@ import numpy as np
 from sensor_msgs.msg import FluidPressure, RelativeHumidity, Temperature
 from std_msgs.msg import Header
 
-from stepdiag_msgs.msg import Displacement, Step
+from stepdiag_msgs.msg import Displacement, SampleTiming, Step
 from stepdiag_msgs.srv import ResetDisplacement
-from stepdiag_ros.bag.schemas import STEP
+from stepdiag_ros.bag.schemas import DISPLACEMENT_TIMING, STEP
 from stepdiag_ros.devices.base import DisplacementBlock
 from stepdiag_ros.devices.hostclock import HOST
 from stepdiag_ros.devices.ids3010 import PORT, Ids3010
@@ -45,6 +45,7 @@ class _Machine:
         def publisher(kind: type, topic: str):
             return node.marked.publisher(kind, topic, prefix)
         self.displacement = publisher(Displacement, 'interferometer/displacement')
+        self.timing = publisher(SampleTiming, DISPLACEMENT_TIMING)
         self.environment = {name: publisher(kind, f'environment/{name}')
                             for name, (kind, _, _) in ENVIRONMENT.items()}
         self.scale = publisher(Temperature, 'environment/scale_temperature')
@@ -57,14 +58,14 @@ class InterferometerDriver(DriverNode):
 
     def __init__(self):
         super().__init__('interferometer_driver', PORT)
-        self.count('beams', 1, 'axes of the instrument that look at the mirror', 1, 3)
+        self.count('beams', 1, 'axes of the instrument that look at the mirror', 1, 3, fixed=True)
         self.number('environment_period', 1.0, 'between two readings of the air', 0.5, 60.0, 's')
-        self.text('switch_host', '', 'host name or address of the optical switch; empty: there is none')
-        self.count('switch_port', SWITCH_PORT, 'TCP port of the optical switch', 1, 65535)
+        self.text('switch_host', '', 'host name or address of the optical switch; empty: there is none', fixed=True)
+        self.count('switch_port', SWITCH_PORT, 'TCP port of the optical switch', 1, 65535, fixed=True)
         self.number('hold', 60.0, 'rest after which a machine loses the laser to another that asks',
                     1.0, 36_000.0, 's')
         served = self.text('serves', [''], 'machines that share this instrument, namespace=channel of the '
-                                           'switch, e.g. left=1; empty: its own machine only')
+                                           'switch, e.g. left=1; empty: its own machine only', fixed=True)
         self._channels = _channels(served)
         self._machines = {prefix: _Machine(self, prefix) for prefix in self._channels}
         self._prefix = next(iter(self._channels))
@@ -150,13 +151,15 @@ class InterferometerDriver(DriverNode):
 
     def publish(self, block: DisplacementBlock) -> None:
         quality = block.quality if self._zero_known else np.zeros_like(block.quality)
-        self._quality, self._index = int(quality.min()), block.refractive_index
+        self._quality, self._index = int(quality.max()), block.refractive_index
         message = Displacement(
             header=Header(stamp=stamp_of(block.stamp_ns), frame_id=self.setup),
             sample_period=block.period_s, beams=block.displacement_m.shape[1],
             displacement=array.array('d', np.ascontiguousarray(block.displacement_m).tobytes()),
             refractive_index=block.refractive_index,
             quality=array.array('B', quality.astype(np.uint8).tobytes()))
+        # First when, then what: whoever waits for the samples has their times.
+        self._machines[self._prefix].timing.publish(self.timing_of(block))
         self._machines[self._prefix].displacement.publish(message)
 
     def _publish_environment(self, readings: dict[str, float], now_ns: int) -> None:

@@ -9,8 +9,8 @@ import sys
 import numpy as np
 from std_msgs.msg import Header
 
-from stepdiag_msgs.msg import SpotPosition
-from stepdiag_ros.bag.schemas import SPOT
+from stepdiag_msgs.msg import SampleTiming, SpotPosition
+from stepdiag_ros.bag.schemas import SPOT, SPOT_TIMING
 from stepdiag_ros.devices import t7
 from stepdiag_ros.devices.base import SpotBlock
 from stepdiag_ros.devices.modbus_psd import ModbusPsd
@@ -29,15 +29,16 @@ class PsdDriver(DriverNode):
     def __init__(self):
         super().__init__('psd_driver', t7.CONTROL_PORT)
         self.count('stream_port', t7.STREAM_PORT, 'TCP port of the input box for streamed samples',
-                   1, 65535)
-        self.text('mode', 'stream', 'stream: the box clocks the samples; poll: one request a sample')
+                   1, 65535, fixed=True)
+        self.text('mode', 'stream', 'stream: the box clocks the samples; poll: one request a sample', fixed=True)
         self.text('channels', [0, 1, 2, 3], 'analogue inputs of the photocurrents I1, I2, I3, I4')
-        self.number('length', 0.010, 'edge length of the detector', 1.0e-4, 0.2, 'm')
-        self.number('rotation', 0.0, "from the detector's x to the setup's u", -3.2, 3.2, 'rad')
-        self.text('gain', [1.0, 1.0], "factors of the detector's x and y [1]")
-        self.text('zero', [0.0, 0.0], "zero in the detector's axes, taken off first [m]")
+        self.number('length', 0.010, 'edge length of the detector', 1.0e-4, 0.2, 'm', fixed=True)
+        self.number('rotation', 0.0, "from the detector's x to the setup's u", -3.2, 3.2, 'rad', fixed=True)
+        self.text('gain', [1.0, 1.0], "factors of the detector's x and y [1]", fixed=True)
+        self.text('zero', [0.0, 0.0], "zero in the detector's axes, taken off first [m]", fixed=True)
         self.number('dark', 0.05, 'sum signal below which there is no spot', 0.0, 10.0, 'V')
         self._publisher = self.marked.publisher(SpotPosition, SPOT)
+        self._timing = self.marked.publisher(SampleTiming, SPOT_TIMING)
         self.serve_select('psd/select_setup')
         self._intensity = 0.0
         self._dark = 0
@@ -66,6 +67,7 @@ class PsdDriver(DriverNode):
     def publish(self, block: SpotBlock) -> None:
         self._intensity = float(np.mean(block.intensity_V))
         self._dark = int(np.sum(~np.isfinite(block.x_m)))
+        self._timing.publish(self.timing_of(block))
         self._publisher.publish(SpotPosition(
             header=Header(stamp=stamp_of(block.stamp_ns), frame_id=self.setup),
             sample_period=block.period_s, x=_doubles(block.x_m), y=_doubles(block.y_m),

@@ -91,7 +91,7 @@ def _squareness(axes: np.ndarray, solution: Solution, truth: GeometricErrors | N
             value, sigma = (1e6 * v for v in solution.squareness(name))
             ax.bar([0.0], [2 * K * sigma], bottom=[value - K * sigma], width=0.5, color=AFTER, alpha=0.2)
             ax.plot([-0.25, 0.25], [value, value], color=AFTER, linewidth=1.8)
-            ax.annotate(f'{value:.2f} ± {sigma:.2f}', (0.0, value + K * sigma), ha='center', va='bottom',
+            ax.annotate(f'{value:.2f} ± {K * sigma:.2f}', (0.0, value + K * sigma), ha='center', va='bottom',
                         fontsize=8, xytext=(0, 3), textcoords='offset points')
             reach = max(4.0 * K * sigma, 1e-3)
             true = None if truth is None else truth.square.get(name)

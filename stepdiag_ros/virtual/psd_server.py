@@ -8,6 +8,7 @@ import numpy as np
 
 from stepdiag_ros.devices import t7
 from stepdiag_ros.devices.psd_signal import SpotOptics
+from stepdiag_ros.virtual.ahead import Ahead
 from stepdiag_ros.virtual.cell import Cell
 from stepdiag_ros.virtual.faults import Faults
 from stepdiag_ros.virtual.history import now_ns
@@ -17,15 +18,20 @@ from stepdiag_ros.virtual.serving import announce, open_world, serve
 from stepdiag_ros.virtual.world import World
 
 INPUTS = 14
-TICK_S = 0.002
+TICK_S = 0.005
 """How often the stream looks for scans that are due."""
 BACKLOG_BYTES = 1 << 22
 """What a client may leave unread before scans are skipped, as in the box's own buffer."""
-BLOCKS = ((t7.AIN0, 2 * INPUTS), (t7.STREAM_SCANRATE_HZ, 22),
+BLOCKS = ((t7.AIN0, 2 * INPUTS), (t7.STREAM_SCANRATE_HZ, 26), (t7.CORE_TIMER, 2),
           (t7.STREAM_SCANLIST_ADDRESS0, 256), (t7.STREAM_ENABLE, 2), (t7.AIN0_RANGE, 2 * INPUTS),
           (t7.AIN0_NEGATIVE_CH, INPUTS), (t7.INTERNAL_FLASH_READ_POINTER, 2),
           (t7.INTERNAL_FLASH_READ, 82))
 """First register and number of registers of what is served."""
+
+
+def core_timer(time_ns: int) -> int:
+    """What the box's counter shows at a time."""
+    return time_ns * int(t7.CORE_HZ) // 10**9 % 2**32
 
 
 class Box:
@@ -37,7 +43,7 @@ class Box:
         self._channels = detector.channels
         self._optics = SpotOptics(detector.length, detector.rotation, detector.gain, detector.zero)
         self._calibration = t7.Calibration()
-        self._late_ns = round(world.clock_offset('psd') * 1e9)
+        self._ahead = Ahead(world, round(world.clock_offset('psd') * 1e9))
         self._taken = 0            # scans so far: addresses their noise
         self.stream: Stream | None = None
         self.clients: set[asyncio.StreamWriter] = set()
@@ -52,7 +58,7 @@ class Box:
         inputs[:, self._channels] = DARK_V
         if setup is not None and self.faults.kind != 'no_signal':
             noise = self.world.spot
-            reading = self.world.read(times - self._late_ns - noise.delays_ns(first, len(times)), setup)
+            reading = self._ahead.read(times - noise.delays_ns(first, len(times)), setup)
             spot = noise.readings(reading.spot, first)
             light = np.where(noise.dark(first, len(times)), 0.0, reading.intensity)
             inputs[:, self._channels] = np.maximum(self._optics.volts(spot, light), DARK_V)
@@ -70,6 +76,8 @@ class Box:
             if address < t7.AIN0 + 2 * INPUTS:
                 volts = self.volts(np.array([now_ns()]))[0].astype('>f4')
                 registers[t7.AIN0:t7.AIN0 + 2 * INPUTS] = volts.view('>u2').tolist()
+            elif address == t7.CORE_TIMER:
+                registers[address:address + 2] = t7.uint_registers(core_timer(now_ns()))
             elif address == t7.INTERNAL_FLASH_READ:
                 pointer = self._uint(registers, t7.INTERNAL_FLASH_READ_POINTER)
                 if pointer != t7.CALIBRATION_ADDRESS:
@@ -103,6 +111,8 @@ class Box:
                 and all(a % 2 == 0 and a < 2 * INPUTS for a in addresses)):
             return ILLEGAL_VALUE
         self.stream = Stream(self, rate, [a // 2 for a in addresses], per_packet // width)
+        at = t7.STREAM_START_TIME_STAMP
+        registers[at:at + 2] = t7.uint_registers(core_timer(self.stream.begin_ns))
         return None
 
 
@@ -111,7 +121,7 @@ class Stream:
 
     def __init__(self, box: Box, rate: float, channels: list[int], scans: int):
         self._box, self._rate, self._channels, self._scans = box, rate, channels, scans
-        self._begin_ns = now_ns()
+        self.begin_ns = now_ns()
         self._done = self._sent = 0
         self.task = asyncio.ensure_future(self._run())
 
@@ -119,7 +129,7 @@ class Stream:
         skipped = 0
         while True:
             await asyncio.sleep(TICK_S)
-            due = int((now_ns() - self._begin_ns) * 1e-9 * self._rate) + 1
+            due = int((now_ns() - self.begin_ns) * 1e-9 * self._rate) + 1
             packets = (due - self._done) // self._scans
             if packets == 0:
                 continue
@@ -130,7 +140,7 @@ class Stream:
                 self._done += count
                 skipped += count
                 continue
-            times = self._begin_ns + np.rint(
+            times = self.begin_ns + np.rint(
                 (self._done + np.arange(count)) / self._rate * 1e9).astype(np.int64)
             raw = self._box.raw(times, self._channels).reshape(packets, -1)
             self._done += count

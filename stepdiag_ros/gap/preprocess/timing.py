@@ -5,7 +5,7 @@ reading is half-way, which for a jerk-limited move is half-way in time.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, partial
 
 import numpy as np
@@ -15,6 +15,8 @@ from stepdiag_ros.model.log import CalibrationLog, Samples
 
 ONSET_SIGMAS = 8.0
 """Standard deviations of a reading at rest beyond which it moves."""
+SURE_NS = 1_000_000
+"""A sample whose time is known worse than this tells nothing of a clock."""
 LEAST_MOVES = 24
 """Fewest moves from which the delay between two sensors is told."""
 LEAST_STRETCHES = 6
@@ -46,6 +48,17 @@ class Timing:
     drift_sigma: float
     moves: int
     period: float
+
+
+def well_timed(samples: Samples) -> Samples:
+    """The samples whose time of taking is known, or of which the log does not say how well it is."""
+    if samples.uncertainty_ns is None:
+        return samples
+    sure = samples.uncertainty_ns <= SURE_NS
+    if sure.all() or sure.sum() < 0.2 * len(sure):
+        return samples
+    return replace(samples, **{name: value[sure] for name, value in vars(samples).items()
+                               if isinstance(value, np.ndarray) and len(value) == len(sure)})
 
 
 def timing(samples: Samples, table: StopTable, columns: np.ndarray, rows: np.ndarray) -> Timing | None:

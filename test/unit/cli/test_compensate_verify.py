@@ -80,7 +80,7 @@ def test_the_loop_closes_as_predicted(place, kind, capsys):
     assert 'conforms' in page and '<svg' in page and 'as predicted' in page
 
 
-def test_tables_that_were_not_loaded_are_seen_and_undecided_is_told(place, capsys):
+def test_tables_that_were_not_loaded_are_found_and_undecided_is_reported(place, capsys):
     bag = str(place / 'before')
     prediction = str(place / 'heidenhain' / 'prediction.json')
     assert main(['verify', bag, bag, '--tolerance', '6um', '--prediction', prediction, '--out', str(place / 'w')]) == 1

@@ -1,4 +1,6 @@
-"""Tables applied by implementations of their own, angles and levers present: what is said of them is true."""
+"""Tables applied by implementations of their own, angles and levers present: what is reported about them is true."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -77,6 +79,18 @@ def test_tables_of_a_line_that_harm_are_refused_and_held_back_otherwise():
     assert held.worst_after[0] < held.worst_before[0]
 
 
+def test_many_knots_are_held_back_as_well():
+    """More places than one solution takes at once, more knots than places are judged at."""
+    machine = machine_of()
+    for knots in (21, 31):
+        held = compensation(made(11, sigma=2e-7, knots=knots), machine, CONTROLS['linuxcnc'], ORIGIN).checked()
+        assert held.line_alone is not None
+        target = held.after.points
+        after = off(made(11, sigma=2e-7, knots=knots), machine, target, APPLIED['linuxcnc'](held.files, target, 1))
+        worse = np.linalg.norm(after, axis=1) - held.before.size_m
+        assert np.all(worse <= K * np.maximum(held.before.size_sigma_m, held.after.size_sigma_m) + ROUNDING_M)
+
+
 def test_what_the_kind_of_table_cannot_carry_is_computed():
     ramp = np.linspace(0.0, 1.0, 9)
     machine = machine_of(tool=(0.0, 0.0, 0.0))
@@ -114,6 +128,12 @@ def test_errors_known_worse_than_they_are_large_make_no_table():
 def test_lengths_that_are_not_metres_make_no_table():
     found = compensation(made(1), machine_of(), CONTROLS['isg'], ORIGIN, air='not corrected for air')
     assert found.refusals == ('not corrected for air',) and found.files == {}
+
+
+def test_an_evaluation_that_did_not_converge_makes_no_table():
+    found = compensation(replace(made(1), status='not converged: the model does not describe this log'), machine_of(),
+                         CONTROLS['isg'], ORIGIN)
+    assert found.files == {} and any('not converged' in reason for reason in found.refusals)
 
 
 @pytest.mark.parametrize('kind', list(CONTROLS))

@@ -29,6 +29,9 @@ def drawn(names, count: int = 9, seed: int = 1) -> dict[str, Trim]:
 def test_what_is_written_is_read_back(kind):
     control = CONTROLS[kind]
     taken = drawn(control.carries)
+    if control.reverses:    # an axis by itself may act otherwise in each direction
+        taken |= {f'E{a}{a}': Trim(t.position, t.forward, t.reverse + 3e-6)
+                  for a in AXES for t in [taken[f'E{a}{a}']]}
     again = control.read(control.write(taken, PLACE), PLACE)
     assert set(again) == set(taken)
     for name, trim in taken.items():
@@ -81,6 +84,8 @@ def test_linuxcnc_tables_of_reached_positions_are_told_from_trims():
         assert trim.reverse == pytest.approx([-1e-6, 3e-6, 4e-6])
     with pytest.raises(StepdiagError, match='was not given'):
         CONTROLS['linuxcnc'].read({'mill.ini': ini}, PLACE)
+    with pytest.raises(StepdiagError, match='names no COMP_FILE for joint 1'):
+        CONTROLS['linuxcnc'].read({'mill.ini': ini, 'x.comp': reached, 'y.comp': reached}, PLACE)
 
 
 def test_linuxcnc_backlash_of_the_ini_file_acts_where_there_is_no_table():

@@ -4,16 +4,28 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from scipy import stats
 
+from stepdiag_ros.devices.ids3010 import Ids3010
+from stepdiag_ros.devices.linuxcnc_rsh import LinuxCncRsh
+from stepdiag_ros.devices.modbus_psd import ModbusPsd
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.model.log import DWELL, MOVE
-from stepdiag_ros.virtual.cell import parse_cell
+from stepdiag_ros.virtual.cell import load_cell, parse_cell
+from stepdiag_ros.virtual.cell_process import CellProcess
 from stepdiag_ros.virtual.noise import NoiseLaw, NoiseLaws, Numbers, SensorNoise, Spread
 from stepdiag_ros.virtual.offline import simulate_log
 
 DEMO = Path(__file__).resolve().parents[3] / 'cells' / 'demo.yaml'
 SIGMA = 2.0e-7
+LAW = """
+noise_law:
+  displacement: {dof: 3, correlation: 0.6, quantum: 2.0e-9, dropouts: 0.1, burst: 8}
+  spot: {dof: 4, correlation: 0.5, dropouts: 0.08, burst: 4, spikes: 0.02, spike_size: 40}
+  position: {dof: 3, correlation: 0.7}
+  angle: {correlation: -0.5}
+"""
 
 
 @pytest.mark.parametrize('dof', [2.5, 3.0, 10.0])
@@ -109,3 +121,53 @@ def test_arrivals_follow_their_law():
 def test_a_law_that_cannot_be_is_refused_by_its_key(text, named):
     with pytest.raises(StepdiagError, match=named):
         parse_cell(DEMO.read_text() + text, str(DEMO))
+
+
+def _summary(values: np.ndarray, dark: np.ndarray) -> dict[str, float]:
+    """What a law shows in readings at rest: shares, tails, correlation."""
+    good = values[~dark]
+    middle = np.median(good)
+    scale = np.median(np.abs(good - middle))
+    pairs = ~dark[:-1] & ~dark[1:]
+    rank = stats.spearmanr(values[:-1][pairs], values[1:][pairs]).statistic
+    return {'dark': dark.mean(), 'scale': scale, 'tails': np.mean(np.abs(good - middle) > 6.0 * scale), 'rank': rank}
+
+
+def test_over_the_wire_noise_falls_as_it_does_in_simulation(tmp_path):
+    file = tmp_path / 'cell.yaml'
+    file.write_text(yaml.safe_dump(yaml.safe_load(DEMO.read_text()) | yaml.safe_load(LAW)))
+    cell = load_cell(file)
+    with CellProcess(file, tmp_path / 'runtime') as process:
+        where = process.start()
+        cnc = LinuxCncRsh('127.0.0.1', where['cnc']['port'], setup_codes=where['cnc']['setup_codes'])
+        meter = Ids3010('127.0.0.1', where['interferometer']['port'])
+        # By request the inputs come as floats; a stream's 16 bits would add steps of 0.2 µm.
+        detector = ModbusPsd('127.0.0.1', where['psd']['port'], mode='poll')
+        for client in (cnc, meter, detector):
+            client.connect()
+        cnc.make_ready()
+        cnc.select_setup('ppp')
+        meter.reset()
+        lengths, spots = [], []
+        while sum(len(block.quality) for block in lengths) < 4000:
+            lengths.append(meter.read_block(200, 1e-3))
+        while sum(len(block.x_m) for block in spots) < 4000:
+            spots.append(detector.read_block(200, 1e-3))
+        for client in (cnc, meter, detector):
+            client.close()
+    length = np.concatenate([block.displacement_m[:, 0] for block in lengths])
+    live = {'displacement': _summary(length, np.concatenate([block.quality for block in lengths]) == 0)}
+    spot = np.concatenate([block.x_m for block in spots])
+    live['spot'] = _summary(np.nan_to_num(spot), np.isnan(spot))
+    # At rest a simulated log is the truth and the same noise.
+    for name, sigma, columns in (('displacement', 5e-9, 1), ('spot', 2e-7, 2)):
+        law = getattr(cell.noise_law, name)
+        sensor = SensorNoise(law, sigma, cell.seed, name)
+        said = _summary(sensor.readings(np.zeros((20_000, columns)), 0)[:, 0], sensor.dark(0, 20_000))
+        assert abs(live[name]['dark'] - said['dark']) < 0.03
+        assert abs(live[name]['scale'] / said['scale'] - 1.0) < 0.1
+        assert abs(live[name]['tails'] - said['tails']) < 0.015
+        assert abs(live[name]['rank'] - said['rank']) < 0.08
+    simulated = simulate_log(cell, setups=('ppp',))
+    assert abs(np.mean(simulated.displacement.health == 0) - 0.1) < 0.03
+    assert abs(np.isnan(simulated.spot.values[:, 0]).mean() - 0.08) < 0.03
