@@ -17,7 +17,7 @@ MODULE_LICENSE("Dual Apache-2.0/GPL");
 static char *file;
 RTAPI_MP_STRING(file, "solution file");
 
-typedef struct { hal_float_t *joint[3]; hal_s32_t *counts[3]; } pins_t;
+typedef struct { hal_bit_t *enable; hal_float_t *joint[3]; hal_s32_t *counts[3]; } pins_t;
 static pins_t *pins;
 static field_t field;
 static int comp_id;
@@ -30,7 +30,8 @@ static void update(void *arg, long period)
     (void)arg; (void)period;
     for (k = 0; k < 3; k++) q[k] = *pins->joint[k];
     field_error(&field, q, field.tool, 1.0, error);
-    for (k = 0; k < 3; k++) *pins->counts[k] = (int)rint(-error[k] * 1e6);
+    /* LinuxCNC adds up what the counts change by: they must be zero until all joints are homed. */
+    for (k = 0; k < 3; k++) *pins->counts[k] = *pins->enable ? (int)rint(-error[k] * 1e6) : 0;
 }
 
 int rtapi_app_main(void)
@@ -40,6 +41,7 @@ int rtapi_app_main(void)
     comp_id = hal_init("stepdiagoffsets");
     if (comp_id < 0 || !file || field_read(&field, file)) return -1;
     pins = hal_malloc(sizeof *pins);
+    hal_pin_bit_newf(HAL_IN, &pins->enable, comp_id, "stepdiagoffsets.enable");
     for (k = 0; k < 3; k++) {
         hal_pin_float_newf(HAL_IN, &pins->joint[k], comp_id, "stepdiagoffsets.joint-%d", k);
         hal_pin_s32_newf(HAL_OUT, &pins->counts[k], comp_id, "stepdiagoffsets.counts-%d", k);

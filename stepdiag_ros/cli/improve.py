@@ -36,7 +36,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('cell', metavar='CELL.yaml', type=Path, help='cell file')
     parser.add_argument('--level', choices=('tables', 'matrix', 'volume'), default='volume',
                         help='screw tables; these and squareness by matrixkins; all 21 errors (default)')
-    parser.add_argument('--undo', action='store_true', help='put back what the last change replaced, and measure nothing')
+    parser.add_argument('--undo', action='store_true',
+                        help='put back what the last change replaced, and measure nothing')
     parser.add_argument('--yes', action='store_true', help='write without asking')
     parser.add_argument('--hardware', action='store_true', help='the instruments and the control are real')
     parser.add_argument('--partial', action='store_true', help='leave out what the log leaves open')
@@ -75,7 +76,8 @@ def run(args: argparse.Namespace) -> int:
         raise StepdiagError(f'{args.cell}: instruments.cnc.control is {cell.instruments.control!r}, a control that '
                             'cannot be compensated; write linuxcnc, or give --hardware for a real machine')
     if cell.instruments.multiplexer:
-        raise StepdiagError(f'{args.cell}: shares its interferometer; improve one machine at a time, without multiplexer')
+        raise StepdiagError(f'{args.cell}: shares its interferometer; improve one machine at a time, without '
+                            'multiplexer')
     if cell.description.machine.origin is None:
         raise StepdiagError(f"{args.cell}: machine.origin is missing; give the machine coordinates [m] of the volume's "
                             'lower corner, the tables are written in them')
@@ -176,9 +178,9 @@ def _fresh_noise(path: Path, cell: Any, out: Path) -> Path:
 def _plan(change: 'Change', folder: Path) -> str:
     """What the machine is like, would be like, and what would be written."""
     now, then = change.worst_before, change.worst_after
-    lines = [f'largest deviation in the volume now       {MICRO * now[0]:8.2f} µm, U = {MICRO * now[1]:.2f} µm (k = 2)',
-             f'predicted with level {change.level:8}            {MICRO * then[0]:8.2f} µm, U = {MICRO * then[1]:.2f} µm '
-             '(k = 2)', f'files in {folder}:']
+    lines = [f'largest deviation in the volume, {when:20} {MICRO * size:8.2f} µm, U = {MICRO * spread:.2f} µm (k = 2)'
+             for when, (size, spread, _) in (('now', now), (f'with level {change.level}', then))]
+    lines.append(f'files in {folder}:')
     lines += [f'  {"write" if text is not None else "remove"} {name}' for name, text in change.files.items()
               if text is not None or (folder / name).exists()]
     return '\n'.join([*lines, *(f'note: {note}' for note in change.notes)])
@@ -196,8 +198,8 @@ def _agreed(args: argparse.Namespace, folder: Path) -> bool:
 def _restarted() -> None:
     print('Restart LinuxCNC, start its linuxcncrsh, home the machine, then press Enter.', file=sys.stderr, flush=True)
     if not sys.stdin.readline():
-        raise StepdiagError('nobody confirmed that LinuxCNC was restarted; calibrate again by hand, or take the change '
-                            'back with --undo')
+        raise StepdiagError('nobody confirmed that LinuxCNC was restarted; calibrate again by hand, or take the '
+                            'change back with --undo')
 
 
 def _result(found: Any, args: argparse.Namespace, out: Path) -> str:

@@ -206,7 +206,8 @@ def _places(solution: Solution, machine: Machine, point: FunctionalPoint, measur
     for axis in range(3):
         names = [f'E{m}{AXES[axis]}' for m in 'XYZABC' if solution.has(f'E{m}{AXES[axis]}')]
         knots = np.asarray(solution.positions[names[0]], float) if names else point.line[axis:axis + 1]
-        axes.append(knots if len(knots) <= most else np.linspace(knots[0], knots[-1], most))
+        fine = _finer(knots)
+        axes.append(fine if len(fine) <= most else np.linspace(knots[0], knots[-1], most))
     if whole:
         return np.stack(np.meshgrid(*axes, indexing='ij'), axis=-1).reshape(-1, 3)
     lines = []
@@ -215,6 +216,11 @@ def _places(solution: Solution, machine: Machine, point: FunctionalPoint, measur
         points[:, axis] = axes[axis]
         lines.append(points)
     return np.concatenate(lines) if lines else point.line[None, :]
+
+
+def _finer(knots: np.ndarray) -> np.ndarray:
+    """Positions with those half-way in between: there deviations pass through zero, and tables may do harm."""
+    return np.sort(np.concatenate([knots, 0.5 * (knots[1:] + knots[:-1])]))
 
 
 def _of_line(solution: Solution, machine: Machine, point: FunctionalPoint, control: Control) -> dict[str, Trim]:

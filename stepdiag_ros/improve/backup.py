@@ -32,7 +32,8 @@ def keep(folder: Path, names: Iterable[str]) -> Path:
                 absent.append(name)
         target.mkdir(parents=True, exist_ok=True)
         # The note comes last: a copy without it is not whole and does not count.
-        (target / MANIFEST).write_text(json.dumps({'there': there, 'absent': absent}, indent=1) + '\n', encoding='utf-8')
+        noted = json.dumps({'there': there, 'absent': absent}, indent=1) + '\n'
+        (target / MANIFEST).write_text(noted, encoding='utf-8')
     except OSError as error:
         raise StepdiagError(f'{target}: cannot be written: {error.strerror or error}') from None
     return target

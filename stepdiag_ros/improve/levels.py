@@ -30,6 +30,8 @@ LEVELS = ('tables', 'matrix', 'volume')
 PER_AXIS = 9
 """Places an axis at which the volume is judged, corners included."""
 CONTROL = CONTROLS['linuxcnc']
+SHARES = (1.0, 0.75, 0.5, 0.25)
+"""Shares of the squareness errors that are tried."""
 
 
 @dataclass(frozen=True)
@@ -125,7 +127,8 @@ def change(level: str, solution: Solution, machine: Machine, present: Present, *
     refusals = [air] if air else []
     touched = known.open if level == 'volume' else ()
     if touched and not partial:
-        refusals.append(f'the log leaves {", ".join(touched)} open ({"; ".join(known.runs)}); --partial leaves them out')
+        refusals.append(f'the log leaves {", ".join(touched)} open ({"; ".join(known.runs)}); '
+                        '--partial leaves them out')
     kept = without(solution, known.unmeasured + known.open)
     points = places(machine)
     before = predict(kept, machine, points)
@@ -136,7 +139,11 @@ def change(level: str, solution: Solution, machine: Machine, present: Present, *
         raise StepdiagError('the control carries the volumetric compensation; take it back first (improve --undo) or '
                             'keep --level volume')
     else:
-        result = _tables(level, solution, kept, machine, present, before, partial, matrixkins)
+        # Squareness and what it hides may cancel somewhere: as much of it as leaves no place worse.
+        for share in SHARES if level == 'matrix' else (0.0,):
+            result = _tables(level, solution, kept, machine, present, before, partial, matrixkins, share)
+            if not _harm(before, result.after):
+                break
     return replace(result, refusals=tuple(refusals) + result.refusals + _harm(before, result.after))
 
 
@@ -155,13 +162,14 @@ def _volume(solution: Solution, machine: Machine, present: Present, before: Pred
 
 
 def _tables(level: str, solution: Solution, kept: Solution, machine: Machine, present: Present, before: Prediction,
-            partial: bool, matrixkins: bool) -> Change:
+            partial: bool, matrixkins: bool, share: float) -> Change:
     origin = np.array(machine.origin)
-    square = {name: kept.squareness(name)[0] for name in SQUARENESS if kept.has(name)} if level == 'matrix' else {}
-    made: Compensation = compensation(_squared(solution, square), machine, CONTROL, origin, None, present.present, partial)
+    square = {name: share * kept.squareness(name)[0] for name in SQUARENESS if kept.has(name)} if share else {}
+    made: Compensation = compensation(_squared(solution, square), machine, CONTROL, origin, None, present.present,
+                                      partial)
     tables = {letter: made.files[f'{letter.lower()}.comp'] for letter in AXES if f'{letter.lower()}.comp' in made.files}
-    left = left_of(GeometricErrors(kept.errors.curves, {n: v for n, v in kept.errors.square.items() if n not in square}),
-                   made.change)
+    rest = {name: value - square.get(name, 0.0) for name, value in kept.errors.square.items()}
+    left = left_of(GeometricErrors(kept.errors.curves, rest), made.change)
     after = Prediction(before.points, deviation(left, machine, before.points), before.covariance_m2)
     ours = GeometricErrors({}, square)
     if level == 'tables':
@@ -173,6 +181,8 @@ def _tables(level: str, solution: Solution, kept: Solution, machine: Machine, pr
             ours, machine.name, machine.tool, machine.volume, tuple(origin), machine.chain))
     notes = () if level == 'tables' or matrixkins else (
         'this LinuxCNC has no matrixkins; stepdiagkins carries the matrix',)
+    if 0.0 < share < 1.0:
+        notes += (f'{100.0 * share:.0f} % of the squareness errors are taken off; more would make some place worse',)
     return Change(level, configuration.renamed(files, present.ini_name), before, after, None, made.refusals, notes)
 
 
@@ -190,5 +200,6 @@ def _harm(before: Prediction, after: Prediction) -> tuple[str, ...]:
     if more[row] <= 0.0:
         return ()
     at = ', '.join(f'{1e3 * c:.0f}' for c in before.points[row])
-    return (f'the place ({at}) mm of the volume would become worse beyond its U, from {1e6 * before.size_m[row]:.1f} to '
-            f'{1e6 * after.size_m[row]:.1f} µm (U = {1e6 * K * after.size_sigma_m[row]:.1f} µm, k = 2)',)
+    return (f'the place ({at}) mm of the volume would become worse beyond its U, from '
+            f'{1e6 * before.size_m[row]:.1f} to {1e6 * after.size_m[row]:.1f} µm '
+            f'(U = {1e6 * K * after.size_sigma_m[row]:.1f} µm, k = 2)',)

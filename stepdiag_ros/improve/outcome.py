@@ -61,8 +61,9 @@ class Outcome:
 
     @property
     def better(self) -> bool:
-        """Whether the largest deviation has fallen, and no stop is worse beyond U."""
-        return worst(self.after)[0] < worst(self.before)[0] and not np.any(self.stops.worse > 0.0)
+        """Whether the largest deviation has fallen beyond what noise does, and no stop is worse beyond U."""
+        fallen = worst(self.before)[0] - worst(self.after)[0]
+        return fallen > self.off_bound_m and not np.any(self.stops.worse > 0.0)
 
     @property
     def factor(self) -> float:

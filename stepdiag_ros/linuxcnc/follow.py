@@ -3,7 +3,7 @@
 
 Reads ``stepdiagfollow.x y z`` [mm] and ``stepdiagfollow.setup`` (number of the mounted setup, 0: none) some
 hundred times a second and appends to a file what changes: a header (count, time of the newest look), then
-records (time [ns], setup − 1, x, y, z [m]).  A record is complete before the count includes it; between two
+records (monotonic time [ns], setup − 1, x, y, z [m]).  A record is complete before the count includes it; between two
 records the machine moved straight, and the last one holds until the time of the newest look.  Needs
 LinuxCNC's Python module and nothing else.
 """
@@ -28,8 +28,8 @@ class Track:
         with open(part, 'wb') as file:
             file.truncate(HEADER.size + CAPACITY * RECORD.size)
         os.chmod(part, 0o644)
-        self._file = open(part, 'r+b')
-        self._map = mmap.mmap(self._file.fileno(), 0)
+        with open(part, 'r+b') as file:
+            self._map = mmap.mmap(file.fileno(), 0)
         self._count = 0
         self._last = None
         self._written_ns = 0
@@ -71,7 +71,7 @@ def main() -> None:
         while True:
             # To the picometre: what is left of a computation at rest is no motion.
             place = tuple(round(component[axis] * 1e-3, 12) for axis in 'xyz')
-            track.look(time.time_ns(), round(component['setup']) - 1, place)
+            track.look(time.monotonic_ns(), round(component['setup']) - 1, place)
             time.sleep(PERIOD_S)
     except KeyboardInterrupt:
         pass

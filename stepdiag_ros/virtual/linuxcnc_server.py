@@ -17,6 +17,8 @@ from stepdiag_ros.virtual.serving import MOTION_FILE, announce, serve
 
 TRACK = 'track.bin'
 WATCH_S = 0.2
+SILENCE_S = 1.0
+"""Silence of the client that a simulated machine bears: nothing is harmed, and busy computers keep clients waiting."""
 
 
 def setup_codes(cell: Cell) -> dict[str, str]:
@@ -51,7 +53,7 @@ async def main(cell: Cell, runtime: Path) -> None:
     try:
         ini = (machine.folder / 'machine.ini').read_text(encoding='utf-8')
         heart = cell.instruments.watch_port or free_port()
-        for files in (lambda text: configuration.watched(text, heart),
+        for files in (lambda text: configuration.watched(text, heart, silence_s=SILENCE_S),
                       lambda text: configuration.followed(text, str(machine.folder / TRACK))):
             configuration.write(machine.folder, files(ini))
             ini = (machine.folder / 'machine.ini').read_text(encoding='utf-8')

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from stepdiag_ros.errors import StepdiagError
-from stepdiag_ros.virtual.history import SEGMENT, History
+from stepdiag_ros.virtual.history import SEGMENT, History, now_ns
 
 RECORD = np.dtype([('time_ns', '<i8'), ('setup', '<i8'), ('place', '<f8', 3)])
 HEADER_BYTES = 16
@@ -41,7 +41,7 @@ class SampledHistory(History):
 
     def follow(self) -> int:
         """Take in what was looked up until now; waits for the look that is due.  Returns the moves."""
-        now, began = time.time_ns(), time.monotonic()
+        now, began = now_ns(), time.monotonic()
         while int(self._header[1]) < now - FRESH_NS and time.monotonic() - began < PATIENCE_S:
             time.sleep(0.0005)
         if now - int(self._header[1]) > DEAD_S * 1e9:

@@ -3,7 +3,6 @@
 import os
 import shutil
 import subprocess
-from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -45,8 +44,7 @@ def need_components() -> None:
             pytest.skip(str(error))
 
 
-def configured(folder: Path, changes: Mapping[str, str | None] = {}, speed: float = 0.5,
-               watched: bool = True) -> int:
+def configured(folder: Path, speed: float = 0.5, watched: bool = True) -> int:
     """A simulated machine's configuration, with the watchdog; its heartbeat port (0 without)."""
     files = configuration.simulated('test', TRAVEL, ORIGIN, speed, 2.0)
     port = 0
@@ -54,7 +52,6 @@ def configured(folder: Path, changes: Mapping[str, str | None] = {}, speed: floa
         port = free_port()
         files |= configuration.watched(files['machine.ini'], port)
     configuration.write(folder, files)
-    configuration.write(folder, changes)
     return port
 
 

@@ -1,0 +1,65 @@
+"""The loop closed on a real LinuxCNC: calibrate, compensate, load, restart, calibrate, verify; one command.
+
+The machine has errors of all 21 kinds.  What the command says of it is held against the truth, which it does not
+know: where the tool point really is at the joints that the control commands.
+"""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from linuxcnc_machine import need_components
+
+from stepdiag_ros.compensate.control import Place
+from stepdiag_ros.compensate.controls import CONTROLS
+from stepdiag_ros.compensate.taken import left_of
+from stepdiag_ros.estimate.prediction import deviation, without_rigid_motion
+from stepdiag_ros.improve import levels
+from stepdiag_ros.virtual.cell import load_cell
+
+pytestmark = [pytest.mark.linuxcnc, pytest.mark.timeout(1200)]
+CELL = Path(__file__).resolve().parents[2] / 'cells' / 'linuxcnc.yaml'
+
+
+def stepdiag(*words: str) -> subprocess.CompletedProcess:
+    return subprocess.run([sys.executable, '-m', 'stepdiag_ros.cli.main', *map(str, words)], text=True,
+                          capture_output=True, timeout=1000, stdin=subprocess.DEVNULL, check=False)
+
+
+def true_deviation(cell, folder: Path) -> float:
+    """Largest true deviation [m] in the volume under what the control holds; the frame's own turn is nobody's error."""
+    machine, points = cell.description.machine, levels.places(cell.description.machine)
+    held = levels.held(folder)
+    errors = cell.geometry
+    if held.tables:
+        errors = left_of(errors, CONTROLS['linuxcnc'].read(held.present, Place(machine, np.array(machine.origin))))
+    joints = points if held.volume is None else points - held.volume.taken_off(points)
+    field = deviation(errors, machine, joints) + (joints - points)
+    return float(np.linalg.norm(without_rigid_motion(points, field), axis=1).max())
+
+
+@pytest.mark.parametrize('level, factor', [('tables', 1.2), ('volume', 10.0)])
+def test_the_machine_becomes_as_good_as_predicted(tmp_path, level, factor):
+    need_components()
+    path = tmp_path / 'cell.yaml'
+    path.write_text(CELL.read_text())
+    cell, control, out = load_cell(path), tmp_path / 'control', tmp_path / 'out'
+    done = stepdiag('improve', path, '--level', level, '--yes', '--json', '--out', out)
+    assert done.returncode == 0, done.stderr[-2000:] + done.stdout[-2000:]
+    found = json.loads(done.stdout)
+    print({key: found[key] for key in ('level', 'before', 'predicted', 'after', 'factor', 'off_prediction_m',
+                                       'off_prediction_bound_m', 'seconds')}, found['stops']['worse'])
+    assert found['as_predicted'] and found['better'] and found['stops']['worse'] == 0
+    assert found['factor'] >= factor
+    bound = found['off_prediction_bound_m']
+    assert abs(found['after']['largest_m'] - found['predicted']['largest_m']) <= bound
+    # The truth, which nobody told the command.
+    after = true_deviation(cell, control)
+    undone = stepdiag('improve', path, '--undo')
+    assert undone.returncode == 0 and 'machine.ini' in undone.stdout
+    before = true_deviation(cell, control)
+    assert before / after >= factor
+    assert after <= found['predicted']['largest_m'] + bound

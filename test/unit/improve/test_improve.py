@@ -1,0 +1,149 @@
+"""Levels, backup and what the next calibration says, on logs of the virtual cell; no control needed."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.estimate import evaluate
+from stepdiag_ros.estimate.prediction import deviation, without_rigid_motion
+from stepdiag_ros.improve import backup, levels
+from stepdiag_ros.improve.applied import without_applied
+from stepdiag_ros.improve.outcome import outcome
+from stepdiag_ros.linuxcnc import configuration
+from stepdiag_ros.linuxcnc.ini import get
+from stepdiag_ros.model.machine import compose, rotation
+from stepdiag_ros.virtual.cell import load_cell
+from stepdiag_ros.virtual.offline import simulate_log
+from stepdiag_ros.virtual.world import World
+
+CELL = Path(__file__).resolve().parents[3] / 'cells' / 'linuxcnc.yaml'
+
+
+@pytest.fixture(scope='module')
+def cell():
+    return load_cell(CELL)
+
+
+@pytest.fixture(scope='module')
+def log(cell):
+    return simulate_log(cell)
+
+
+@pytest.fixture(scope='module')
+def first(log):
+    return evaluate(log)
+
+
+@pytest.fixture
+def control(cell, tmp_path):
+    machine = cell.description.machine
+    configuration.write(tmp_path, configuration.simulated(machine.name, machine.volume, machine.origin, 0.5, 2.0))
+    return tmp_path
+
+
+def compensated_log(cell, taken_off, monkeypatch):
+    """What the same machine gives when its joints are moved by what a compensation takes off."""
+    class Compensated(World):
+        def pose(self, moment, angle):
+            machine = self.cell.description.machine
+            joints = moment.position - taken_off(moment.position)
+            motions = [self.cell.geometry.motions(axis, joints[:, axis]) for axis in range(3)]
+            point, attitude = compose(machine.chain, np.array([shift for shift, _ in motions]),
+                                      np.array([turn for _, turn in motions]), machine.tool)
+            return point + moment.shift, rotation(angle + moment.turn) @ attitude
+    monkeypatch.setattr('stepdiag_ros.virtual.offline.World', Compensated)
+    return simulate_log(cell)
+
+
+@pytest.mark.parametrize('level', ['tables', 'volume'])
+def test_a_level_makes_the_machine_better_and_says_by_how_much(level, cell, log, first, control):
+    change = levels.change(level, first, cell.description.machine, levels.held(control))
+    assert change.refusals == ()
+    assert change.worst_after[0] < (0.05 if level == 'volume' else 0.9) * change.worst_before[0]
+    configuration.write(control, change.files)
+    held = levels.held(control)
+    assert bool(held.tables) == (level == 'tables') and (held.volume is not None) == (level == 'volume')
+
+
+def test_a_compensated_machine_is_evaluated_with_the_compensation_put_back(cell, log, first, control, monkeypatch):
+    """Its angles act nowhere any more, which no rigid-body machine does: only with the compensation put back is the
+    log one of a machine with 21 errors, and what remains is what remains in truth."""
+    machine = cell.description.machine
+    change = levels.change('volume', first, machine, levels.held(control))
+    again = compensated_log(replace(cell, seed=cell.seed + 1), change.applied.taken_off, monkeypatch)
+    assert evaluate(again).reduced_chi2 > 2.0
+    under = without_applied(again, change.applied.taken_off)
+    second = evaluate(under)
+    assert second.reduced_chi2 < 1.4
+    found = outcome(change, first, None, second, under)
+    assert found.as_predicted and found.better and found.factor > 10.0
+    points = change.before.points
+    joints = points - change.applied.taken_off(points)
+    truth = without_rigid_motion(points, deviation(cell.geometry, machine, joints) + joints - points)
+    assert np.linalg.norm(truth, axis=1).max() < found.off_bound_m
+    # Nothing done is not as predicted, and is said so.
+    idle = outcome(change, first, None, evaluate(without_applied(log, change.applied.taken_off)), log)
+    assert not idle.as_predicted and not idle.better
+
+
+def test_the_volume_takes_up_screw_tables_that_are_there(cell, log, first, control):
+    """Machine under tables, then volumetric: what is taken off is what volumetric alone takes off a bare machine."""
+    machine = cell.description.machine
+    bare = levels.change('volume', first, machine, levels.held(control)).applied
+    tables = levels.change('tables', first, machine, levels.held(control))
+    configuration.write(control, tables.files)
+    under = evaluate(log)    # of the machine under the tables: its errors less what they take off
+    taken = levels.CONTROL.read(levels.held(control).present, levels.Place(machine, np.array(machine.origin)))
+    left = levels.left_of(under.errors, taken)
+    rows = {name: i for i, name in enumerate(under.names)}
+    value = under.value.copy()
+    for (name, knot), i in rows.items():
+        value[i] = left.square[name] if knot < 0 else left.curves[name](under.positions[name])[knot]
+    again = levels.change('volume', replace(under, value=value), machine, levels.held(control))
+    points = levels.places(machine)
+    np.testing.assert_allclose(again.applied.taken_off(points), bare.taken_off(points), atol=2e-9)
+    assert get(again.files['machine.ini'], 'JOINT_0', 'COMP_FILE') == []
+
+
+def test_open_directions_are_refused(cell, log, first, control):
+    from stepdiag_ros.estimate.solution import Unidentifiable
+    blind = replace(first, unidentifiable=(Unidentifiable(('EYY slope',), 'nobody looked'),))
+    change = levels.change('volume', blind, cell.description.machine, levels.held(control))
+    assert any('EYY' in text for text in change.refusals)
+    assert not levels.change('volume', blind, cell.description.machine, levels.held(control), partial=True).refusals
+
+
+def test_without_an_origin_nothing_is_written(cell, first, control):
+    with pytest.raises(StepdiagError, match=r'machine\.origin'):
+        levels.change('volume', first, replace(cell.description.machine, origin=None), levels.held(control))
+
+
+def test_a_control_under_matrixkins_is_not_measured(control):
+    ini = control / 'machine.ini'
+    ini.write_text(ini.read_text().replace('trivkins coordinates=XYZ', 'matrixkins'))
+    with pytest.raises(StepdiagError, match='matrixkins'):
+        levels.held(control)
+
+
+def test_undo_puts_back_every_byte(cell, first, control):
+    before = {path.relative_to(control): path.read_bytes() for path in control.rglob('*') if path.is_file()}
+    for level in ('tables', 'volume'):
+        change = levels.change(level, first, cell.description.machine, levels.held(control))
+        backup.keep(control, change.files)
+        configuration.write(control, change.files)
+    backup.undo(control)
+    assert levels.held(control).tables and levels.held(control).volume is None
+    backup.undo(control)
+    after = {path.relative_to(control): path.read_bytes() for path in control.rglob('*') if path.is_file()}
+    assert after == before
+    with pytest.raises(StepdiagError, match='nothing to undo'):
+        backup.undo(control)
+
+
+def test_half_a_backup_is_none(control):
+    (control / backup.BACKUPS / '001').mkdir(parents=True)
+    with pytest.raises(StepdiagError, match='nothing to undo'):
+        backup.undo(control)
