@@ -16,8 +16,8 @@ ROOT = Path(__file__).resolve().parent.parent
 REQUIREMENTS = ROOT / 'requirements'
 PYTHONS = ('3.11', '3.12', '3.13')
 PINNED = ('build', 'run', 'test', 'constraints')
-HEAD = ('# Every package that `make setup-tests` installs, with the hashes of its files: with HASHES=1 it installs nothing\n'
-        '# else.  Written by `make lock`.\n')
+HEAD = ('# Every package that `make setup-tests` installs, with the hashes of its files; with HASHES=1 it installs\n'
+        '# nothing else.  Written by `make lock`.\n')
 
 
 def tools() -> Path:
