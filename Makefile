@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 HASHES ?=
 SETUP = python=$$(PYTHON="$(PYTHON)" sh tools/find_python.sh) && "$$python" tools/setup_env.py --venv "$(VENV)" $(if $(HASHES),--hashes)
 
-.PHONY: setup setup-tests demo test lint bench blind fuzz linuxcnc-test browser-test ros-workspace sbom lock clean
+.PHONY: setup setup-tests demo test test-floor lint bench blind fuzz linuxcnc-test browser-test ros-workspace sbom lock clean
 
 setup:
 	@$(SETUP)
@@ -20,6 +20,15 @@ demo: setup
 
 test: setup-tests
 	$(BIN)/python -m pytest -n $(WORKERS) $(ARGS)
+
+# With the oldest libraries that work (requirements/floor.txt), in an environment of its own: what computes, reads,
+# writes and talks to instruments, and one calibration through the running nodes.
+FLOOR ?= build/floor
+FLOOR_TESTS ?= test/unit/estimate test/unit/bag test/unit/virtual test/unit/devices test/unit/report \
+	test/node/test_calibration.py::test_live_replayed_and_read_have_the_same_bits
+test-floor:
+	@python=$$(PYTHON="$(PYTHON)" sh tools/find_python.sh) && "$$python" tools/setup_env.py --venv "$(FLOOR)" --tests --floor
+	$(FLOOR)/bin/python -m pytest -n $(WORKERS) $(FLOOR_TESTS) $(ARGS)
 
 lint: setup-tests
 	$(BIN)/ruff check .

@@ -20,7 +20,16 @@ NODES = (
     'bringup',
 )
 
-EXTRAS = {'pictures': ['matplotlib'], 'compression': ['zstandard', 'lz4'], 'instruments': ['pymodbus']}
+# From the oldest that `make test-floor` passes with (requirements/floor.txt) to before the next major version after
+# those of requirements/run.txt; pymodbus changes what it offers with each minor one.
+REQUIRES = (
+    'numpy>=1.26.4,<3',
+    'scipy>=1.11.4,<2',
+    'PyYAML>=6.0.1,<7',
+    'mcap>=1.5.0,<2',
+)
+EXTRAS = {'pictures': ['matplotlib>=3.6.3,<4'], 'compression': ['zstandard>=0.22.0,<1', 'lz4>=4.0.2,<5'],
+          'instruments': ['pymodbus>=3.6.3,<3.17']}
 
 manifest = ElementTree.parse(Path(__file__).with_name('package.xml')).getroot()
 
@@ -32,10 +41,11 @@ setup(
     maintainer=manifest.findtext('maintainer'),
     maintainer_email=manifest.find('maintainer').get('email'),
     packages=find_packages(include=[NAME, f'{NAME}.*']),
-    package_data={NAME: ['**/*.yaml', '**/*.html', '**/*.css', '**/*.js', '**/*.svg', '**/*.xml', 'py.typed']},
+    package_data={NAME: ['py.typed', *(f'**/*.{kind}' for kind in ('yaml', 'html', 'css', 'js', 'svg', 'xml', 'c', 'h',
+                                                                   'hal'))]},
     python_requires='>=3.11',
     # ROS 2 itself and stepdiag_msgs come with colcon or by `make setup`; reading and evaluating needs neither.
-    install_requires=['numpy', 'scipy', 'PyYAML', 'mcap'],
+    install_requires=list(REQUIRES),
     extras_require=EXTRAS | {'all': sorted({name for names in EXTRAS.values() for name in names})},
     zip_safe=False,
     data_files=[

@@ -31,8 +31,8 @@ from stepdiag_ros.blind.seal import LOGS
 from stepdiag_ros.effects import all_effects
 from stepdiag_ros.estimate.enhanced import readings_of
 from stepdiag_ros.estimate.noise import estimate_noise
-from stepdiag_ros.gap.observe import observe
-from stepdiag_ros.gap.parity import parity
+from stepdiag_ros.gap.inference.parity import parity
+from stepdiag_ros.gap.preprocess.observe import observe
 
 ROOT = Path(__file__).resolve().parents[1]
 PEERS = ROOT / 'build' / 'blind_peers'

@@ -22,13 +22,13 @@ import scipy
 from estimate_case import Case, best_of, make_case, peak_mb
 from scipy import linalg, optimize
 
-from stepdiag_ros.cli.uncertainty import default_budget
 from stepdiag_ros.estimate import montecarlo, multilateration, regulated_beam
-from stepdiag_ros.estimate.budget import Budget
 from stepdiag_ros.estimate.enhanced import fit
 from stepdiag_ros.estimate.evaluate import solution_of
 from stepdiag_ros.estimate.gauge import to_reference_lines
 from stepdiag_ros.estimate.propagate import Conditions, Setting, propagate
+from stepdiag_ros.model.budget import Budget
+from stepdiag_ros.model.standard_budget import standard_budget
 from stepdiag_ros.virtual.scene import SensorScene
 
 PAGE = Path(__file__).resolve().parents[1] / 'docs' / 'bench' / 'montecarlo.md'
@@ -44,7 +44,7 @@ def solved(case: Case, budget: Budget):
 
 
 def linear(draws: int, steps: tuple[int, ...]) -> list[str]:
-    whole = Budget.from_yaml(default_budget(), 'default')
+    whole = standard_budget()
     budget = Budget(tuple(c for c in whole.contributors if c.kind in NOISE))
     lines = ['## Linear: all draws in one product', '',
              f'{draws} draws of the noise of all readings through the enhanced method. The limit is what no method that '
@@ -150,7 +150,7 @@ def regulated(draws: int, peers: int = 150) -> list[str]:
 
 def coverage(draws: int) -> list[str]:
     case = make_case(5, repeats=2, both_ways=True)
-    budget = Budget.from_yaml(default_budget(), 'default')
+    budget = standard_budget()
     result, solution, setting, uncertainty = solved(case, budget)
     scenes = {name: SensorScene.from_description(case.description, name) for name in case.description.setups}
 

@@ -1,4 +1,4 @@
-"""Makes the environment: `python3.11 tools/setup_env.py [--venv DIR] [--tests]`.
+"""Makes the environment: `python3.11 tools/setup_env.py [--venv DIR] [--tests] [--floor]`.
 
 Four stages, each with a stamp that holds a hash of all that the stage depends on,
 so that a second run does nothing and a change redoes only what it touches:
@@ -7,6 +7,8 @@ so that a second run does nothing and a change redoes only what it touches:
 2. `pip`: the pinned packages, ROS 2's wheels among them,
 3. `msgs`: `stepdiag_msgs`, built from msg_defs/ and installed into the environment's prefix,
 4. `package`: stepdiag_ros itself, editable.
+
+With `--floor` the oldest libraries that work (requirements/floor.txt) then replace the pinned ones.
 
 Needs nothing but the standard library.  Runs of it exclude each other by a lock.
 """
@@ -127,6 +129,11 @@ class Environment:
             command += ['-r', str(REQUIREMENTS / f'{name}.txt')]
         run(command, 'installing the pinned packages')
 
+    def install_floor(self) -> None:
+        """The oldest versions that work, over the pinned ones."""
+        command = [str(self.python), '-m', 'pip', 'install', '--disable-pip-version-check', '--no-input']
+        run([*command, '-r', str(REQUIREMENTS / 'floor.txt')], 'installing the oldest versions')
+
     def build_messages(self) -> None:
         """stepdiag_msgs, into the environment's own prefix, so that it needs no further paths."""
         self.point_targets_home()
@@ -178,7 +185,7 @@ class Environment:
         site = next(self.place.glob('lib/python3.*/site-packages'))
         (site / 'stepdiag_ament_prefix.pth').write_text(AMENT_PREFIX)
 
-    def make(self, tests: bool) -> bool:
+    def make(self, tests: bool, floor: bool = False) -> bool:
         """All stages in order; True when anything had to be done."""
         version = f'{sys.implementation.cache_tag} {platform.python_version()}'
         venv_key = digest([], version, str(self.place), sys.base_prefix)
@@ -205,6 +212,10 @@ class Environment:
         package = [ROOT / 'package.xml', ROOT / 'setup.py', ROOT / 'setup.cfg', Path(__file__).resolve()]
         package_key = digest(package, msgs_key, str(ROOT))
         done |= self.stage('package', package_key, 'installing stepdiag_ros', self.install_package)
+        if floor:
+            # After the messages: modules built for the newer NumPy serve the older one, not the other way round.
+            floor_key = digest([REQUIREMENTS / 'floor.txt', files['test']], run_key)
+            done |= self.stage('floor', floor_key, 'putting the oldest libraries that work in', self.install_floor)
         return done
 
 
@@ -213,6 +224,7 @@ def main() -> int:
     parser.add_argument('--venv', type=Path, default=ROOT / '.venv', help='where (default: .venv)')
     parser.add_argument('--tests', action='store_true', help='with what the tests need')
     parser.add_argument('--hashes', action='store_true', help='only files with the hashes of requirements/locked.txt')
+    parser.add_argument('--floor', action='store_true', help='with the oldest versions that work')
     arguments = parser.parse_args()
 
     check_machine()
@@ -222,7 +234,7 @@ def main() -> int:
     place.parent.mkdir(parents=True, exist_ok=True)
     with open(place.with_name(place.name + '.lock'), 'w') as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        if Environment(place, arguments.hashes).make(arguments.tests):
+        if Environment(place, arguments.hashes).make(arguments.tests, arguments.floor):
             print(f'setup: done; {place / "bin" / "stepdiag"} is ready')
     return 0
 

@@ -80,11 +80,12 @@ class _Dropped:
         return good
 
 
-def displacement_samples(table: TopicTable, setup_names: tuple[str, ...]) -> tuple[Samples, list[str]]:
-    """Samples of ``interferometer/displacement``; beams that a setup lacks are NaN."""
+def displacement_samples(table: TopicTable, setup_names: tuple[str, ...], timing: TopicTable | None = None
+                         ) -> tuple[Samples, list[str]]:
+    """Samples of ``interferometer/displacement``, taken when ``timing`` says; beams that a setup lacks are NaN."""
     dropped = _Dropped()
     parts = [part for group in table.groups for part in _displacement_parts(group, dropped)]
-    samples, warnings = _assemble(table, parts, setup_names, dropped)
+    samples, warnings = _assemble(table, parts, setup_names, dropped, timing)
     dark = int((samples.health == 0).sum())
     if dark:
         warnings.append(f'{table.topic}: {dark} of {len(samples)} samples have signal quality 0; '
@@ -92,11 +93,12 @@ def displacement_samples(table: TopicTable, setup_names: tuple[str, ...]) -> tup
     return samples, warnings
 
 
-def spot_samples(table: TopicTable, setup_names: tuple[str, ...]) -> tuple[Samples, list[str]]:
-    """Samples of ``psd/spot``: values x, y [m], health the sum signal [V]."""
+def spot_samples(table: TopicTable, setup_names: tuple[str, ...], timing: TopicTable | None = None
+                 ) -> tuple[Samples, list[str]]:
+    """Samples of ``psd/spot``: values x, y [m], health the sum signal [V]; taken when ``timing`` says."""
     dropped = _Dropped()
     parts = [part for group in table.groups for part in _spot_parts(group, dropped)]
-    return _assemble(table, parts, setup_names, dropped, columns=2)
+    return _assemble(table, parts, setup_names, dropped, timing, columns=2)
 
 
 def _displacement_parts(group: Group, dropped: _Dropped) -> list[_Part]:
@@ -139,7 +141,7 @@ def _part(group: Group, rows: np.ndarray | slice, columns: tuple[np.ndarray, ...
 
 
 def _assemble(table: TopicTable, parts: list[_Part], setup_names: tuple[str, ...],
-              dropped: _Dropped, columns: int = 1) -> tuple[Samples, list[str]]:
+              dropped: _Dropped, timing: TopicTable | None, columns: int = 1) -> tuple[Samples, list[str]]:
     """Order the blocks of all parts and lay their samples into flat arrays."""
     if table.malformed:
         dropped.reasons['that do not hold their type'] = table.malformed
@@ -176,10 +178,34 @@ def _assemble(table: TopicTable, parts: list[_Part], setup_names: tuple[str, ...
         begin += len(part.stamp)
     index = np.repeat(np.concatenate([p.index for p, _ in kept])[order], sizes[order])
     setup = np.repeat(np.concatenate([setup for _, setup in kept])[order], sizes[order])
+    known = _timed(time, stamp[order], starts[order], timing) if timing is not None else None
     samples = Samples(time, values, health, index, setup_names, setup,
-                      np.repeat(np.arange(len(order)), sizes[order]))
+                      np.repeat(np.arange(len(order)), sizes[order]), known)
     far = limits.DISPLACEMENT_M if columns == 1 else limits.SPOT_M
     return _tidy(samples, _finite(samples, kept, order, sizes, far), table.topic, warnings)
+
+
+def _timed(time: np.ndarray, stamp: np.ndarray, starts: np.ndarray, timing: TopicTable) -> np.ndarray | None:
+    """Put into ``time`` (n,) [ns] when the samples of blocks with such stamps were taken; their uncertainty (n,) [ns].
+
+    ``starts``: where the blocks' samples begin.  A message whose numbers do not fit its block is passed over.
+    """
+    ends = np.append(starts[1:], len(time))
+    place = dict(zip(stamp.tolist(), range(len(stamp)), strict=True))
+    known = np.full(len(time), -1, np.int64)
+    for group in timing.groups:
+        taken, uncertainty = (group.values[key].astype(np.int64) for key in ('taken', 'uncertainty'))
+        for row, at in enumerate(stamps_ns(group.values).tolist()):
+            if at not in place:
+                continue
+            begin, end = int(starts[place[at]]), int(ends[place[at]])
+            if taken.shape[1] == end - begin and np.all(np.diff(taken[row]) >= 0):
+                time[begin:end] = at + taken[row]
+            elif taken.shape[1]:
+                continue
+            if uncertainty.shape[1] in (1, end - begin):
+                known[begin:end] = uncertainty[row]
+    return known if np.any(known >= 0) else None
 
 
 def _put(target: np.ndarray, at: slice | np.ndarray, blocks: np.ndarray) -> None:
@@ -282,4 +308,5 @@ def _repeated(samples: Samples) -> np.ndarray | None:
 def _take(samples: Samples, which: np.ndarray) -> Samples:
     return Samples(samples.time_ns[which], samples.values[which], samples.health[which],
                    samples.refractive_index[which], samples.setup_names, samples.setup[which],
-                   samples.block[which])
+                   samples.block[which],
+                   None if samples.uncertainty_ns is None else samples.uncertainty_ns[which])

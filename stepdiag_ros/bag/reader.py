@@ -19,13 +19,17 @@ from stepdiag_ros.bag.blocks import (
     text,
 )
 from stepdiag_ros.bag.check import lost_messages, stop_warnings
+from stepdiag_ros.bag.clocksteps import put_right
 from stepdiag_ros.bag.schemas import (
     DESCRIPTION,
     DISPLACEMENT,
+    DISPLACEMENT_TIMING,
     SCALAR_FIELD,
     SCALE,
     SPOT,
+    SPOT_TIMING,
     STEP,
+    STEP_TIMING,
     TOPICS,
     split_topic,
 )
@@ -93,7 +97,8 @@ def build_log(source: BagSource, tables: Tables, namespace: str | None = None,
     mine = {relative: tables.topics.get(f'{name}/{relative}' if name else relative)
             or tables.topics.get(f'/{relative}' if not name else f'{name}/{relative}')
             for relative in TOPICS}
-    warnings = [*source.warnings, *tables.warnings, *_wrong_counts(source, tables), *_notes(source)]
+    warnings = [*source.warnings, *tables.warnings, *_wrong_counts(source, tables), *_notes(source),
+                *put_right(mine)]
     if not tables.checked:
         warnings.append('the file carries no CRCs: a changed byte in it would not be noticed')
     if description is None:
@@ -109,7 +114,7 @@ def build_log(source: BagSource, tables: Tables, namespace: str | None = None,
     setup_names = tuple(description.setups)
     steps, notes = _steps(tables_of[STEP], setup_names)
     warnings += notes
-    displacement, notes = displacement_samples(tables_of[DISPLACEMENT], setup_names)
+    displacement, notes = displacement_samples(tables_of[DISPLACEMENT], setup_names, mine[DISPLACEMENT_TIMING])
     warnings += notes
     for found, relative in ((steps, STEP), (displacement, DISPLACEMENT)):
         if not len(found):
@@ -121,7 +126,7 @@ def build_log(source: BagSource, tables: Tables, namespace: str | None = None,
         warnings.append(f'{name}/{SPOT} is missing: no angle is measured, '
                         'the evaluation rests on distances alone')
     else:
-        spot, notes = spot_samples(spots, setup_names)
+        spot, notes = spot_samples(spots, setup_names, mine[SPOT_TIMING])
         warnings += notes
     environment: dict[str, ScalarSeries] = {}
     for relative, table in mine.items():
@@ -135,7 +140,18 @@ def build_log(source: BagSource, tables: Tables, namespace: str | None = None,
                             '(gaps in the sequence numbers)')
     warnings += stop_warnings(description, steps, displacement, spot)
     return CalibrationLog(description, steps, displacement, spot, environment, str(source.path),
-                          name, tuple(warnings))
+                          name, tuple(warnings), _clocks(mine))
+
+
+def _clocks(mine: dict[str, TopicTable | None]) -> dict[str, str]:
+    """Names of the clocks that stamped; of a source that names several there is none."""
+    clocks = {}
+    for source, relative in (('sequencer', STEP_TIMING), ('interferometer', DISPLACEMENT_TIMING), ('psd', SPOT_TIMING)):
+        table = mine[relative]
+        names = {bytes(raw) for group in table.groups for raw in group.values['clock']} if table is not None else ()
+        if len(names) == 1 and (clock := names.pop().decode('utf-8', 'replace')):
+            clocks[source] = clock
+    return clocks
 
 
 def notes_of(warnings: list[str], relative: str) -> str:

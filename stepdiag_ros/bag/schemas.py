@@ -20,9 +20,12 @@ DEFINITIONS = {
     'stepdiag_msgs/msg/Displacement':
         'std_msgs/Header header\nfloat64 sample_period\nuint8 beams\nfloat64[] displacement\n'
         'float64 refractive_index\nuint8[] quality\n',
+    'stepdiag_msgs/msg/SampleTiming':
+        'std_msgs/Header header\nint32[] taken\nuint32[] uncertainty\nuint32 missed\nstring clock\n',
     'stepdiag_msgs/msg/SpotPosition':
         'std_msgs/Header header\nfloat64 sample_period\nfloat64[] x\nfloat64[] y\n'
         'float64[] intensity\n',
+    'stepdiag_msgs/msg/ClockStep': 'std_msgs/Header header\nfloat64 step\nstring topic\nuint64 published\n',
     'stepdiag_msgs/msg/Step':
         'uint8 MOVE=0\nuint8 DWELL=1\nuint8 DONE=2\nuint8 NONE=255\nstd_msgs/Header header\n'
         'string run_id\nstring setup\nuint16 repeat\nint8 direction\nuint16 index\nuint8 axis\n'
@@ -34,6 +37,10 @@ STEP = 'sequencer/step'
 DISPLACEMENT = 'interferometer/displacement'
 SPOT = 'psd/spot'
 SCALE = 'environment/scale_temperature'
+DISPLACEMENT_TIMING = 'interferometer/timing'
+SPOT_TIMING = 'psd/timing'
+STEP_TIMING = 'sequencer/timing'
+CLOCK_STEP = 'clock_step'
 
 #: Contract topics, relative to a machine's namespace, and their types.
 TOPICS = {
@@ -45,6 +52,10 @@ TOPICS = {
     'environment/air_pressure': 'sensor_msgs/msg/FluidPressure',
     'environment/humidity': 'sensor_msgs/msg/RelativeHumidity',
     SCALE: 'sensor_msgs/msg/Temperature',
+    DISPLACEMENT_TIMING: 'stepdiag_msgs/msg/SampleTiming',
+    SPOT_TIMING: 'stepdiag_msgs/msg/SampleTiming',
+    STEP_TIMING: 'stepdiag_msgs/msg/SampleTiming',
+    CLOCK_STEP: 'stepdiag_msgs/msg/ClockStep',
 }
 
 #: The scalar of each environment type, and the key of ``CalibrationLog.environment``.

@@ -28,6 +28,8 @@ WANTED = {
     'stepdiag_msgs/msg/Displacement': (*_STAMP, 'sample_period', 'beams', 'displacement',
                                        'refractive_index', 'quality'),
     'stepdiag_msgs/msg/SpotPosition': (*_STAMP, 'sample_period', 'x', 'y', 'intensity'),
+    'stepdiag_msgs/msg/SampleTiming': (*_STAMP, 'taken', 'uncertainty', 'clock'),
+    'stepdiag_msgs/msg/ClockStep': (*_STAMP, 'step', 'topic', 'published'),
     'sensor_msgs/msg/Temperature': (*_STAMP, 'temperature', 'variance'),
     'sensor_msgs/msg/FluidPressure': (*_STAMP, 'fluid_pressure', 'variance'),
     'sensor_msgs/msg/RelativeHumidity': (*_STAMP, 'relative_humidity', 'variance'),

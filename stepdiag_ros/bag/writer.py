@@ -40,6 +40,26 @@ class _Topic:
     count: int = 0
 
 
+@dataclass(frozen=True)
+class EarlierTopic:
+    """A topic as the earlier files of a bag hold it: type, quality of service, type hash, messages."""
+
+    type: str
+    qos: list[dict]
+    hash: str
+    count: int
+
+
+@dataclass(frozen=True)
+class Earlier:
+    """What a bag holds already: the ``number`` of the file to begin, ``files`` (name, first and last log time
+    [ns], messages), ``topics`` by name."""
+
+    number: int
+    files: tuple[tuple[str, int, int, int], ...]
+    topics: dict[str, EarlierTopic]
+
+
 class BagWriter:
     """Writes ``path/`` with ``<name>_0.mcap`` and ``metadata.yaml``; thread-safe.
 
@@ -47,17 +67,19 @@ class BagWriter:
     thread of its own.  Without it (simulation, import) chunks are written when they
     are full, and the same messages give the same bytes.
     ``compression``: ``none``, ``zstd`` or ``lz4``.  ``custom_data`` goes into
-    ``metadata.yaml``.  Raises :class:`StepdiagError` if ``path`` exists.
+    ``metadata.yaml``.  Raises :class:`StepdiagError` if ``path`` exists, unless it is a bag to go on in,
+    of which ``earlier`` says what it holds (:mod:`stepdiag_ros.bag.append`).
     """
 
     def __init__(self, path: str | Path, *, live: bool = True, compression: str = 'zstd',
                  flush_period: float = 0.25, sync_period: float = 1.0,
-                 custom_data: dict[str, str] | None = None):
+                 custom_data: dict[str, str] | None = None, earlier: Earlier | None = None):
         if compression not in COMPRESSIONS:
             raise StepdiagError(f'compression {compression!r} is unknown; choose one of '
                                 f'{", ".join(COMPRESSIONS)}')
         self.path = Path(path)
-        self.file = self.path / f'{self.path.resolve().name}_0.mcap'
+        self._earlier = earlier or Earlier(0, (), {})
+        self.file = self.path / f'{self.path.resolve().name}_{self._earlier.number}.mcap'
         self._lock = threading.Lock()
         self._topics: dict[str, _Topic] = {}
         self._schemas: dict[tuple[str, str], int] = {}
@@ -69,7 +91,7 @@ class BagWriter:
         self._failure: Exception | None = None
         self._closed = False
         try:
-            if self.path.exists() and (not self.path.is_dir() or any(self.path.iterdir())):
+            if earlier is None and self.path.exists() and (not self.path.is_dir() or any(self.path.iterdir())):
                 raise StepdiagError(f'{self.path}: exists already; give a new name or remove it')
             self.path.mkdir(parents=True, exist_ok=True)
             self._stream = open(self.file, 'xb')
@@ -94,6 +116,11 @@ class BagWriter:
 
     def __exit__(self, *_) -> None:
         self.close()
+
+    @property
+    def number(self) -> int:
+        """Number of the file in the bag, from 0."""
+        return self._earlier.number
 
     @property
     def counts(self) -> dict[str, int]:
@@ -207,18 +234,23 @@ class BagWriter:
     def _information(self) -> dict:
         """``rosbag2_bagfile_information``, version 9; called with the lock held or at the end."""
         start = self._first or 0
-        span = {'starting_time': {'nanoseconds_since_epoch': start},
-                'duration': {'nanoseconds': self._last - start if self._first is not None else 0}}
-        total = sum(topic.count for topic in self._topics.values())
-        return {'version': 9, 'storage_identifier': 'mcap', **span, 'message_count': total,
+        files = [*self._earlier.files, (self.file.name, start, self._last if self._first is not None else start,
+                                        sum(topic.count for topic in self._topics.values()))]
+        times = [(first, last) for _, first, last, count in files if count]
+        begin, end = (min(t for t, _ in times), max(t for _, t in times)) if times else (0, 0)
+        topics = {name: (t.type, t.qos, t.hash, t.count) for name, t in self._earlier.topics.items()}
+        for name, t in self._topics.items():
+            topics[name] = t.type, t.qos, t.hash, t.count + (topics[name][3] if name in topics else 0)
+        return {'version': 9, 'storage_identifier': 'mcap', **_span(begin, end),
+                'message_count': sum(count for *_, count in files),
                 'topics_with_message_count': [
-                    {'topic_metadata': {'name': t.name, 'type': t.type, 'serialization_format': 'cdr',
-                                        'offered_qos_profiles': t.qos,
-                                        'type_description_hash': t.hash},
-                     'message_count': t.count} for t in self._topics.values()],
+                    {'topic_metadata': {'name': name, 'type': type_name, 'serialization_format': 'cdr',
+                                        'offered_qos_profiles': qos, 'type_description_hash': hashed},
+                     'message_count': count} for name, (type_name, qos, hashed, count) in topics.items()],
                 'compression_format': '', 'compression_mode': '',
-                'relative_file_paths': [self.file.name],
-                'files': [{'path': self.file.name, **span, 'message_count': total}],
+                'relative_file_paths': [name for name, *_ in files],
+                'files': [{'path': name, **_span(first, last), 'message_count': count}
+                          for name, first, last, count in files],
                 'custom_data': self._custom or None, 'ros_distro': ROS_DISTRO}
 
     def _write_metadata(self) -> None:
@@ -233,6 +265,10 @@ class BagWriter:
                 temporary.unlink()
             raise StepdiagError(f'{self.path / METADATA}: cannot be written: '
                                 f'{error.strerror}') from None
+
+
+def _span(first_ns: int, last_ns: int) -> dict:
+    return {'starting_time': {'nanoseconds_since_epoch': first_ns}, 'duration': {'nanoseconds': last_ns - first_ns}}
 
 
 def _dump(data) -> str:

@@ -14,8 +14,8 @@ from stepdiag_ros.effects import all_effects
 from stepdiag_ros.effects.base import Form
 from stepdiag_ros.estimate.enhanced import readings_of
 from stepdiag_ros.estimate.noise import NoiseModel, sensor_noise
-from stepdiag_ros.gap.observe import Observation, observe
-from stepdiag_ros.gap.parity import parity
+from stepdiag_ros.gap.inference.parity import parity
+from stepdiag_ros.gap.preprocess.observe import Observation, observe
 from stepdiag_ros.model.description import Noise
 
 

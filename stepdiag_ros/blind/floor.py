@@ -4,10 +4,10 @@ The noise that fell moves the reduced χ² of what is held out by some percent o
 its effects, the same noise falling, shows by how much: no diagnosis can close more of a gap than down to there.
 """
 
-from stepdiag_ros.gap.closing import closing
-from stepdiag_ros.gap.joint import fit_jointly
-from stepdiag_ros.gap.observe import Observation
-from stepdiag_ros.gap.turns import noise_of
+from stepdiag_ros.gap.inference.joint import fit_jointly
+from stepdiag_ros.gap.inference.select_effects import noise_of
+from stepdiag_ros.gap.preprocess.observe import Observation
+from stepdiag_ros.gap.summary.cross_validation import closing
 
 
 def floor(bare: Observation) -> float:

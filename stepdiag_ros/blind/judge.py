@@ -16,7 +16,7 @@ from stepdiag_ros.blind.pool import side_by_side
 from stepdiag_ros.blind.score import COUNTS_FROM
 from stepdiag_ros.blind.seal import kind_order, read_json, write_json
 from stepdiag_ros.blind.world import make
-from stepdiag_ros.gap.observe import observe
+from stepdiag_ros.gap.preprocess.observe import observe
 
 Entry = dict[str, Any]
 

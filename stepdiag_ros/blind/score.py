@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from stepdiag_ros.estimate.gauge import to_reference_lines
-from stepdiag_ros.gap.search import NOTHING
-from stepdiag_ros.gap.unknown import NAME as UNKNOWN
+from stepdiag_ros.gap.alternatives.unmodelled import NAME as UNKNOWN
+from stepdiag_ros.gap.inference.search import NOTHING
 from stepdiag_ros.model.machine import CURVES, SQUARENESS, Curve, GeometricErrors
 
 COUNTS_FROM = 8.0

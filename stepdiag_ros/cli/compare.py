@@ -71,6 +71,7 @@ def _json(outcome: Comparison, results: dict, skipped: dict[str, str]) -> dict:
     return {'reference': outcome.reference,
             'largest_deviation': {m: dict(d) for m, d in outcome.deviation.items()},
             'within_k2': dict(outcome.within_k2),
+            'largest_sigma': {m: dict(s) for m, s in outcome.sigma.items()},
             'figures': {m: [{'name': n, 'measured_m': a, 'reference_m': b} for n, a, b in rows]
                         for m, rows in outcome.figures.items()},
             'results': {m: r.to_json_dict() for m, r in results.items()},

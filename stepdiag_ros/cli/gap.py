@@ -2,7 +2,8 @@
 
 Diagnoses each bag and writes DIR/<bag name>/gap.json and index.html, a page that says what is
 wrong with the machine.  Several bags are done one after the other, or --jobs at a time; one that
-cannot be read costs one line and status 2, the others are still done.
+cannot be read costs one line and status 2, the others are still done.  A log that shows a mistake of commissioning
+(a sign, a unit, exchanged axes) is not diagnosed: the answer names the mistake.
 
   stepdiag gap bags/demo
   stepdiag gap logs/* --out diagnoses --jobs 2
@@ -46,6 +47,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help='print gap.json (of several bags: an object by name)')
     parser.add_argument('--adopt', metavar='NEW_CELL.yaml', type=Path,
                         help='write a cell file with the errors and effects found (one bag only)')
+    parser.add_argument('--explain', action='store_true',
+                        help='list every set of causes that was weighed: its evidence, its prior probability, and why '
+                             'one may not be claimed')
     parser.add_argument('--jobs', metavar='N', type=int, default=1, help='bags at a time (default: 1)')
     parser.add_argument('--namespace', help="the machine's namespace where a log holds several")
 
@@ -62,6 +66,7 @@ class Job:
     adopt: Path | None
     namespace: str | None
     further: tuple[str, ...] = ()
+    explain: bool = False
 
 
 @dataclass(frozen=True)
@@ -88,7 +93,7 @@ def run(args: argparse.Namespace) -> int:
         from stepdiag_ros.virtual.cell import load_cell
         load_cell(args.cell)
     jobs = [Job(bag, name, args.out / name, args.cell, tuple(args.effect), args.adopt, args.namespace,
-                tuple(args.further))
+                tuple(args.further), args.explain)
             for bag, name in zip(args.bags, _names(args.bags), strict=True)]
     bar = Bar('gap', quiet=not sys.stderr.isatty())
     outcomes: dict[str, Outcome] = {}
@@ -150,6 +155,7 @@ def _diagnose_bag(job: Job) -> Outcome:
     from stepdiag_ros.bag.reader import read_log
     from stepdiag_ros.effects import all_effects
     from stepdiag_ros.gap.diagnose import diagnose
+    from stepdiag_ros.gap.summary.explain import table
     from stepdiag_ros.model.joined import joined
     from stepdiag_ros.report.gap_page import gap_page
     from stepdiag_ros.report.gap_words import summary
@@ -165,6 +171,9 @@ def _diagnose_bag(job: Job) -> Outcome:
             log, known = without_known(log, job.cell, logs[0] if logs else None)
         logs.append(log)
     log = reduce(joined, logs)
+    insane = _insane(job, log)
+    if insane is not None:
+        return insane
     diagnosis = diagnose(log, [kind() for kind in all_effects(job.effects).values()])
     notes: tuple[str, ...] = known
     again = None
@@ -173,15 +182,44 @@ def _diagnose_bag(job: Job) -> Outcome:
         notes += (f'cell written to {job.adopt}', *adopted.notes)
         again = replayed(diagnosis, adopted.made, adopted.left)
     document = diagnosis.to_json_dict()
+    _write(job, document, gap_page(diagnosis, job.name, notes, again))
+    text = summary(diagnosis, job.name, notes) + f'\n  page: {job.out / "index.html"}'
+    if job.explain:
+        text += f'\n\n{table(diagnosis.weighed)}'
+    return Outcome(job.name, document, text)
+
+
+def _insane(job: Job, log) -> Outcome | None:
+    """What there is to say of a log that shows a mistake of commissioning, in place of a diagnosis; None of others."""
+    from html import escape
+
+    from stepdiag_ros.estimate.metres import in_metres
+    from stepdiag_ros.estimate.sanity_fit import check
+    from stepdiag_ros.report.page import page
+
+    found = check(log.description, in_metres(log).table)
+    if not found:
+        return None
+    document = {'verdict': 'unexplained', 'gap': None, 'where': [], 'effects': [], 'indistinguishable': [],
+                'next_measurement': None, 'sanity': [finding.to_json_dict() for finding in found]}
+    title = f'{job.name}: the log is not sane'
+    body = f'<h1>{escape(title)}</h1><p>Nothing is diagnosed before this is put right.</p><ul>'
+    body += ''.join(f'<li>{escape(str(finding))}.</li>' for finding in found) + '</ul>'
+    _write(job, document, page(title, body))
+    text = '\n'.join([f'{title}; nothing is diagnosed before this is put right', *(f'  {f}' for f in found),
+                      f'  page: {job.out / "index.html"}'])
+    return Outcome(job.name, document, text)
+
+
+def _write(job: Job, document: dict, whole_page: str) -> None:
+    """gap.json and the page of one bag."""
     try:
         job.out.mkdir(parents=True, exist_ok=True)
         (job.out / 'gap.json').write_text(to_json(document), encoding='utf-8')
-        (job.out / 'index.html').write_text(gap_page(diagnosis, job.name, notes, again), encoding='utf-8')
+        (job.out / 'index.html').write_text(whole_page, encoding='utf-8')
     except OSError as error:
         raise StepdiagError(f'{job.out}: cannot be written: {error.strerror or error}; '
                             'name another folder with --out') from None
-    text = summary(diagnosis, job.name, notes) + f'\n  page: {job.out / "index.html"}'
-    return Outcome(job.name, document, text)
 
 
 def _adopt(job: Job, diagnosis):

@@ -35,7 +35,10 @@ COMMANDS: tuple[tuple[str, str, str], ...] = (
     ('gap', 'gap', 'where log and simulator disagree, why, and how far it closes'),
     ('blind', 'blind', 'seal, answer and open the blind check of the diagnosis'),
     ('report', 'report', 'figures, sheets and pages of an evaluation'),
-    ('compensate', 'compensate', 'compensation tables for a control'),
+    ('compensate', 'compensate', 'compensation tables for a control that cannot harm'),
+    ('verify', 'verify', 'decide by a log before and one after whether a machine conforms'),
+    ('improve', 'improve', 'calibrate, compensate LinuxCNC, calibrate again, and say what it brought'),
+    ('linuxcnc', 'linuxcnc', 'install the components for LinuxCNC, add the watchdog to a configuration'),
     ('replay', 'replay', "send a log through the solver node's own function, or onto topics"),
     ('info', 'info', 'what a bag holds and what is missing'),
     ('recover', 'recover', 'mend a torn bag and say what is lost'),
@@ -50,7 +53,7 @@ In-machine calibration of three-axis machine tools by the enhanced laser step di
 EPILOG = """\
 Start with `stepdiag demo`.  `stepdiag COMMAND --help` explains a command.
 Exit status: 0 done, 1 a check was not passed, 2 bad input (one line says what), 3 a fault of the program
-itself (one line says which; STEPDIAG_TRACEBACK=1 shows where), 130 interrupted.
+itself (one line says which; STEPDIAG_TRACEBACK=1 shows where), 4 a check is undecided, 130 interrupted.
 """
 
 

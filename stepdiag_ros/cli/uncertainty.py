@@ -11,33 +11,29 @@ with all correlations; --draws adds Monte Carlo (GUM Supplement 1) through the f
 """
 
 import argparse
-from importlib import resources
 from pathlib import Path
 
 import numpy as np
 
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate import montecarlo
-from stepdiag_ros.estimate.budget import Budget
-from stepdiag_ros.estimate.enhanced import WIDTH_LASER_RAD, fit
-from stepdiag_ros.estimate.evaluate import solution_of
+from stepdiag_ros.estimate.evaluate import evaluate_in_full
 from stepdiag_ros.estimate.methods import METHODS
 from stepdiag_ros.estimate.prediction import predict
 from stepdiag_ros.estimate.propagate import (
-    Conditions,
     Setting,
     coverage_factor,
-    propagate,
-    with_budget,
 )
 from stepdiag_ros.estimate.readings import readings_of_stops
-from stepdiag_ros.estimate.reduce import StopTable, reduce_log
+from stepdiag_ros.estimate.reduce import StopTable
 from stepdiag_ros.estimate.solution import Solution
 from stepdiag_ros.guard import limits
 from stepdiag_ros.guard.files import read_text
 from stepdiag_ros.guard.jsontext import to_json
+from stepdiag_ros.model.budget import Budget
 from stepdiag_ros.model.log import CalibrationLog
 from stepdiag_ros.model.machine import CURVES, SQUARENESS
+from stepdiag_ros.model.standard_budget import TEXT as STANDARD
 
 NAME = 'uncertainty'
 HELP = 'an uncertainty budget carried to every error and to any point of the volume'
@@ -57,14 +53,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--print-budget', action='store_true', help='print the shipped budget and end')
 
 
-def default_budget() -> str:
-    """The shipped budget as text."""
-    return resources.files('stepdiag_ros').joinpath('budgets/default.yaml').read_text(encoding='utf-8')
-
-
 def run(args: argparse.Namespace) -> int:
     if args.print_budget:
-        print(default_budget(), end='')
+        print(STANDARD, end='')
         return 0
     if args.bag is None:
         raise StepdiagError('no log given; name a rosbag2 folder or .mcap file')
@@ -78,8 +69,9 @@ def run(args: argparse.Namespace) -> int:
     log = read_log(args.bag, args.namespace)
     points = np.array([_point(text) for text in args.at]) if args.at else \
         np.array([[0.5], [1.0]]) * np.array(log.description.machine.volume)
-    table, found, setting = evaluate_with(log, budget)
-    drawn = None if args.draws is None else _draw(args, log, table, found, setting)
+    full = evaluate_in_full(log, budget)
+    found, setting = (full.fit, full.uncertainty), full.setting
+    drawn = None if args.draws is None else _draw(args, log, setting.table, found, setting)
     if args.json:
         print(to_json(document(log, found, points, drawn)))
     else:
@@ -87,9 +79,9 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _budget(path: Path | None) -> Budget:
+def _budget(path: Path | None) -> Budget | None:
     if path is None:
-        return Budget.from_yaml(default_budget(), 'default budget')
+        return None
     return Budget.from_yaml(read_text(path, limits.YAML_BYTES, 'budget'), str(path))
 
 
@@ -101,22 +93,6 @@ def _point(words: str) -> list[float]:
     if len(numbers) != 3 or not np.all(np.isfinite(numbers)):
         raise StepdiagError(f'--at is {words!r}; give three numbers in metres, such as 0.1,0.2,0.05')
     return numbers
-
-
-def evaluate_with(log: CalibrationLog, budget: Budget) -> tuple[StopTable, tuple, Setting]:
-    """Evaluate a log with the weights that the budget implies, and propagate the budget.
-
-    Returns the stops, (fit, uncertainty), and the setting of the causes.
-    """
-    table = reduce_log(log)
-    first = fit(log.description, table)
-    cosine = [c.standard for c in budget.contributors if c.kind == 'cosine' and c.standard]
-    width = max(cosine, default=WIDTH_LASER_RAD)
-    result = fit(log.description, table, with_budget(first.noise, budget, table, log.description),
-                 linear_laser=width)
-    solution = solution_of(result, table, log.warnings + table.warnings)
-    setting = Setting.of_fit(log.description, table, result, Conditions.of_environment(log.environment))
-    return table, (result, propagate(budget, setting, result, solution)), setting
 
 
 def _draw(args: argparse.Namespace, log: CalibrationLog, table: StopTable, found: tuple,

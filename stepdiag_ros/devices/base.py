@@ -9,11 +9,12 @@ and :meth:`connect` may be called again.
 Clients are not thread safe: one thread talks to one instrument.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
 
+from stepdiag_ros.devices.timing import Accuracy
 from stepdiag_ros.errors import StepdiagError
 
 
@@ -28,10 +29,10 @@ class DeviceError(StepdiagError):
 class DisplacementBlock:
     """Samples of one interferometer, oldest first.
 
-    ``stamp_ns``: host's clock (ns since the epoch) at the first sample; sample i was
+    ``stamp_ns``: host's clock (ns since the epoch, :data:`hostclock.HOST`) at the first sample; sample i was
     taken at ``stamp_ns + i * period_s``.  ``displacement_m`` (n, beams), positive away
     from the source, zero at the last reset.  ``quality`` (n,) uint8, 0..100, 0: no
-    signal.  ``refractive_index``: what the instrument divided out; 1.0: none.
+    signal.  ``refractive_index``: what the instrument divided out; 1.0: none.  ``accuracy`` of the stamps.
     """
 
     stamp_ns: int
@@ -39,6 +40,7 @@ class DisplacementBlock:
     displacement_m: np.ndarray
     quality: np.ndarray
     refractive_index: float
+    accuracy: Accuracy = field(default_factory=Accuracy)
 
 
 @dataclass(frozen=True)
@@ -46,7 +48,7 @@ class SpotBlock:
     """Samples of one position-sensitive detector, oldest first.
 
     ``x_m``, ``y_m`` (n,) along u and v of the setup; ``intensity_V`` (n,) the sum signal.
-    A sample without light has NaN positions and its intensity as measured.
+    A sample without light has NaN positions and its intensity as measured.  ``accuracy`` of the stamps.
     """
 
     stamp_ns: int
@@ -54,6 +56,7 @@ class SpotBlock:
     x_m: np.ndarray
     y_m: np.ndarray
     intensity_V: np.ndarray
+    accuracy: Accuracy = field(default_factory=Accuracy)
 
 
 class Interferometer(Protocol):

@@ -6,31 +6,63 @@ Firmware before 1.9 has the methods in ``com.attocube.ids``, later one in
 ``com.attocube.sen``; which, is tried on connecting.
 
 A request per sample and an answer per request would bound the rate by the round
-trip.  Requests are therefore sent in small groups on the block's time grid without
-waiting, and the answers read meanwhile.
+trip.  Requests are therefore sent on the grid of the sample times without waiting, and the
+answers read meanwhile.  The protocol has no time of a sample: it lies between request and
+answer (:mod:`~stepdiag_ros.devices.timing`).
 """
 
 import math
 import time
 from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from stepdiag_ros.devices.base import DeviceError, DisplacementBlock
+from stepdiag_ros.devices.hostclock import HOST
 from stepdiag_ros.devices.jsonstream import JsonStream
 from stepdiag_ros.devices.link import Link
 from stepdiag_ros.devices.optical_switch import OpticalSwitch
+from stepdiag_ros.devices.timing import GAP_PERIODS, Grid, times_of_polls
 
 PORT = 9090
 NAMESPACES = ('com.attocube.sen', 'com.attocube.ids')
 METHOD_NOT_FOUND = -32601
-GROUP_S = 2.0e-3
+ENVIRONMENT = {'air_temperature': ('getTemperatureInDegrees', 1.0), 'air_pressure': ('getPressureInHPa', 100.0),
+               'humidity': ('getHumidityInPercent', 0.01)}
+"""Method and factor to SI (temperatures °C) of each reading of the environmental unit."""
+GROUP_S = 1.0e-3
 """Requests of this time span are sent together when samples are closer than that."""
 ZERO_SAMPLES = 16
+HEALTH_S = 0.05
+"""How often the quality of the light and the index of air are asked for."""
 STALE_S = 0.020
-"""A sample whose answer comes this much after its time was taken we know not when: no signal."""
-LATE_S = 0.05
-"""A block that begins later than this after the last one's end starts a new time grid."""
+"""A sample whose answer arrives this much after its request was taken we know not when: no signal."""
+PAUSE_S = 0.05
+"""Pause between two blocks after which the next one begins anew."""
+MOST_OPEN = 100
+"""Requests without an answer after which we wait for one."""
+
+
+@dataclass
+class _Block:
+    """Polls of one block: when they were sent, what was answered when; ``until`` the time of the block's end."""
+
+    until: float
+    missed: int = 0
+    asked: list[float] = field(default_factory=list)
+    answered: list[float] = field(default_factory=list)
+    answers: list[dict] = field(default_factory=list)
+    closed: bool = False
+
+    def take(self, answer: dict, arrived_s: float) -> None:
+        self.answers.append(answer)
+        self.answered.append(arrived_s)
+
+    @property
+    def complete(self) -> bool:
+        return self.closed and len(self.answered) == len(self.asked)
 
 
 class Ids3010:
@@ -50,12 +82,15 @@ class Ids3010:
         self._end = b'\n' if newline else b''
         self._switch = switch
         self._stream = JsonStream()
-        self._waiting: deque[dict] = deque()
+        self._handlers: deque[Callable[[dict, float], None]] = deque()   # of answers that are to come
         self._next_id = self._expected_id = 1
         self._namespace = NAMESPACES[0]
         self._zero_pm = np.zeros(beams)
         self._index_method = 'com.attocube.ecu.getRefractiveIndexForCompensation'
-        self._next_s: float | None = None
+        self._grid = Grid()
+        self._blocks: deque[_Block] = deque()
+        self._health_s = 0.0         # monotonic time of the next question for quality and index
+        self._contrast, self._air = 0.0, 1.0
 
     @property
     def namespace(self) -> str:
@@ -64,8 +99,9 @@ class Ids3010:
 
     def connect(self) -> None:
         self._link.open()
-        self._stream, self._next_s = JsonStream(), None
-        self._waiting.clear()
+        self._stream, self._grid, self._health_s = JsonStream(), Grid(), 0.0
+        self._handlers.clear()
+        self._blocks.clear()
         self._expected_id = self._next_id
         for self._namespace in NAMESPACES:
             answer = self._ask(f'{self._namespace}.system.getCurrentMode')
@@ -75,6 +111,8 @@ class Ids3010:
             raise self._link.fail('knows neither com.attocube.sen nor com.attocube.ids; '
                                   'is it an IDS3010?')
         self._start_measuring(answer)
+        self._link.send(b''.join(self._ask_for_health()))
+        self._finish()
 
     def _start_measuring(self, answer: dict) -> None:
         end = time.monotonic() + max(self._timeout_s, 30.0)
@@ -95,7 +133,7 @@ class Ids3010:
             self._switch.close()
 
     def select_setup(self, name: str) -> None:
-        pass   # one head looks at every setup of a machine; its base unit is moved by hand
+        self._finish()   # one head looks at every setup of a machine; its base unit is moved by hand
 
     def select_machine(self, name: str) -> None:
         """Route the laser to another machine; without a switch there is only one."""
@@ -104,67 +142,83 @@ class Ids3010:
             self._switch.select(name)
 
     def reset(self) -> None:
+        self._finish()
         self._call(f'{self._namespace}.system.resetAxes')
         # Whether the device counts absolute positions from the reset on depends on its
         # firmware; a mean of its own readings is the zero in both cases.
         method = f'{self._namespace}.displacement.getAbsolutePositions'
-        self._link.send(b''.join(self._encode(method) for _ in range(ZERO_SAMPLES)))
-        rows = [self._row(answer) for answer in self._answers(ZERO_SAMPLES)]
-        self._zero_pm = self._table(rows)[:, 1:].mean(axis=0)
-        self._next_s = None   # the grid begins anew: what is read next was not due meanwhile
+        table = self._table([self._row(answer) for answer in self._ask_all([(method, [])] * ZERO_SAMPLES)])
+        lit = table[:, 0] == 0.0
+        self._zero_pm = table[lit if lit.any() else slice(None), 1:].mean(axis=0)
+
+    def _finish(self) -> None:
+        """Take in what is still to be answered, and forget it: it belongs to another zero."""
+        while self._handlers:
+            self._take(self._link.receive())
+        self._blocks.clear()
+        self._grid.forget()
 
     def read_block(self, samples: int, period_s: float) -> DisplacementBlock:
+        if self._blocks and HOST.now() - self._blocks[-1].asked[-1] > PAUSE_S:
+            self._blocks.clear()   # nobody read for a while: what was asked before that is of no use now
+            self._grid.forget()
+        while not (self._blocks and self._blocks[0].complete):
+            self._poll(samples, period_s)
+        block = self._blocks.popleft()
+        stamp_ns, spacing_s, accuracy = times_of_polls(block.asked, block.answered, period_s, block.missed)
+        table = self._table([self._row(answer) for answer in block.answers])
+        known = np.array(block.answered) - np.array(block.asked) <= STALE_S
+        quality = np.where((table[:, 0] == 0.0) & known, np.clip(round(self._contrast / 10.0), 0, 100), 0)
+        return DisplacementBlock(stamp_ns, spacing_s, (table[:, 1:] - self._zero_pm) * 1e-12,
+                                 quality.astype(np.uint8), self._air, accuracy)
+
+    def shift_time(self, _step_s: float) -> None:
+        """The host's clock has jumped since the last block: what was asked by the old one is forgotten."""
+        self._finish()
+
+    def _poll(self, samples: int, period_s: float) -> None:
+        """Ask for what is due next, and take in what has been answered."""
+        while len(self._handlers) > MOST_OPEN:
+            self._take(self._link.receive())
+        count, missed = self._grid.wait(period_s, max(1, round(GROUP_S / period_s)))
+        self._take(self._link.receive(wait_s=0.0))
+        now, asked = time.monotonic(), HOST.now()
+        block = self._blocks[-1] if self._blocks and not self._blocks[-1].closed else None
+        if block is not None and (now >= block.until or asked - block.asked[-1] > GAP_PERIODS * period_s
+                                  or asked < block.asked[-1]):
+            block.closed, block = True, None
+        if block is None:
+            block = _Block(now + (samples - 0.5) * period_s)
+            self._blocks.append(block)
+        block.missed += missed
+        block.asked += [asked] * count
         method = f'{self._namespace}.displacement.getAbsolutePositions'
-        begin = self._begin(samples * period_s)
-        group = max(1, round(GROUP_S / period_s))
-        rows: list[list[float]] = []
-        arrived: list[float] = []
-        sent = 0
-        while sent < samples:
-            count = min(group, samples - sent)
-            self._wait_until(begin + (sent + count - 1) * period_s, rows, arrived)
-            self._link.send(b''.join(self._encode(method) for _ in range(count)))
-            sent += count
-        # Once a block: how good the light was, and what index of air was divided out.
-        axes = range(self._beams)
-        self._link.send(b''.join(
-            self._encode(f'{self._namespace}.displacement.getAxisSignalQuality', [axis])
-            for axis in axes) + self._encode(self._index_method, [0]))
-        rows.extend(self._row(answer) for answer in self._answers(samples - len(rows)))
-        arrived += [time.time()] * (samples - len(arrived))
-        contrast = min(self._number(self._result(answer)) for answer in self._answers(self._beams))
-        index = self._index(self._answers(1)[0])
-        self._next_s = begin + samples * period_s
-        table = self._table(rows)
-        stale = np.array(arrived) - (begin + np.arange(samples) * period_s) > STALE_S
-        quality = np.where((table[:, 0] == 0.0) & ~stale, np.clip(round(contrast / 10.0), 0, 100), 0)
-        return DisplacementBlock(round(begin * 1e9), period_s,
-                                 (table[:, 1:] - self._zero_pm) * 1e-12,
-                                 quality.astype(np.uint8), index)
+        requests = [self._request(method, [], block.take) for _ in range(count)]
+        if now >= self._health_s:
+            self._health_s = now + HEALTH_S
+            requests += self._ask_for_health()
+        self._link.send(b''.join(requests))
+        if len(block.asked) >= samples:
+            block.closed = True
 
-    def _begin(self, length_s: float) -> float:
-        """Time [s] of a block's first sample: seamless after the last block where that is possible."""
-        now = time.time()
-        if self._next_s is not None and -length_s < now - self._next_s < LATE_S:
-            return self._next_s
-        return now
+    def _ask_for_health(self) -> list[bytes]:
+        """Requests: how good the light is in each beam, and what index of air is divided out."""
+        contrasts: list[float] = []
 
-    def _wait_until(self, due_s: float, rows: list, arrived: list[float]) -> None:
-        """Until ``due_s`` take in answers and when they came."""
-        while (left := due_s - time.time()) > 0.0:
-            data = self._link.receive(wait_s=left)
-            if data:
-                self._take(data)
-                while self._waiting:
-                    rows.append(self._row(self._waiting.popleft()))
-                    arrived.append(time.time())
+        def contrast(answer: dict, _arrived: float) -> None:
+            contrasts.append(self._number(self._result(answer)))
+            if len(contrasts) == self._beams:
+                self._contrast = min(contrasts)
+
+        def index(answer: dict, _arrived: float) -> None:
+            self._air = self._index(answer)
+        return [self._request(f'{self._namespace}.displacement.getAxisSignalQuality', [axis], contrast)
+                for axis in range(self._beams)] + [self._request(self._index_method, [0], index)]
 
     def environment(self) -> dict[str, float]:
         readings = {}
-        for name, method, scale in (('air_temperature', 'getTemperatureInDegrees', 1.0),
-                                    ('air_pressure', 'getPressureInHPa', 100.0),
-                                    ('humidity', 'getHumidityInPercent', 0.01)):
-            answer = self._ask(f'com.attocube.ecu.{method}')
+        answers = self._ask_all([(f'com.attocube.ecu.{method}', []) for method, _ in ENVIRONMENT.values()])
+        for (name, (_, scale)), answer in zip(ENVIRONMENT.items(), answers, strict=True):
             result = answer.get('result')
             # Without an environmental unit the device answers with an error: no sensor.
             if isinstance(result, list) and len(result) > 1 and not result[0] \
@@ -176,8 +230,8 @@ class Ids3010:
         error = answer.get('error')
         if isinstance(error, dict) and error.get('code') == METHOD_NOT_FOUND \
                 and self._index_method.endswith('ForCompensation'):
-            self._index_method = 'com.attocube.ecu.getRefractiveIndex'
-            answer = self._ask(self._index_method)
+            self._index_method = 'com.attocube.ecu.getRefractiveIndex'   # of older firmware, from now on
+            return self._air
         result = answer.get('result')
         if not (isinstance(result, list) and len(result) > 1):
             return 1.0
@@ -212,14 +266,24 @@ class Ids3010:
             raise self._link.fail(f'answers nonsense ({str(result)[:60]!r} where a number belongs); restart it')
         return value
 
-    def _encode(self, method: str, params: list | None = None) -> bytes:
+    def _request(self, method: str, params: list, handler: Callable[[dict, float], None]) -> bytes:
+        """A request to be sent; its answer and when that arrived [s] go to ``handler``."""
         number, self._next_id = self._next_id, self._next_id + 1
+        self._handlers.append(handler)
         return b'{"jsonrpc":"2.0","method":"%s","params":%s,"id":%d,"api":2}%s' % (
-            method.encode(), str(params or []).encode(), number, self._end)
+            method.encode(), str(params).encode(), number, self._end)
+
+    def _ask_all(self, questions: list[tuple[str, list]]) -> list[dict]:
+        """Answers to methods with parameters, sent together."""
+        answers: list[dict] = []
+        self._link.send(b''.join(self._request(method, params, lambda answer, _arrived: answers.append(answer))
+                                 for method, params in questions))
+        while len(answers) < len(questions):
+            self._take(self._link.receive())
+        return answers
 
     def _ask(self, method: str, params: list | None = None) -> dict:
-        self._link.send(self._encode(method, params))
-        return self._answers(1)[0]
+        return self._ask_all([(method, params or [])])[0]
 
     def _call(self, method: str, params: list | None = None) -> list:
         return self._result(self._ask(method, params))
@@ -229,17 +293,13 @@ class Ids3010:
             answers = self._stream.feed(data)
         except ValueError as error:
             raise self._link.fail(f'answers nonsense ({error}); restart it') from None
+        arrived_s = self._link.arrived_s
         for answer in answers:
-            if not isinstance(answer, dict) or answer.get('id') != self._expected_id:
+            if not isinstance(answer, dict) or answer.get('id') != self._expected_id or not self._handlers:
                 raise self._link.fail(f'answers nonsense ({str(answer)[:60]!r} to request '
                                       f'{self._expected_id}); restart it')
             self._expected_id += 1
-        self._waiting.extend(answers)
-
-    def _answers(self, count: int) -> list[dict]:
-        while len(self._waiting) < count:
-            self._take(self._link.receive())
-        return [self._waiting.popleft() for _ in range(count)]
+            self._handlers.popleft()(answer, arrived_s)
 
     def _result(self, answer: dict) -> list:
         if 'error' in answer:

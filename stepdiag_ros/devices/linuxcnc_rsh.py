@@ -11,12 +11,18 @@ import time
 import numpy as np
 
 from stepdiag_ros.devices.base import DeviceError
+from stepdiag_ros.devices.heartbeat import Heartbeat
 from stepdiag_ros.devices.link import Link
 
 PORT = 5007
 AXES = 'XYZ'
 STILL_S = 1.0
 """After so long at rest away from its target a move is taken to have failed."""
+STOP_S = 10.0
+"""So long a stop is tried, over one connection after the other."""
+STOP_ANSWER_S = 1.0
+"""A connection that says nothing for so long while the machine must stop is given up for a fresh one."""
+STOP_PAUSE_S = 0.05
 
 
 class LinuxCncRsh:
@@ -24,15 +30,19 @@ class LinuxCncRsh:
 
     ``origin_m``: machine coordinates of the volume's lower corner.  ``setup_codes`` maps a setup to
     the M-code that has its mirror mounted; setups that it does not name need none.
-    ``window_m``: distance from the target at which a move counts as arrived.
+    ``window_m``: distance from the target at which a move counts as arrived.  ``watch_port``: where the
+    control's watchdog takes signs of life, 0: it has none.
     """
 
     def __init__(self, host: str, port: int = PORT, origin_m: tuple[float, float, float] = (0, 0, 0),
                  setup_codes: dict[str, str] | None = None, window_m: float = 1.0e-6,
                  timeout_s: float = 5.0, ready_timeout_s: float = 60.0,
-                 password: str = 'EMC', enable_password: str = 'EMCTOO'):
+                 password: str = 'EMC', enable_password: str = 'EMCTOO', stop_timeout_s: float = STOP_S,
+                 watch_port: int = 0):
         self._link = Link('machine control', host, port, timeout_s)
+        self._heart = Heartbeat(host, watch_port, timeout_s) if watch_port else None
         self._timeout_s = timeout_s
+        self._stop_timeout_s = stop_timeout_s
         self._ready_timeout_s = ready_timeout_s
         self._passwords = (password, enable_password)
         self._origin = np.array(origin_m, float)
@@ -63,6 +73,8 @@ class LinuxCncRsh:
             raise self._link.fail(f'counts lengths in {unit!r}; set it up in MM or INCH')
         self._unit_m = units[unit]
         self._forget_errors()
+        if self._heart is not None:
+            self._heart.open()
 
     def close(self) -> None:
         if self._link.is_open:
@@ -71,6 +83,8 @@ class LinuxCncRsh:
             except DeviceError:
                 pass   # it went first
         self._link.close()
+        if self._heart is not None:
+            self._heart.close()
 
     def make_ready(self) -> None:
         self._set('estop off')
@@ -109,10 +123,12 @@ class LinuxCncRsh:
         place = (target + self._origin) * 1e3
         words = ' '.join(f'{axis}{value:.6f}' for axis, value in zip(AXES, place, strict=True))
         self._target, self._last, self._still_since = target, None, time.monotonic()
+        self._beat()
         self._mdi(f'G53 G1 {words} F{feed_m_s * 6e4:.3f}')
 
     def in_position(self) -> bool:
         """Idle, and twice at the same place within the window of the target."""
+        self._beat()
         idle, place = self._idle(), self.position()
         same = self._last is not None and np.max(np.abs(place - self._last)) <= self._window
         self._last = place
@@ -138,15 +154,55 @@ class LinuxCncRsh:
         return place * self._unit_m - self._origin
 
     def stop(self) -> None:
-        self._set('abort')
+        """Abort the motion; returns when the machine stands still.
+
+        Over the connection that is open, and over a fresh one where that is gone or says nothing:
+        what ends a run may be the very loss of its connection.  Tried for ``stop_timeout_s``.
+        """
+        usual_s = self._timeout_s
+        self._hurry(min(usual_s, STOP_ANSWER_S))
+        end = time.monotonic() + self._stop_timeout_s
+        try:
+            while True:
+                try:
+                    if not self._link.is_open:
+                        self.connect()
+                    self._abort(end)
+                    return
+                except DeviceError as error:
+                    self._link.close()
+                    if time.monotonic() > end:
+                        raise DeviceError(f'{error}; a stop was tried for {self._stop_timeout_s:g} s, '
+                                          'press the emergency stop') from None
+                time.sleep(STOP_PAUSE_S)
+        finally:
+            self._hurry(usual_s)
+
+    def _hurry(self, timeout_s: float) -> None:
+        """Wait no longer than this for an answer."""
+        self._timeout_s = timeout_s
+        self._link.set_timeout(timeout_s)
+
+    def _abort(self, end_s: float) -> None:
+        self._send('set abort')
+        answer = self._await(r'SET (?:abort )?(ACK|NAK)')
         self._target, self._last = None, None
-        self._wait_for(self.in_position, 'does not come to rest after an abort; '
-                       'press its emergency stop')
+        # A machine that is switched off takes no commands and has nothing to abort.
+        if answer.upper().endswith('NAK') and self._get('machine') != 'OFF':
+            raise self._link.fail("refuses 'abort'")
+        while not self.in_position():
+            if time.monotonic() > end_s:
+                raise self._link.fail('does not come to rest after an abort')
+            time.sleep(0.005)
 
     def state(self) -> dict[str, object]:
         return {'estop': self._get('estop') == 'ON', 'on': self._get('machine') == 'ON',
                 'homed': bool(self._homed()), 'idle': self._idle(),
                 'mode': self._get('mode').lower()}
+
+    def _beat(self) -> None:
+        if self._heart is not None:
+            self._heart.beat()
 
     # -- the protocol
 

@@ -3,8 +3,12 @@
 Two ways of reading the four photocurrents: ``stream`` lets the box sample by its own
 clock and send packets, tens of thousands of scans a second; ``poll`` reads the inputs
 by request, some hundreds a second, and works with any box that has float32 registers.
+
+The stream's times are the box's own: its counter at the first scan, matched with our clock by reading the
+counter now and then (LabJack, *Correlating Scan Times to Host Time*).
 """
 
+import inspect
 import logging
 import time
 
@@ -13,14 +17,22 @@ from pymodbus.client import ModbusTcpClient
 
 from stepdiag_ros.devices import t7
 from stepdiag_ros.devices.base import DeviceError, SpotBlock
+from stepdiag_ros.devices.hostclock import HOST
 from stepdiag_ros.devices.link import FIRST_PAUSE_S, Link
 from stepdiag_ros.devices.psd_signal import SpotOptics
+from stepdiag_ros.devices.timing import GAP_PERIODS, Accuracy, ClockMatch, Grid, times_of_polls
 
 CHANNELS = (0, 1, 2, 3)
 PACKET_S = 5.0e-3
 """Packets of about this time span: short enough for steady stamps, long enough to be few."""
+FIRST_MATCHES, MATCH_S = 8, 1.0
+"""Readings of the box's counter when a stream begins, and time between two later ones."""
 CLOCK_DRIFT = 1.0e-4
-"""How much slower [s/s] than ours the box's clock may be taken to run."""
+"""Of a box without a counter: how much slower [s/s] than ours its clock may be taken to run."""
+
+# pymodbus called its unit `slave` before 3.10.
+UNIT = next(name for name in ('device_id', 'slave')
+            if name in inspect.signature(ModbusTcpClient.read_holding_registers).parameters)
 
 # pymodbus logs what it also raises; the nodes say it once, in one line.
 logging.getLogger('pymodbus').setLevel(logging.CRITICAL)
@@ -49,6 +61,9 @@ class ModbusPsd:
         self._calibration = t7.Calibration()
         self._period_s = 0.0          # of the running stream; 0: none runs
         self._next_s: float | None = None
+        self._grid = Grid()
+        self._clock: ClockMatch | None = None
+        self._origin_s = 0.0          # host's time of the stream's first scan, roughly
 
     def connect(self) -> None:
         if self._client is not None:
@@ -90,44 +105,58 @@ class ModbusPsd:
         if self._client is None:
             raise DeviceError(f'{self._where}: is not connected; connect first')
         read = self._streamed if self._mode == 'stream' else self._polled
-        stamp_s, volts = read(samples, period_s)
+        stamp_ns, spacing_s, volts, accuracy = read(samples, period_s)
         spot, intensity = self._optics.spot(volts)
-        return SpotBlock(round(stamp_s * 1e9), period_s, spot[:, 0], spot[:, 1], intensity)
+        return SpotBlock(stamp_ns, spacing_s, spot[:, 0], spot[:, 1], intensity, accuracy)
+
+    def shift_time(self, step_s: float) -> None:
+        """The host's clock has jumped by ``step_s`` [s] since the last block."""
+        if self._next_s is not None:
+            self._next_s += step_s
+        self._origin_s += step_s
+        if self._clock is not None:
+            self._clock.shift(step_s)
 
     # -- by request
 
-    def _polled(self, samples: int, period_s: float) -> tuple[float, np.ndarray]:
-        now = time.time()
-        begin = self._next_s if self._next_s is not None and \
-            abs(now - self._next_s) < max(0.05, period_s) else now
+    def _polled(self, samples: int, period_s: float) -> tuple[int, float, np.ndarray, Accuracy]:
         first, last = min(self._channels), max(self._channels)
         columns = [channel - first for channel in self._channels]
-        volts = np.empty((samples, len(columns)))
-        for i in range(samples):
-            due = begin + i * period_s - time.time()
-            if due > 0.0:
-                time.sleep(due)
-            registers = self._read(t7.AIN0 + 2 * first, 2 * (last - first + 1))
-            volts[i] = t7.floats(registers)[columns]
+        volts, asked, answered, missed = [], [], [], 0
+        end = time.monotonic() + (samples - 0.5) * period_s
+        while len(volts) < samples and (not volts or time.monotonic() < end):
+            missed += self._grid.wait(period_s)[1]
+            if asked and not 0.0 <= HOST.now() - asked[-1] <= GAP_PERIODS * period_s:
+                break   # the next block begins after the pause
+            asked.append(HOST.now())
+            volts.append(t7.floats(self._read(t7.AIN0 + 2 * first, 2 * (last - first + 1)))[columns])
+            answered.append(HOST.now())
         if not np.all(np.isfinite(volts)):
             raise self._fail('answers voltages that are not finite; restart it')
-        self._next_s = begin + samples * period_s
-        return begin, volts
+        stamp_ns, spacing_s, accuracy = times_of_polls(asked, answered, period_s, missed)
+        return stamp_ns, spacing_s, np.array(volts), accuracy
 
     # -- by the box's own clock
 
-    def _streamed(self, samples: int, period_s: float) -> tuple[float, np.ndarray]:
+    def _streamed(self, samples: int, period_s: float) -> tuple[int, float, np.ndarray, Accuracy]:
         stale = self._next_s is not None and \
-            time.time() - self._next_s > max(1.0, 5.0 * samples * period_s)
+            HOST.now() - self._next_s > max(1.0, 5.0 * samples * period_s)
         if self._period_s != period_s or stale:
             self._start_stream(period_s, samples)
         while len(self._raw) < samples:
             self._take(self._link.receive())
+        if self._clock is not None and time.monotonic() >= self._match_s:
+            self._match_clock()
         raw, self._raw = self._raw[:samples], self._raw[samples:]
-        stamp = self._origin_s + self._taken * period_s
+        after_s = self._taken * period_s
+        stamp, known = self._origin_s + after_s, 0.0
+        if self._clock is not None:
+            stamp, known = self._clock.ours(after_s), self._clock.uncertainty(after_s)
         self._taken += samples
         self._next_s = stamp + samples * period_s
-        return stamp, self._calibration.volts(raw)
+        missed, self._missed = self._missed, 0
+        return (round(stamp * 1e9), period_s, self._calibration.volts(raw),
+                Accuracy(uncertainty_ns=np.array([round(known * 1e9)]), missed=missed))
 
     def _start_stream(self, period_s: float, samples: int) -> None:
         width = len(self._channels)
@@ -149,15 +178,37 @@ class ModbusPsd:
         self._packets = t7.PacketStream()
         self._raw = np.empty((0, width), '>u2')
         self._transaction = 0
+        self._missed = 0      # scans that the box skipped
         self._taken = 0       # scans handed out
         self._arrived = 0     # scans received
-        asked = time.time()
+        asked = HOST.now()
         self._write(t7.STREAM_ENABLE, t7.uint_registers(1))
-        self._origin_s = 0.5 * (asked + time.time())
+        self._origin_s = 0.5 * (asked + HOST.now())
         self._period_s = period_s
+        self._clock = None
+        first = self._counter(t7.STREAM_START_TIME_STAMP)
+        if first is not None and self._counter(t7.CORE_TIMER) is not None:
+            self._first_scan, self._clock = first, ClockMatch()
+            for _ in range(FIRST_MATCHES):
+                self._match_clock()
+
+    def _match_clock(self) -> None:
+        """Read the box's counter; it begins anew every two minutes, which our clock can count."""
+        asked = HOST.now()
+        ticks = self._counter(t7.CORE_TIMER)
+        answered = HOST.now()
+        since = ((ticks - self._first_scan) % 2**32) / t7.CORE_HZ
+        turns = round((0.5 * (asked + answered) - self._origin_s - since) / t7.CORE_TURN_S)
+        self._clock.add(asked, since + turns * t7.CORE_TURN_S, answered)
+        self._match_s = time.monotonic() + MATCH_S
+
+    def _counter(self, address: int) -> int | None:
+        """A register of the box's clock; None where the box has no such register."""
+        answer = self._exchange(lambda: self._client.read_holding_registers(address, count=2, **{UNIT: self._unit}),
+                                f'reading register {address}', 2, must=False)
+        return None if answer.isError() else t7.uint(answer.registers)
 
     def _take(self, data: bytes) -> None:
-        now = time.time()
         try:
             packets = self._packets.feed(data)
         except ValueError as error:
@@ -176,13 +227,15 @@ class ModbusPsd:
                 # Scans are missing: a block never spans the gap.
                 self._raw = scans[:0]
                 self._arrived += packet.additional
+                self._missed += packet.additional
                 self._taken = self._arrived
             self._raw = np.concatenate([self._raw, scans])
             self._arrived += len(scans)
-        self._follow_clock(now, len(packets))
+        if self._clock is None:
+            self._follow_clock(self._link.arrived_s, len(packets))
 
     def _follow_clock(self, now: float, packets: int) -> None:
-        """Bring the stream's origin in line with the host's clock.
+        """Bring the stream's origin in line with the host's clock, by when packets come.
 
         A packet cannot arrive before its last scan, so an early arrival pulls the origin
         back at once; a late one says little and lets it forward at the drift limit only.
@@ -197,12 +250,12 @@ class ModbusPsd:
 
     def _read(self, address: int, count: int) -> list[int]:
         return self._exchange(lambda: self._client.read_holding_registers(
-            address, count=count, device_id=self._unit), f'reading register {address}',
+            address, count=count, **{UNIT: self._unit}), f'reading register {address}',
             count).registers
 
     def _write(self, address: int, registers: list[int], must: bool = True) -> None:
         self._exchange(lambda: self._client.write_registers(
-            address, registers, device_id=self._unit), f'writing register {address}', must=must)
+            address, registers, **{UNIT: self._unit}), f'writing register {address}', must=must)
 
     def _exchange(self, request, what: str, count: int | None = None, must: bool = True):
         if self._client is None:

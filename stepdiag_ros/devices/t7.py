@@ -27,10 +27,15 @@ STREAM_CLOCK_SOURCE = 4014
 STREAM_AUTO_TARGET = 4016
 STREAM_DATATYPE = 4018            # must be 0
 STREAM_NUM_SCANS = 4020           # 0: until stopped
+STREAM_START_TIME_STAMP = 4026    # uint32: CORE_TIMER at the stream's first scan
 STREAM_SCANLIST_ADDRESS0 = 4100   # uint32 each
 STREAM_ENABLE = 4990
 TARGET_ETHERNET = 1
 MAX_SAMPLES_PER_PACKET = 512
+
+CORE_TIMER = 61520                # uint32: counts at CORE_HZ and begins again at 2**32
+CORE_HZ = 40.0e6
+CORE_TURN_S = 2**32 / CORE_HZ
 
 INTERNAL_FLASH_READ_POINTER = 61810
 INTERNAL_FLASH_READ = 61812
@@ -125,6 +130,11 @@ def float_registers(value: float) -> list[int]:
 
 def uint_registers(value: int) -> list[int]:
     return list(struct.unpack('>2H', struct.pack('>I', value)))
+
+
+def uint(registers: list[int]) -> int:
+    """A pair of registers → uint32."""
+    return (registers[0] << 16) | registers[1]
 
 
 def floats(registers: list[int]) -> np.ndarray:

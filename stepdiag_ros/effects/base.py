@@ -215,6 +215,8 @@ class Effect:
     """What looks alike, and what tells them apart."""
     needs_dwells: bool = False
     """Whether only what happens inside the dwells tells it from its neighbours: without samples, no claim."""
+    needs_times: bool = False
+    """Whether its course in time is what it is known by: of a log whose times were made up, no claim."""
     file: str = ''
     """The Python file of the user's own that holds it; empty: it is one of the vocabulary."""
     repeatable: bool = False
@@ -261,6 +263,14 @@ class Effect:
         return {}
 
     # The diagnosis's face.
+
+    imitated_by: str = ''
+    """What without a name does exactly what the effect's forms do, in words; '' where nothing does."""
+
+    def size_evidence(self, form: 'Form', values: np.ndarray, sigma: np.ndarray) -> float:
+        """Log evidence for the sizes ``values`` (k,) ± ``sigma`` (k,) of a form, in its units, against any others: of
+        effects whose sizes physics restricts."""
+        return 0.0
 
     def appearance(self, view: StopView) -> list[Form]:
         """The forms in which the effect may appear in this log; none where it cannot be seen."""

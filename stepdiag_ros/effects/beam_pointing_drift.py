@@ -17,6 +17,7 @@ FASTEST_S = 20.0
 
 class BeamPointingDrift(Effect):
     name = 'beam_pointing_drift'
+    needs_times = True
     title = 'The laser beam slowly changes its direction.'
     parameters = (Parameter('amp', 'rad', -1e-4, 1e-4, 2, 'turn about u, v reached in the end'),
                   Parameter('tau', 's', 100.0, 5000.0, meaning='time constant'))
@@ -42,4 +43,13 @@ class BeamPointingDrift(Effect):
             own, names = by_setup(view, view.by_laser, ('u', 'v'))
             forms += [follow(view, course, own, names, 1e-5, 'rad', 'each setup on its own')
                       for course in settlings(view.mount_time, FASTEST_S)]
+        # A shutter that opens for each run warms the source anew: alike in all runs, or each in its own way.
+        forms += [follow(view, course, view.by_laser, ('u', 'v'), 1e-5, 'rad', 'anew in each run')
+                  for course in settlings(view.run_time, FASTEST_S)]
+        runs = np.unique(view.run)
+        if len(runs) > 1:
+            own = np.concatenate([view.by_laser * (view.run == run)[:, None] for run in runs])
+            names = tuple(f'{view.run_ids[run]} {axis}' for run in runs for axis in 'uv')
+            forms += [follow(view, course, own, names, 1e-5, 'rad', 'each run on its own')
+                      for course in settlings(view.run_time, FASTEST_S)[:1]]
         return forms

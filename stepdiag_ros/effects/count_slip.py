@@ -13,6 +13,27 @@ QUARTER = 3.825e-7
 """λ/4 at 1.53 µm [m]."""
 
 
+WAVELENGTHS = (632.8e-9, 1.53e-6)
+"""Of the lasers that interferometers count with [m]: helium-neon, telecom diode."""
+
+
+def whole_fringes(jump: float, sigma: float) -> float:
+    """Log evidence that a jump [m], known to ``sigma`` [m], is a whole number of counts, against any size.
+
+    A counter loses λ/2 or λ/4 at a time, as light goes to and fro once or twice.  Its size has a comb for a
+    density, ``q Σ N(jump; kq, σ²)`` against an even one, averaged over the units q that are in use: 0 where the size
+    is known less well than to a count, ``ln(q / σ√2π)`` on a tooth, far below nothing between the teeth.
+    """
+    sigma = max(sigma, 1e-12)
+    logs = []
+    for unit in (wave / part for wave in WAVELENGTHS for part in (2.0, 4.0)):
+        reach = int(np.ceil(6.0 * sigma / unit)) + 1
+        teeth = (round(jump / unit) + np.arange(-reach, reach + 1)) * unit
+        terms = -0.5 * ((jump - teeth[teeth != 0.0]) / sigma) ** 2
+        logs.append(np.log(unit / (sigma * np.sqrt(2.0 * np.pi))) + np.logaddexp.reduce(terms))
+    return float(np.logaddexp.reduce(logs) - np.log(len(logs)))
+
+
 class CountSlip(Effect):
     name = 'count_slip'
     repeatable = True
@@ -25,6 +46,12 @@ class CountSlip(Effect):
     signature = 'A step of the displacement at one stop of one run, constant to the end of that run.'
     neighbours = ('backlash steps at every turn of an axis; structural_thermal_drift bends slowly; a slip is '
                   'in one run only.')
+
+    imitated_by = 'an axis that loses a step'
+
+    def size_evidence(self, form: Form, values: np.ndarray, sigma: np.ndarray) -> float:
+        """Whole counts or any size, as :func:`whole_fringes`."""
+        return whole_fringes(float(values[0]), float(sigma[0]))
 
     @classmethod
     def draw(cls, rng: np.random.Generator) -> Drawn:

@@ -26,12 +26,14 @@ eqs. 1–4.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.estimate.readings import CellReadings
+from stepdiag_ros.estimate.traceability import Traceability
 from stepdiag_ros.model.description import DIAGONALS, Machine
 from stepdiag_ros.model.machine import GeometricErrors, tool_pose
 from stepdiag_ros.model.path import setup_direction, start_corner
@@ -66,10 +68,33 @@ class DiagonalResult:
 
 @dataclass(frozen=True)
 class DiagonalTest:
-    """All diagonals of a machine by name, and the worst of them."""
+    """All diagonals of a machine by name, and the worst of them.
+
+    ``sigma_m``: standard uncertainty [m] of each of :meth:`figures` by the whole budget, empty where not computed.
+    """
 
     diagonals: Mapping[str, DiagonalResult]
     method: str = 'body_diagonal'
+    sigma_m: Mapping[str, float] = field(default_factory=dict)
+    traceability: Traceability | None = None
+
+    def figures(self) -> dict[str, float]:
+        """E and B of each diagonal and of the worst [m], by name; without those that were not measured."""
+        named = {f'{letter} {name}': value for name, r in self.diagonals.items()
+                 for letter, value in (('E', r.E), ('B', r.B))} | {'Ed': self.Ed, 'Bd': self.Bd}
+        return {name: value for name, value in named.items() if value is not None}
+
+    def repeat_sigma(self, cell: CellReadings) -> dict[str, float]:
+        """Standard uncertainty [m] of the figures by repeats: differences of two means of one direction each."""
+        own = {name: 2.0 * float(cell.setups[name].displacement_sigma_m.max()) for name in self.diagonals}
+        return {name: own.get(name[2:], max(own.values())) for name in self.figures()}
+
+    def slope_sigma(self, slopes: Mapping[str, np.ndarray], machine: Machine) -> dict[str, float]:
+        """What uncertain slopes (k,) [1] of EXX, EYY, EZZ do to each E [m]."""
+        length = np.linalg.norm(machine.volume)
+        by_axis = [float(np.linalg.norm(slopes.get(f'E{a}{a}', 0.0))) * machine.volume[i]**2 / length
+                   for i, a in enumerate('XYZ')]
+        return {name: float(np.linalg.norm(by_axis)) for name in self.figures() if name[0] == 'E'}
 
     @property
     def Ed(self) -> float:
@@ -82,15 +107,25 @@ class DiagonalTest:
 
     def text(self) -> str:
         """For people, µm."""
-        lines = [f'{self.method}: ISO 230-6 / ASME B5.54', '', f'{"":6} {"E [µm]":>9} {"B [µm]":>9}']
-        for name, r in (*self.diagonals.items(), ('worst', self)):
-            e, b = (r.Ed, r.Bd) if r is self else (r.E, r.B)
-            lines.append(f'{name:6} {1e6 * e:9.3f} {"–" if b is None else f"{1e6 * b:.3f}":>9}')
+        lines = [f'{self.method}: ISO 230-6 / ASME B5.54', '', f'{"":6} {"E [µm]":>9}  U (k=2) {"B [µm]":>9}  U (k=2)']
+        figures = self.figures()
+        for name in (*self.diagonals, 'worst'):
+            keys = ('Ed', 'Bd') if name == 'worst' else (f'E {name}', f'B {name}')
+            cells = [_micrometres(factor, values.get(key))
+                     for key in keys for factor, values in ((1e6, figures), (2e6, self.sigma_m))]
+            lines.append(f'{name:6} {cells[0]:>9} {cells[1]:>8} {cells[2]:>9} {cells[3]:>8}')
         return '\n'.join(lines)
 
     def to_json_dict(self) -> dict[str, Any]:
-        return {'method': self.method, 'status': 'ok', 'Ed_m': self.Ed, 'Bd_m': self.Bd,
+        tied = self.traceability
+        return {'method': self.method, 'status': 'ok' if tied is None else tied.status, 'Ed_m': self.Ed,
+                'Bd_m': self.Bd, 'sigma_m': dict(self.sigma_m),
+                'traceability': None if tied is None else tied.to_json_dict(),
                 'diagonals': {n: r.to_json_dict() for n, r in self.diagonals.items()}}
+
+
+def _micrometres(factor: float, value: float | None) -> str:
+    return '–' if value is None else f'{factor * value:.3f}'
 
 
 def diagonal(position_m: np.ndarray, forward_m: np.ndarray,

@@ -8,7 +8,7 @@ figures computed for the known machine.
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -35,7 +35,8 @@ class Comparison:
     """Deviations from the reference: method → error name → largest deviation [m or rad].
 
     ``within_k2``: method → share of the values that agree with the reference within two standard
-    deviations (of values that have one); None where no value has one.
+    deviations (of values that have one); None where no value has one.  ``sigma``: method → error or figure → largest
+    standard uncertainty by the whole budget [m or rad].
     """
 
     reference: str
@@ -44,6 +45,12 @@ class Comparison:
     deviation: Mapping[str, Mapping[str, float]]
     within_k2: Mapping[str, float | None]
     figures: Mapping[str, list[tuple[str, float, float]]]
+    sigma: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+
+    def largest_sigma(self, method: str, group: str) -> float | None:
+        """Largest standard uncertainty of a method in one of :data:`GROUPS`; None where it gives none."""
+        found = [self.sigma[method][n] for n in GROUPS[group] if n in self.sigma.get(method, {})]
+        return max(found) if found else None
 
     def worst(self, method: str, group: str) -> float | None:
         """Largest deviation of a method in one of :data:`GROUPS`; None where it gives none."""
@@ -93,26 +100,28 @@ def compare(results: Mapping[str, Any], reference: GeometricErrors, name: str,
     """Set results (name → Solution or figures of merit) beside a reference machine."""
     reference = to_reference_lines(reference)
     positions = {n: plan_positions(description, AXES.index(n[2])) for n in CURVES}
-    deviation, within, figures = {}, {}, {}
+    deviation, within, figures, uncertain = {}, {}, {}, {}
     for method, result in results.items():
         if not isinstance(result, Solution):
             figures[method] = _figures(result, reference, description)
+            uncertain[method] = dict(getattr(result, 'sigma_m', {}))
             continue
-        deviation[method], hits = {}, []
+        deviation[method], uncertain[method], hits = {}, {}, []
         for curve in CURVES:
             if result.has(curve):
                 place, value, sigma = result.curve(curve)
                 true = reference.curves.get(curve, Curve(np.zeros(1), np.zeros(1)))(place)
                 deviation[method][curve] = float(np.max(np.abs(value - true)))
+                uncertain[method][curve] = float(np.max(sigma))
                 hits += list(np.abs(value - true)[sigma > 0] <= 2.0 * sigma[sigma > 0])
         for square in SQUARENESS:
             if result.has(square):
                 value, sigma = result.squareness(square)
                 off = abs(value - reference.square.get(square, 0.0))
-                deviation[method][square] = off
+                deviation[method][square], uncertain[method][square] = off, sigma
                 hits += [off <= 2.0 * sigma] if sigma > 0 else []
         within[method] = float(np.mean(hits)) if hits else None
-    return Comparison(name, reference, positions, deviation, within, figures)
+    return Comparison(name, reference, positions, deviation, within, figures, uncertain)
 
 
 def _figures(result: Any, reference: GeometricErrors,
@@ -139,6 +148,14 @@ def _figures(result: Any, reference: GeometricErrors,
     return []
 
 
+def _doubled(sigma: float | None) -> float | None:
+    return None if sigma is None else 2.0 * sigma
+
+
+def _expanded(sigma: float | None) -> str:
+    return '–' if sigma is None else f'{2e6 * sigma:.3f}'
+
+
 def text_table(comparison: Comparison, details: bool = True) -> str:
     """The comparison as a table for the terminal, µm and µrad."""
     # The reference beside itself would be a column of zeros.
@@ -157,6 +174,7 @@ def text_table(comparison: Comparison, details: bool = True) -> str:
         lines = [f'No other method than {comparison.reference} gives errors on this log.']
     for group in GROUPS if methods else ():
         lines.append(row(group, [comparison.worst(m, group) for m in methods]))
+        lines.append(row('  U (k = 2)', [_doubled(comparison.largest_sigma(m, group)) for m in methods]))
     shares = [comparison.within_k2[m] for m in methods]
     if methods:
         lines.append(f'{"within k = 2":<13}' + ''.join(
@@ -168,6 +186,7 @@ def text_table(comparison: Comparison, details: bool = True) -> str:
             if any(v is not None for v in values):
                 lines.append(row(name, values))
     for method, rows in comparison.figures.items():
-        lines += ['', f'{method}: µm', f'{"":<13}{"measured":>12}{comparison.reference:>14}']
-        lines += [f'{n:<13}{a * 1e6:>12.3f}{b * 1e6:>14.3f}' for n, a, b in rows]
+        lines += ['', f'{method}: µm', f'{"":<13}{"measured":>12}{"U (k = 2)":>12}{comparison.reference:>14}']
+        own = comparison.sigma.get(method, {})
+        lines += [f'{n:<13}{a * 1e6:>12.3f}{_expanded(own.get(n)):>12}{b * 1e6:>14.3f}' for n, a, b in rows]
     return '\n'.join(lines)

@@ -21,12 +21,16 @@ during the cycles goes into s, and with it into R and A, not into E, B and M.
 Source: ISO 230-2 (2014), clause 3 and annexes; written from its definitions.
 """
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.estimate.readings import CellReadings
+from stepdiag_ros.estimate.traceability import Traceability
+from stepdiag_ros.model.description import Machine
 
 
 @dataclass(frozen=True)
@@ -116,10 +120,44 @@ class AxisResult:
 
 @dataclass(frozen=True)
 class LinearTest:
-    """ISO 230-2 of every axis that a log holds a linear run of."""
+    """ISO 230-2 of every axis that a log holds a linear run of.
+
+    ``sigma_m``: standard uncertainty [m] of each of :meth:`figures` by the whole budget, empty where not computed.
+    """
 
     axes: dict[str, AxisResult]
     method: str = 'iso230_2'
+    sigma_m: Mapping[str, float] = field(default_factory=dict)
+    traceability: Traceability | None = None
+
+    def figures(self) -> dict[str, float]:
+        """A, E, R, B and M [m] of each axis by name, e.g. ``E lin_x``; without those that need more cycles."""
+        named = {f'{figure} {name}': getattr(axis, figure) for name, axis in self.axes.items() for figure in 'AERBM'}
+        return {name: value for name, value in named.items() if value is not None}
+
+    def repeat_sigma(self, cell: CellReadings) -> dict[str, float]:
+        """Standard uncertainty [m] of the figures by repeats: of means, and in R and A of standard deviations."""
+        found = {}
+        for figure in self.figures():
+            letter, name = figure.split()
+            axis = self.axes[name]
+            mean = 2.0 * float(cell.setups[name].displacement_sigma_m.max())
+            spread = 0.0
+            if letter in 'AR':
+                largest = 4.0 * float(np.max([axis.s_up, axis.s_down]))
+                spread = largest / np.sqrt(2.0 * (axis.runs - 1))
+            found[figure] = float(np.hypot(mean, spread))
+        return found
+
+    def slope_sigma(self, slopes: Mapping[str, np.ndarray], machine: Machine) -> dict[str, float]:
+        """What uncertain slopes (k,) [1] of EXX, EYY, EZZ do to A, E and M [m]."""
+        found = {}
+        for figure in self.figures():
+            letter, name = figure.split()
+            slope = np.linalg.norm(slopes.get(f'E{name[-1].upper() * 2}', 0.0))
+            if letter in 'AEM':
+                found[figure] = float(slope * np.ptp(self.axes[name].target_m))
+        return found
 
     def text(self) -> str:
         """For people, µm; R and A need two cycles."""
@@ -130,10 +168,16 @@ class LinearTest:
             values = [getattr(axis, f) for f in figures]
             lines.append(f'{name:6} ' + ' '.join(f'{"–" if v is None else f"{1e6 * v:.3f}":>9}' for v in values)
                          + f'   {axis.runs}')
+            if self.sigma_m:
+                sigma = [self.sigma_m.get(f'{f} {name}') for f in figures]
+                cells = ' '.join(f'{"–" if s is None else f"{2e6 * s:.3f}":>9}' for s in sigma)
+                lines.append(f'U, k=2 {cells}   –')
         return '\n'.join(lines)
 
     def to_json_dict(self) -> dict[str, Any]:
-        return {'method': self.method, 'status': 'ok',
+        tied = self.traceability
+        return {'method': self.method, 'status': 'ok' if tied is None else tied.status, 'sigma_m': dict(self.sigma_m),
+                'traceability': None if tied is None else tied.to_json_dict(),
                 'axes': {name: result.to_json_dict() for name, result in self.axes.items()}}
 
 

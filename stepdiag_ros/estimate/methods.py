@@ -8,6 +8,7 @@ sees what exists; they work on arrays.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -22,8 +23,9 @@ from stepdiag_ros.estimate import (
     step_diagonal,
 )
 from stepdiag_ros.estimate.evaluate import evaluate as evaluate_enhanced
+from stepdiag_ros.estimate.evaluate import evaluate_in_full
+from stepdiag_ros.estimate.method_budget import with_cell_budget
 from stepdiag_ros.estimate.readings import CellReadings, SetupReadings, readings_of_stops
-from stepdiag_ros.estimate.reduce import reduce_log
 from stepdiag_ros.estimate.stepwise import travel_signs
 from stepdiag_ros.model.description import DIAGONALS
 from stepdiag_ros.model.log import CalibrationLog
@@ -186,18 +188,20 @@ def run_method(name: str, log: CalibrationLog) -> Any:
     if name not in METHODS:
         raise StepdiagError(f'--method {name}: not known; choose from {", ".join(METHODS)}')
     method = METHODS[name]
+    evaluation = evaluate_in_full(log)
     if name == 'enhanced':
-        return evaluate_enhanced(log)
-    cell = readings_of_stops(log.description, reduce_log(log))
+        return evaluation.solution
+    cell = readings_of_stops(log.description, evaluation.metres.table)
     missing = method.lacks(cell)
     if missing:
         raise StepdiagError(f'{log.source}: method {name} needs {missing}{cell.why()}')
-    return method.run(log, cell)
+    return with_cell_budget(partial(method.run, log), evaluation)
 
 
 def run_all(log: CalibrationLog) -> tuple[dict[str, Any], dict[str, str]]:
     """Every method that fits the log: results by name, and for the others why not."""
-    cell = readings_of_stops(log.description, reduce_log(log))
+    evaluation = evaluate_in_full(log)
+    cell = readings_of_stops(log.description, evaluation.metres.table)
     results, skipped = {}, {}
     for name, method in METHODS.items():
         missing = method.lacks(cell)
@@ -205,7 +209,8 @@ def run_all(log: CalibrationLog) -> tuple[dict[str, Any], dict[str, str]]:
             skipped[name] = f'needs {missing}{cell.why()}'
             continue
         try:
-            results[name] = method.run(log, cell)
+            results[name] = evaluation.solution if name == 'enhanced' else \
+                with_cell_budget(partial(method.run, log), evaluation)
         except StepdiagError as error:
             skipped[name] = str(error)
     return results, skipped

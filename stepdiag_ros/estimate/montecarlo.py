@@ -18,7 +18,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from stepdiag_ros.errors import StepdiagError
-from stepdiag_ros.estimate.budget import Contributor
 from stepdiag_ros.estimate.enhanced import Fit
 from stepdiag_ros.estimate.gauge import reporting_matrix
 from stepdiag_ros.estimate.noise import arrivals
@@ -26,6 +25,7 @@ from stepdiag_ros.estimate.planned import Sensor, filled, observe
 from stepdiag_ros.estimate.propagate import Cause, Setting, Uncertainty, error_slopes, gain
 from stepdiag_ros.estimate.reduce import StopTable
 from stepdiag_ros.estimate.solution import Solution
+from stepdiag_ros.model.budget import Contributor
 from stepdiag_ros.model.machine import GeometricErrors
 from stepdiag_ros.model.path import local_triad, setup_direction
 from stepdiag_ros.model.sensor import Misalignment

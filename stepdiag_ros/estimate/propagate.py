@@ -13,58 +13,30 @@ line of its own, ``held by width``.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import linalg, sparse, stats
 
-from stepdiag_ros.estimate.budget import Budget, Contributor
+from stepdiag_ros.estimate.conditions import UNREFERRED, Conditions
 from stepdiag_ros.estimate.enhanced import Fit, readings_of
+from stepdiag_ros.estimate.forward import ForwardModel
 from stepdiag_ros.estimate.gauge import reporting_matrix
 from stepdiag_ros.estimate.noise import NoiseModel, arrivals
 from stepdiag_ros.estimate.prediction import sensitivities
 from stepdiag_ros.estimate.reduce import StopTable
+from stepdiag_ros.estimate.shared import weigh
 from stepdiag_ros.estimate.solution import Solution
-from stepdiag_ros.model.air import refractive_index
+from stepdiag_ros.estimate.traceability import REFERENCE_TEMPERATURE
+from stepdiag_ros.model.budget import MEASURED, Budget, Contributor
 from stepdiag_ros.model.description import Description, Machine
 from stepdiag_ros.model.machine import AXES
+from stepdiag_ros.model.path import setup_direction, start_corner
 
-REFERENCE_TEMPERATURE = 20.0
 HELD = 'held by width'
-
-
-@dataclass(frozen=True)
-class Conditions:
-    """Where the log was taken: air [°C, Pa, 0..1] and scale temperatures X, Y, Z [°C]."""
-
-    temperature: float = 20.0
-    pressure: float = 101325.0
-    humidity: float = 0.5
-    scales: tuple[float, float, float] = (20.0, 20.0, 20.0)
-
-    @classmethod
-    def of_environment(cls, environment: Mapping[str, object]) -> 'Conditions':
-        """Means of what was logged; standard values for the rest."""
-        def mean(key: str, otherwise: float) -> float:
-            series = environment.get(key)
-            values = np.zeros(0) if series is None else series.value
-            values = values[np.isfinite(values)]
-            return float(values.mean()) if len(values) else otherwise
-
-        return cls(mean('air_temperature', 20.0), mean('air_pressure', 101325.0), mean('humidity', 0.5),
-                   tuple(mean(f'scale_temperature/{axis}', 20.0) for axis in 'xyz'))
-
-    def index_slope(self, kind: str) -> float:
-        """Derivative of the index of air by temperature [1/K], pressure [1/Pa] or humidity [1]."""
-        place = ('air_temperature', 'air_pressure', 'humidity').index(kind)
-        step, point = (0.1, 10.0, 0.01)[place], [self.temperature, self.pressure, self.humidity]
-        ends = []
-        for sign in (1.0, -1.0):
-            moved = point.copy()
-            moved[place] += sign * step
-            ends.append(float(refractive_index(*moved)))
-        return (ends[0] - ends[1]) / (2.0 * step)
+STEP_M = 1.0e-4
+"""By how much a length of the description is moved to see what it does [m]."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +62,7 @@ class Cause:
 class Setting:
     """What the causes are computed from: description, stops, arrival derivatives, noise, conditions.
 
-    ``readings`` (n, c) [m] and ``arrival`` (5, n, c) as in the fit.
+    ``readings`` (n, c) [m] and ``arrival`` (5, n, c) as in the fit; ``model`` and ``theta``: where it ended.
     """
 
     description: Description
@@ -99,12 +71,24 @@ class Setting:
     arrival: np.ndarray
     noise: NoiseModel
     conditions: Conditions
+    model: ForwardModel
+    theta: np.ndarray
 
     @classmethod
     def of_fit(cls, description: Description, table: StopTable, result: Fit,
                conditions: Conditions | None = None) -> 'Setting':
         return cls(description, table, readings_of(table), result.arrival, result.noise,
-                   conditions or Conditions())
+                   conditions or Conditions(), result.model, result.theta)
+
+    @property
+    def paths(self) -> np.ndarray:
+        """Distance (n,) [m] from base unit to mirror at each stop, nominally."""
+        machine, out = self.description.machine, np.empty(len(self.table))
+        for number, name in enumerate(self.table.setup_names):
+            rows = self.table.setup == number
+            out[rows] = self.description.setups[name].standoff + \
+                (self.table.commanded[rows] - start_corner(machine, name)) @ setup_direction(machine, name)
+        return out
 
 
 def with_budget(noise: NoiseModel, budget: Budget, setting_table: StopTable,
@@ -121,8 +105,10 @@ def with_budget(noise: NoiseModel, budget: Budget, setting_table: StopTable,
 
 
 def causes(budget: Budget, setting: Setting) -> list[Cause]:
-    """Every contributor of ``budget`` on the log of ``setting``."""
-    return [_cause(contributor, setting) for contributor in budget.contributors]
+    """Every contributor of ``budget`` on the log of ``setting``, and what the conditions add without being asked."""
+    named = {c.kind for c in budget.contributors}
+    added = [c for c in UNASKED if c.kind not in named and _standard(c, setting.conditions) > 0.0]
+    return [_cause(contributor, setting) for contributor in (*budget.contributors, *added)]
 
 
 def _cause(contributor: Contributor, setting: Setting) -> Cause:
@@ -144,14 +130,50 @@ def _cause(contributor: Contributor, setting: Setting) -> Cause:
         columns = sparse.csr_array((sigma.ravel()[keep], (keep, np.arange(len(keep)))), (size, len(keep)))
         return Cause(contributor, columns, nothing, dof)
     if kind in ('scale_temperature', 'expansion_coefficient'):
-        if kind == 'scale_temperature':
-            slopes = np.full(3, contributor.standard * contributor.coefficient)
-        else:
-            slopes = contributor.standard * (np.array(setting.conditions.scales) - REFERENCE_TEMPERATURE)
+        slopes = _thermal_slopes(contributor, setting.conditions)
         effect = {f'E{letter}{letter}': slopes[a] * np.eye(3)[a] for a, letter in enumerate(AXES)}
         return Cause(contributor, sparse.csr_array((size, 3)), effect, dof)
-    columns = contributor.standard * _systematic(kind, contributor, setting)
+    if kind in STOPWISE:
+        return Cause(contributor, contributor.standard * STOPWISE[kind](setting), nothing, dof)
+    standard = _standard(contributor, setting.conditions)
+    columns = standard * _systematic(kind, contributor, setting)
     return Cause(contributor, sparse.csr_array(columns.reshape(len(columns), size).T), nothing, dof)
+
+
+UNASKED = (Contributor('air temperature', 'air_temperature', 'B', 'normal', 0.0),
+           Contributor('air pressure', 'air_pressure', 'B', 'normal', 0.0),
+           Contributor('humidity', 'humidity', 'B', 'normal', 0.0),
+           Contributor('index of air', 'index_formula', 'B', 'normal', 0.0),
+           Contributor('air variation', 'air_variation', 'B', 'normal', 0.0))
+"""Lines without a size of their own, for conditions that leave the air unknown under a budget that is silent on it."""
+
+
+def _standard(contributor: Contributor, conditions: Conditions) -> float:
+    """Standard uncertainty of a contributor with what these conditions add to it: less known, more uncertain."""
+    more = {'air_temperature': conditions.doubt[0], 'air_pressure': conditions.doubt[1],
+            'humidity': conditions.doubt[2], 'index_formula': conditions.unknown,
+            'air_variation': conditions.variation}
+    return float(np.hypot(contributor.standard, more.get(contributor.kind, 0.0)))
+
+
+def index_sigma(budget: Budget, conditions: Conditions) -> float:
+    """Standard uncertainty [1] of the unit of length, alike in the whole log: wavelength, sensors, formula, doubt."""
+    named = {c.kind for c in budget.contributors}
+    slopes = {kind: conditions.index_slope(kind) for kind in ('air_temperature', 'air_pressure', 'humidity')}
+    slopes |= {'scale': 1.0, 'index_formula': 1.0}
+    lines = (*budget.contributors, *(c for c in UNASKED if c.kind not in named))
+    return float(np.linalg.norm([_standard(c, conditions) * slopes[c.kind] for c in lines if c.kind in slopes]))
+
+
+def _thermal_slopes(contributor: Contributor, conditions: Conditions) -> np.ndarray:
+    """Standard uncertainty (3,) [1] of the slopes of EXX, EYY, EZZ by their scales' temperatures or material."""
+    own, referred = np.array(conditions.expansion), np.array(conditions.referred)
+    if contributor.kind == 'expansion_coefficient':
+        given = np.array(conditions.expansion_sigma)
+        sigma = np.where(np.isfinite(given), given, contributor.standard)
+        return np.where(referred, sigma * np.abs(np.array(conditions.scales) - REFERENCE_TEMPERATURE), 0.0)
+    by_sensor = contributor.standard * np.where(np.isfinite(own), own, contributor.coefficient)
+    return np.where(referred, by_sensor, np.hypot(by_sensor, UNREFERRED))
 
 
 def _systematic(kind: str, contributor: Contributor, setting: Setting) -> np.ndarray:
@@ -160,21 +182,12 @@ def _systematic(kind: str, contributor: Contributor, setting: Setting) -> np.nda
     beams = readings.shape[1] - 2
     length, spot = np.zeros_like(readings), np.zeros_like(readings)
     length[:, :beams], spot[:, beams:] = readings[:, :beams], readings[:, beams:]
-    if kind == 'scale':
+    if kind in ('scale', 'index_formula'):
         return length[None]
     if kind in ('air_temperature', 'air_pressure', 'humidity'):
         return length[None] * -setting.conditions.index_slope(kind)
-    if kind == 'dead_path':
-        # The index goes on changing through the run; the reset was at its first stop.
-        standoff = np.array([setting.description.setups[n].standoff for n in table.setup_names])
-        effects = []
-        for run in np.unique(table.run):
-            rows = np.flatnonzero(table.run == run)
-            share = np.linspace(0.0, 1.0, len(rows))
-            effect = np.zeros_like(readings)
-            effect[rows, :beams] = (share * standoff[table.setup[rows]])[:, None]
-            effects.append(effect)
-        return np.array(effects)
+    if kind in ('dead_path', 'air_variation'):
+        return _in_runs(kind, setting, length)
     if kind == 'cosine':
         linear = [i for i, n in enumerate(table.setup_names) if setting.description.setups[n].is_linear]
         # L ε² E with E exponential; the value squares, the standard uncertainty is taken off outside.
@@ -186,9 +199,91 @@ def _systematic(kind: str, contributor: Contributor, setting: Setting) -> np.nda
         turned = np.zeros_like(readings)
         turned[:, beams], turned[:, beams + 1] = -spot[:, beams + 1], spot[:, beams]
         return turned[None]
+    if kind in ('tool', 'beam_offset', 'standoff'):
+        return _of_description(kind, setting)
     zero = [np.where((table.setup == i)[:, None] & (np.arange(beams + 2) == beams + k), 1.0, 0.0)
             for i in np.unique(table.setup) for k in range(2)]
     return np.array(zero)
+
+
+def _in_runs(kind: str, setting: Setting, length: np.ndarray) -> np.ndarray:
+    """Effects (k, n, c) of an index that changes within each run by 1, and (``air_variation``) from run to run."""
+    table, beams, effects = setting.table, length.shape[1] - 2, []
+    standoff = np.array([setting.description.setups[n].standoff for n in table.setup_names])[table.setup]
+    path = standoff if kind == 'dead_path' else setting.paths
+    for run in np.unique(table.run):
+        rows = np.flatnonzero(table.run == run)
+        # The index goes on changing through the run; the reset was at its first stop.
+        effect = np.zeros_like(length)
+        effect[rows, :beams] = (np.linspace(0.0, 1.0, len(rows)) * path[rows])[:, None]
+        effects.append(effect)
+        if kind == 'air_variation':
+            effects.append(np.where((table.run == run)[:, None], length, 0.0))
+    return np.array(effects)
+
+
+def _of_description(kind: str, setting: Setting) -> np.ndarray:
+    """Effects (k, n, c) per metre of an error in the tool vector, the beams' offsets or the standoffs.
+
+    Differences of the full model at the solution; what such an error does to an ideal machine that nobody
+    misaligned is a constant, which the resets take out.
+    """
+    description, table, model = setting.description, setting.table, setting.model
+    moved: list[Description] = []
+    if kind == 'tool':
+        moved = [replace(description, machine=replace(description.machine, tool=tuple(
+            np.array(description.machine.tool) + STEP_M * np.eye(3)[k]))) for k in range(3)]
+    for number in np.unique(table.setup) if kind != 'tool' else ():
+        name = table.setup_names[number]
+        setup = description.setups[name]
+        if kind == 'standoff':
+            changed = [replace(setup, standoff=setup.standoff + STEP_M)]
+        else:
+            steps = STEP_M * np.eye(2)
+            changed = [replace(setup, psd_offset=tuple(np.array(setup.psd_offset) + step)) for step in steps]
+            changed += [replace(setup, beams=tuple(
+                tuple(np.array(beam) + (step if own == k else 0.0)) for own, beam in enumerate(setup.beams)))
+                for k in range(len(setup.beams)) for step in steps]
+        moved += [replace(description, setups=description.setups | {name: one}) for one in changed]
+    nominal = model.predict(setting.theta)
+    return np.array([(ForwardModel(one, table, model.parameters).predict(setting.theta) - nominal) / STEP_M
+                     for one in moved])
+
+
+def _cyclic_columns(setting: Setting) -> sparse.csr_array:
+    """Effect (n·c, n) of a unit swing of the lengths at each stop."""
+    n, channels = setting.readings.shape
+    rows = (np.arange(n)[:, None] * channels + np.arange(channels - 2)).ravel()
+    return sparse.csr_array((np.ones(len(rows)), (rows, np.repeat(np.arange(n), channels - 2))), (n * channels, n))
+
+
+def _places(setting: Setting) -> tuple[np.ndarray, int]:
+    """Number of the place where each stop's beams strike (n,): one for each stop of each setup."""
+    _, place = np.unique(np.stack([setting.table.setup, setting.table.index], axis=1), axis=0, return_inverse=True)
+    return np.ravel(place), int(place.max()) + 1
+
+
+def _flatness_columns(setting: Setting) -> sparse.csr_array:
+    """Effect (n·c, places) of a unit height of the mirror at each place."""
+    n, channels = setting.readings.shape
+    place, count = _places(setting)
+    rows = (np.arange(n)[:, None] * channels + np.arange(channels - 2)).ravel()
+    return sparse.csr_array((np.ones(len(rows)), (rows, np.repeat(place, channels - 2))), (n * channels, count))
+
+
+def _slope_columns(setting: Setting) -> sparse.csr_array:
+    """Effect (n·c, 2 places) of a unit slope of the mirror at each place, about u and about v: (−2Lβ, 2Lα)."""
+    n, channels = setting.readings.shape
+    place, count = _places(setting)
+    first, twice = np.arange(n) * channels + channels - 2, 2.0 * setting.paths
+    return sparse.csr_array((np.concatenate([twice, -twice]),
+                             (np.concatenate([first + 1, first]), np.concatenate([place, count + place]))),
+                            (n * channels, 2 * count))
+
+
+STOPWISE: dict[str, Callable[[Setting], sparse.csr_array]] = {
+    'cyclic': _cyclic_columns, 'mirror_flatness': _flatness_columns, 'mirror_slope': _slope_columns}
+"""Contributors with a variate for each stop or place."""
 
 
 def _arrival_columns(setting: Setting) -> sparse.csr_array:
@@ -288,17 +383,39 @@ def error_slopes(cause: Cause, solution: Solution) -> np.ndarray:
     return out
 
 
-def propagate(budget: Budget, setting: Setting, result: Fit, solution: Solution) -> Uncertainty:
-    """Combined uncertainty of ``solution``, which belongs to ``result``."""
+SHARED = ('psd_zero', 'psd_gain', 'psd_rotation', 'cosine', 'dead_path', 'air_variation', 'tool', 'beam_offset',
+          'standoff')
+"""Kinds whose variates act on many readings, and not on all lengths alike."""
+
+
+def _scaled(cause: Cause, misfit: float) -> Cause:
+    measured = cause.contributor.kind in MEASURED and misfit != 1.0
+    return replace(cause, readings=misfit * cause.readings) if measured else cause
+
+
+def propagate(budget: Budget, setting: Setting, result: Fit, solution: Solution,
+              misfit: float = 1.0, weighed: bool = False) -> Uncertainty:
+    """Combined uncertainty of ``solution``, which belongs to ``result``.
+
+    ``misfit``: by what the measured contributors are scaled where the residuals are larger than they say;
+    ``weighed``: take the step to the estimate that weighs shared errors too (:mod:`stepdiag_ros.estimate.shared`).
+    """
     parameters = result.parameters
     _, reporting = reporting_matrix(parameters.knots, parameters.first, parameters.size)
-    sensitivity = gain(result, reporting)
-    acting = tuple(causes(budget, setting))
+    acting = tuple(_scaled(cause, misfit) for cause in causes(budget, setting))
+    shared = [cause.readings.toarray() for cause in acting if cause.contributor.kind in SHARED]
+    if weighed and shared:
+        found = weigh(result, reporting, np.hstack(shared), misfit)
+        sensitivity, half = found.gain, found.half
+        solution = replace(solution, value=solution.value + found.shift)
+    else:
+        sensitivity, half = gain(result, reporting), reporting @ result.covariance
     effects = tuple((cause.readings.T @ sensitivity.T).T + error_slopes(cause, solution) for cause in acting)
-    half = reporting @ result.covariance
     held = half @ result.precision @ half.T
     covariance = held + sum(effect @ effect.T for effect in effects)
-    return Uncertainty(replace(solution, covariance=covariance), acting, effects, held)
+    alone = held + sum((effect @ effect.T for cause, effect in zip(acting, effects, strict=True)
+                        if cause.contributor.kind in MEASURED), np.zeros_like(held))
+    return Uncertainty(replace(solution, covariance=covariance, repeatability=alone), acting, effects, held)
 
 
 __all__ = ['HELD', 'Cause', 'Conditions', 'Setting', 'Uncertainty', 'causes', 'coverage_factor', 'gain',

@@ -13,7 +13,7 @@ import numpy as np
 
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate.reduce import StopTable
-from stepdiag_ros.model.description import DIAGONALS, Description, Machine
+from stepdiag_ros.model.description import DIAGONALS, Description, Machine, Noise
 from stepdiag_ros.model.log import NONE
 from stepdiag_ros.model.machine import GeometricErrors, tool_pose
 from stepdiag_ros.model.path import local_triad, setup_direction, stops
@@ -54,6 +54,7 @@ class SetupReadings:
     ``displacement_m`` (n, beams) [m], zero at stop 0; ``displacement_sigma_m`` (n,) of that mean;
     ``spot_m`` (n, 2) [m] or None, ``spot_sigma_m`` (n,); ``forward_m``, ``backward_m``
     (runs, n) [m]: beam 0 of each run on its own, aligned as :func:`readings_of_stops` says.
+    ``declared``: no direction was run twice, and the standard deviations are of the noise that the cell declares.
     """
 
     sight: Sight
@@ -63,6 +64,7 @@ class SetupReadings:
     spot_sigma_m: np.ndarray | None = None
     forward_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
     backward_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
+    declared: bool = False
 
 
 @dataclass(frozen=True)
@@ -168,7 +170,8 @@ def readings_of_stops(description: Description, table: StopTable) -> CellReading
     ``backward_m``) the resets count: a run starts from zero at its first forward stop, a backward
     run of its own goes on from where the forward run of its repeat ended.  A setup with a
     stop that no run has is left out, with the reason.  The standard deviation of a mean is
-    that of the scatter between runs of the same direction.
+    that of the scatter between runs of the same direction; where none was run twice, of the noise that the cell
+    declares.
     """
     setups, left_out = {}, {}
     for number, name in enumerate(table.setup_names):
@@ -176,13 +179,13 @@ def readings_of_stops(description: Description, table: StopTable) -> CellReading
         if not rows.any() or name not in description.setups:
             continue
         try:
-            setups[name] = _setup_readings(sight_of(description, name), table.select(rows))
+            setups[name] = _setup_readings(sight_of(description, name), table.select(rows), description.noise)
         except StepdiagError as error:
             left_out[name] = str(error)
     return CellReadings(description.machine, description.plan.steps, setups, left_out)
 
 
-def _setup_readings(sight: Sight, table: StopTable) -> SetupReadings:
+def _setup_readings(sight: Sight, table: StopTable, noise: Noise) -> SetupReadings:
     n, beams = len(sight.positions), table.displacement.shape[1]
     # A traverse goes once along the stops; an imported table holds many in one run without a reset.
     keys, member = np.unique(np.stack([table.run, table.repeat, table.direction], axis=1),
@@ -205,9 +208,15 @@ def _setup_readings(sight: Sight, table: StopTable) -> SetupReadings:
     forward, backward = _in_order(length[:, :, 0], keys)
     has_spots = np.isfinite(spots).any(axis=0).all()
     spot_mean = _mean(spots, 0) if has_spots else None
-    return SetupReadings(
-        sight, mean - mean[0], _sigma(aligned[:, :, 0], direction), spot_mean,
-        _sigma(spots.mean(axis=2), direction) if has_spots else None, forward, backward)
+    sigma, spot_sigma = _sigma(aligned[:, :, 0], direction), _sigma(spots.mean(axis=2), direction)
+    path = sight.standoff + (sight.positions - sight.positions[0]) @ sight.direction
+    declared = sigma is None
+    if declared:
+        sigma = np.full(n, np.hypot(noise.position_repeatability, noise.displacement) / np.sqrt(len(keys)))
+    if spot_sigma is None:
+        spot_sigma = np.hypot(2.0 * path * noise.angle_repeatability, noise.spot) / np.sqrt(len(keys))
+    return SetupReadings(sight, mean - mean[0], sigma, spot_mean, spot_sigma if has_spots else None, forward,
+                         backward, declared)
 
 
 def _align(length: np.ndarray) -> np.ndarray:
@@ -222,8 +231,8 @@ def _mean(values: np.ndarray, axis: int) -> np.ndarray:
     return np.where(count, np.nansum(values, axis=axis), np.nan) / np.maximum(count, 1)
 
 
-def _sigma(values: np.ndarray, direction: np.ndarray) -> np.ndarray:
-    """Standard deviation (n,) of the mean over runs, pooled over the stops."""
+def _sigma(values: np.ndarray, direction: np.ndarray) -> np.ndarray | None:
+    """Standard deviation (n,) of the mean over runs, pooled over the stops; None where no direction was run twice."""
     squares, freedom = 0.0, 0
     for sign in (1, -1):
         same = values[direction == sign]
@@ -232,7 +241,7 @@ def _sigma(values: np.ndarray, direction: np.ndarray) -> np.ndarray:
             squares += np.nansum(spread ** 2)
             freedom += np.isfinite(spread).sum() - np.isfinite(spread).any(axis=0).sum()
     if not freedom:
-        return np.zeros(values.shape[1])
+        return None
     return np.full(values.shape[1], np.sqrt(squares / freedom / len(values)))
 
 

@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from stepdiag_ros.estimate.finding import Finding
+from stepdiag_ros.estimate.traceability import Traceability
 from stepdiag_ros.model.machine import CURVES, SQUARENESS, Curve, GeometricErrors
 from stepdiag_ros.model.sensor import Misalignment
 
@@ -47,7 +49,11 @@ class Solution:
     squareness error; ``value`` (p,) [m or rad] and ``covariance`` (p, p) follow it.  Curves are
     zero at position 0 with zero variance.  Straightness and squareness refer to the reference
     lines of ISO 230-1 (:mod:`stepdiag_ros.estimate.gauge`).  A method that cannot give an error
-    leaves its name out.
+    leaves its name out.  ``sanity``: mistakes of commissioning that the log shows
+    (:mod:`stepdiag_ros.estimate.sanity`).
+
+    ``covariance`` is that of the whole budget where ``traceability`` is set, else of the repeats alone;
+    ``repeatability`` (p, p) then keeps what the repeats, or the noise that the cell declares, give alone.
     """
 
     method: str
@@ -65,11 +71,29 @@ class Solution:
     residuals: Residuals | None = None
     warnings: tuple[str, ...] = ()
     extra: Mapping[str, Any] = field(default_factory=dict)
+    repeatability: np.ndarray | None = None
+    traceability: Traceability | None = None
+    sanity: tuple[Finding, ...] = ()
 
     @property
     def sigma(self) -> np.ndarray:
-        """One standard deviation of every parameter (p,)."""
+        """One standard uncertainty of every parameter (p,)."""
         return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+
+    @property
+    def sigma_repeatability(self) -> np.ndarray:
+        """What repeats alone give of :attr:`sigma` (p,)."""
+        covariance = self.covariance if self.repeatability is None else self.repeatability
+        return np.sqrt(np.maximum(np.diag(covariance), 0.0))
+
+    @property
+    def traceable(self) -> bool:
+        """Whether the lengths are metres: somebody took the index of air into account."""
+        return self.traceability is not None and self.traceability.traceable
+
+    def curve_repeatability(self, name: str) -> np.ndarray:
+        """:attr:`sigma_repeatability` of a curve (k,)."""
+        return self.sigma_repeatability[[i for i, (n, _) in enumerate(self.names) if n == name]]
 
     def curve(self, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Positions, values and standard deviations of a curve, each (k,)."""
@@ -100,19 +124,24 @@ class Solution:
         for name in CURVES:
             if self.has(name):
                 position, value, sigma = self.curve(name)
-                errors[name] = {'position_m': _list(position), 'value': _list(value),
-                                'sigma': _list(sigma)}
+                errors[name] = {'position_m': _list(position), 'value': _list(value), 'sigma': _list(sigma),
+                                'sigma_repeatability': _list(self.curve_repeatability(name))}
         for name in SQUARENESS:
             if self.has(name):
                 value, sigma = self.squareness(name)
-                errors[name] = {'value': value, 'sigma': sigma}
+                errors[name] = {'value': value, 'sigma': sigma,
+                                'sigma_repeatability': float(self.sigma_repeatability[self.names.index((name, -1))])}
+        tied = self.traceability
         return {'method': self.method, 'status': self.status, 'errors': errors,
                 'unidentifiable': [{'names': list(u.names), 'why': u.why}
                                    for u in self.unidentifiable],
+                'reference_temperature': None if tied is None else tied.reference_temperature,
+                'traceability': None if tied is None else tied.to_json_dict(),
                 'gauge': self.gauge, 'reduced_chi2': self.reduced_chi2, 'dof': self.dof,
                 'misalignments': {name: {'laser_rad': list(m.laser), 'mirror_rad': list(m.mirror)}
                                   for name, m in self.misalignments.items()},
-                'noise': dict(self.noise), 'warnings': list(self.warnings), **self.extra}
+                'noise': dict(self.noise), 'warnings': list(self.warnings),
+                'sanity': [finding.to_json_dict() for finding in self.sanity], **self.extra}
 
 
 def _list(values: np.ndarray) -> list[float]:

@@ -1,12 +1,14 @@
-"""From a log to its diagnosis: where the gap lies, which effect causes it, how far it closes.
+"""The diagnosis of a log: where the gap lies, which effect causes it, how far it closes.
 
-The steps, each in a file of its own: :mod:`observe` (reduce, fit), :mod:`inside` and :mod:`clocks` (stamps),
-:mod:`folded` (spots beyond reach), :mod:`disturbances` with :mod:`unrest`, :mod:`dwells`, :mod:`lines`, :mod:`steady`
-and :mod:`hops` (what shakes, boils or hops), :mod:`gross` (where to begin), :mod:`turns` with :mod:`parity`,
-:mod:`screen`, :mod:`search` and :mod:`joint` (evidence for sets of effects, machine and effects together),
-:mod:`scatter` (what has no pattern), :mod:`correlates` (with what a nameless one goes), :mod:`closing` (the part held
-out), :mod:`where` and :mod:`bands` (shares, frequencies), :mod:`hint`, :mod:`rivals`, :mod:`next_measurement` and
-:mod:`next_run` (what the log leaves open), :mod:`averaged` (the 21 errors).
+The steps, each in a package of its own:
+
+:mod:`preprocess`         put stamps right, reduce samples to stops, fit the rigid-body model, leave out spots beyond
+                          the detector's range
+:mod:`noise`              disturbances inside the dwells: spectra, lines, mode hops; scatter beyond the noise
+:mod:`inference`          evidence for sets of effects in parity space, search, joint fit, averaged errors
+:mod:`alternatives`       what competes with the named effects: physics without a name, unmodelled structure
+:mod:`summary`            where, at which frequencies, with what it correlates, the held-out gap
+:mod:`experiment_design`  what the log leaves open and the run that separates it
 """
 
 from collections.abc import Iterable, Mapping
@@ -14,66 +16,74 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 
 from stepdiag_ros.effects.base import Effect
-from stepdiag_ros.gap.clocks import Late, set_clocks
-from stepdiag_ros.gap.closing import Closing, closing, excess_forecast
-from stepdiag_ros.gap.diagnosis import AXIS_LIKE, Diagnosis, Found
-from stepdiag_ros.gap.disturbances import disturbed
-from stepdiag_ros.gap.evidence import width_of
-from stepdiag_ros.gap.folded import within_range
-from stepdiag_ros.gap.gross import GROSS
-from stepdiag_ros.gap.hint import hint_of
-from stepdiag_ros.gap.joint import Joint, fit_jointly, unexplained
-from stepdiag_ros.gap.lines import Vibration
-from stepdiag_ros.gap.next_measurement import advise
-from stepdiag_ros.gap.observe import observe
-from stepdiag_ros.gap.rivals import confused, rivals_of, separations
-from stepdiag_ros.gap.scatter import excess_scatter
-from stepdiag_ros.gap.search import NOTHING, EffectSet, probabilities
-from stepdiag_ros.gap.thresholds import (
+from stepdiag_ros.gap.alternatives.unmodelled import NAME as UNKNOWN
+from stepdiag_ros.gap.constants import (
     ALARM,
-    FORM_ERROR,
     LEAST_LEFT,
-    MISFIT,
-    MISFIT_MOST,
     SCATTER_ALARM,
-    TEMPER,
 )
-from stepdiag_ros.gap.turns import noise_of, settle
-from stepdiag_ros.gap.unknown import NAME as UNKNOWN
-from stepdiag_ros.gap.where import shares
+from stepdiag_ros.gap.diagnosis import AXIS_LIKE, Diagnosis, Found
+from stepdiag_ros.gap.experiment_design.advice import advise
+from stepdiag_ros.gap.experiment_design.competing_models import confused, rivals_of, separations
+from stepdiag_ros.gap.inference.discrepancy import residual
+from stepdiag_ros.gap.inference.evidence import width_of
+from stepdiag_ros.gap.inference.initialisation import GROSS
+from stepdiag_ros.gap.inference.joint import Joint, unexplained
+from stepdiag_ros.gap.inference.noise_or_effects import settle_in_noise
+from stepdiag_ros.gap.inference.search import NOTHING, EffectSet, probabilities
+from stepdiag_ros.gap.noise.disturbances import disturbed
+from stepdiag_ros.gap.noise.incoherent_lines import Vibration
+from stepdiag_ros.gap.noise.scatter import excess_scatter
+from stepdiag_ros.gap.noise.stated import stated
+from stepdiag_ros.gap.preprocess.clocks import Late, set_clocks
+from stepdiag_ros.gap.preprocess.detector_range import within_range
+from stepdiag_ros.gap.preprocess.observe import observe
+from stepdiag_ros.gap.preprocess.samples import clean
+from stepdiag_ros.gap.summary.cross_validation import Closing, closing, excess_forecast
+from stepdiag_ros.gap.summary.hint import hint_of
+from stepdiag_ros.gap.summary.where import shares
 from stepdiag_ros.model.log import CalibrationLog
 
 BEYOND_PATTERNS = 0.95
 """Probability that something else acts where scatter, hops or coarse readings say so, each far beyond its alarm."""
 
 
+UNTIMED = ('the readings drift in the order in which they were taken; the times of this table are made up, so that no '
+           'thermal cause and no time constant can be told')
+
+
 def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
     """Diagnose one log against ``effects`` (one instance of each class)."""
     effects = {effect.name: effect for effect in effects}
+    log, left_out = clean(log)
     log, observation, clocks, late = set_clocks(log, observe(log))
     observation, beyond_range = within_range(observation)
     observation, disturbances = disturbed(log, observation)
-    alone = fit_jointly(observation, [], noise_of(observation))
-    joint, sets, screen = settle(alone, effects)
+    alone, joint, sets, screen = settle_in_noise(observation, effects)
     best = sets[0] if sets[0].log_bayes > ALARM else EffectSet((), 0.0)
-    names, nothing, weights = probabilities(sets, len(effects) + 1, TEMPER)
+    names, nothing, weights = probabilities(sets, len(effects) + 1)
     if not best.members:
         # Below the alarm nothing is claimed, whatever the odds between the sets say.
         joint = alone
     how_far, shakes = closing(joint, alone), disturbances.unrest.shakes
     found = [_found(name, effects[name], names.get(name, 0.0), joint)
              for name in dict.fromkeys(a.effect.name for a in joint.active) if name in best.key]
+    untimed = set() if log.description.timed else {f.name for f in found if effects[f.name].needs_times}
+    found = [f for f in found if f.name not in untimed]
+    names = {UNKNOWN if name in untimed else name: names[name] for name in sorted(names, key=untimed.__contains__)} \
+        if untimed else names
     beside = [*([_late(late)] if late else []),
               *([_shaking(effects, disturbances.unrest.displacement)] if shakes else [])]
     outside = {f.name: f.probability for f in beside}
     found = sorted([*found, *beside], key=lambda f: -f.probability)
     # Of several patterns the first explains the most.
     leftover = next((screen.candidates[m.candidate].form.label for m in best.members if m.effect == UNKNOWN), '')
-    before, instead = disturbances.words(joint, {name: names.get(name, 0.0) for name in best.key})
+    leftover = leftover or (UNTIMED if untimed else '')
+    before, instead = disturbances.words({name: names.get(name, 0.0) for name in best.key})
     leftover = before or leftover or instead
     if not leftover and not shakes:
-        leftover = _without_pattern(joint, best, how_far, bool(found))
-    if leftover and UNKNOWN not in best.key:
+        leftover = _without_pattern(joint, how_far, bool(found))
+    if leftover and UNKNOWN not in best.key and not untimed:
         outside[UNKNOWN] = BEYOND_PATTERNS
     if found and not leftover and (how_far.left > LEAST_LEFT or how_far.after > GROSS**2):
         leftover = (f'{100.0 * how_far.left:.2g} % of the gap does not follow the forms known of what was named '
@@ -86,27 +96,23 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
     return Diagnosis(
         log, _verdict(found, leftover), how_far, shares(joint, found, bool(leftover)), tuple(found),
         {**names, **outside, NOTHING: nothing * float(np.prod([1.0 - p for p in outside.values()]))},
-        tuple((tuple(sorted({*s.names, *outside})), w) for s, w in zip(sets, weights, strict=True))[:20],
+        tuple((tuple(sorted({*(UNKNOWN if n in untimed else n for n in s.names), *outside})), w)
+              for s, w in zip(sets, weights, strict=True))[:20],
         groups, observation, joint, clocks, disturbances.unrest.displacement, leftover,
-        log.warnings + observation.table.warnings + ((beyond_range,) if beyond_range else ()), sets, screen, words, run,
-        separations(sets, doubtful), hint)
+        log.warnings + observation.table.warnings + ((beyond_range,) if beyond_range else ()) + left_out
+        + stated(joint, disturbances.widths), sets, screen, words, run,
+        separations(sets, doubtful), hint, len(effects) + 1)
 
 
-def _without_pattern(joint: Joint, best: EffectSet, how_far: Closing, found: bool) -> str:
-    """Scatter beyond the noise, or runs foretold worse than it, in words; '' where there is none."""
-    evidence, words = excess_scatter(joint)
-    allowed = SCATTER_ALARM + min(MISFIT * best.log_bayes, MISFIT_MOST)
-    if evidence > allowed and not _form_error(joint):
+def _without_pattern(joint: Joint, how_far: Closing, found: bool) -> str:
+    """Scatter beyond the noise and the discrepancies of the forms, or runs predicted worse than it, in words; '' where
+    there is none."""
+    rest = residual(joint.parity, joint.active, joint.observation.view)
+    evidence, words = excess_scatter(joint, rest)
+    if evidence > SCATTER_ALARM:
         return words
     evidence, words = excess_forecast(how_far)
     return words if evidence > SCATTER_ALARM and not found else ''
-
-
-def _form_error(joint: Joint) -> bool:
-    """Whether what the effects leave is so small a part of what they explain that their forms may be to blame."""
-    data, rest = joint.parity.data, unexplained(joint.parity, joint.active)
-    left = float(rest @ rest) - sum(joint.parity.dof)
-    return left < FORM_ERROR * float(data @ data - rest @ rest) and bool(joint.active)
 
 
 def _found(name: str, effect: Effect, probability: float, joint: Joint) -> Found:

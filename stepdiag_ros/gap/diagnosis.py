@@ -6,21 +6,23 @@ from functools import cached_property
 
 from stepdiag_ros.estimate.evaluate import solution_of
 from stepdiag_ros.estimate.solution import Solution
-from stepdiag_ros.gap.averaged import averaged_solution
-from stepdiag_ros.gap.bands import Band, bands
-from stepdiag_ros.gap.closing import Closing, closing_over_setups
-from stepdiag_ros.gap.correlates import Correlate, correlates
-from stepdiag_ros.gap.hint import Hint
-from stepdiag_ros.gap.inside import Timing
-from stepdiag_ros.gap.joint import Joint
-from stepdiag_ros.gap.lines import Vibration
-from stepdiag_ros.gap.margins import Margins, margins
-from stepdiag_ros.gap.next_run import NextRun
-from stepdiag_ros.gap.observe import Observation
-from stepdiag_ros.gap.screen import Screen
-from stepdiag_ros.gap.search import EffectSet
-from stepdiag_ros.gap.volume import VolumeChange, volume_change
-from stepdiag_ros.gap.where import Share
+from stepdiag_ros.gap.experiment_design.next_run import NextRun
+from stepdiag_ros.gap.inference.averaged import averaged_solution
+from stepdiag_ros.gap.inference.candidates import Screen
+from stepdiag_ros.gap.inference.joint import Joint
+from stepdiag_ros.gap.inference.search import EffectSet
+from stepdiag_ros.gap.noise.incoherent_lines import Vibration
+from stepdiag_ros.gap.noise.stated import law_of
+from stepdiag_ros.gap.preprocess.observe import Observation
+from stepdiag_ros.gap.preprocess.timing import Timing
+from stepdiag_ros.gap.summary.bands import Band, bands
+from stepdiag_ros.gap.summary.correlates import Correlate, correlates
+from stepdiag_ros.gap.summary.cross_validation import Closing, closing_over_setups
+from stepdiag_ros.gap.summary.explain import Weighed, weighed
+from stepdiag_ros.gap.summary.hint import Hint
+from stepdiag_ros.gap.summary.margins import Margins, margins
+from stepdiag_ros.gap.summary.volume import VolumeChange, volume_change
+from stepdiag_ros.gap.summary.where import Share
 from stepdiag_ros.model.log import CalibrationLog
 
 AXIS_LIKE = 3
@@ -49,9 +51,10 @@ class Found:
 class Diagnosis:
     """Everything that a report needs.
 
-    ``verdict`` as in the contract; ``effects`` what the diagnosis would add to the simulator;
-    ``ranking`` probabilities of all effects, ``unknown`` and ``nothing``; ``sets`` the sets thought of with
-    their probabilities; ``separation`` the log evidence by which what may stand for the likeliest falls behind.
+    ``verdict`` as in the contract; ``effects`` what the diagnosis would add to the simulator; ``ranking``
+    probabilities of all effects, ``unknown`` and ``nothing``; ``sets`` the sets thought of with their probabilities,
+    of ``causes`` possible ones; ``separation`` the log evidence by which what may stand for the likeliest falls
+    behind.
     """
 
     log: CalibrationLog
@@ -74,6 +77,7 @@ class Diagnosis:
     next_run: NextRun | None = None
     separation: Mapping[str, float] = field(default_factory=dict)
     hint: Hint | None = None
+    causes: int = 20
 
     def to_json_dict(self) -> dict:
         """``gap.json`` of the contract, and more beside it."""
@@ -96,13 +100,19 @@ class Diagnosis:
             'correlates': [one.to_json_dict() for one in self.correlates],
             'ranking': dict(sorted(self.ranking.items(), key=lambda item: -item[1])),
             'sets': [{'names': list(names), 'probability': p} for names, p in self.sets],
+            'weighed': [row.to_json_dict() for row in self.weighed],
             'volumetric_change': self.volume_change.to_json_dict() if self.volume_change else None,
             'errors': self.solution.to_json_dict()['errors'],
             'errors_before': self.plain.to_json_dict()['errors'] if self.joint.active else None,
             'noise': {'position_repeatability_m': self.joint.noise.position,
                       'angle_repeatability_rad': self.joint.noise.angle,
-                      'source': self.joint.noise.source},
+                      'law': law_of(self.joint.noise), 'source': self.joint.noise.source},
             'warnings': list(self.warnings)}
+
+    @cached_property
+    def weighed(self) -> tuple[Weighed, ...]:
+        """The sets of effects that were weighed, with their evidence and why one may not be claimed."""
+        return weighed(self.raw, self.causes, self.screen)
 
     @property
     def only_stamps(self) -> bool:

@@ -12,7 +12,11 @@ import yaml
 
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.guard import limits, strict_yaml
+from stepdiag_ros.model.budget import Budget
+from stepdiag_ros.model.surroundings import AirValues, Expansion, air_of, scales_of, scales_to_dict
 
+MADE_UP = 'made_up'
+"""What ``times`` of a description says where a table had none."""
 SCHEMA = 1
 DIAGONALS = ('ppp', 'npp', 'pnp', 'nnp')
 LINEAR = ('lin_x', 'lin_y', 'lin_z')
@@ -26,12 +30,16 @@ def path_of(setup: str) -> str:
 
 @dataclass(frozen=True)
 class Machine:
-    """A three-axis machine: name, kinematic chain, working volume [m], tool vector [m]."""
+    """A three-axis machine: name, kinematic chain, working volume [m], tool vector [m].
+
+    ``origin`` [m]: machine coordinates of the volume's lower corner; None: not said.
+    """
 
     name: str
     chain: str
     volume: tuple[float, float, float]
     tool: tuple[float, float, float]
+    origin: tuple[float, float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -76,12 +84,20 @@ class Noise:
 
 @dataclass(frozen=True)
 class Description:
-    """A whole cell description."""
+    """A whole cell description.
+
+    ``air``: where no topic tells; ``scales``: their material by axis letter; ``budget``: the cell's own lines;
+    ``timed``: whether the log's times were measured, not made up for a table without.
+    """
 
     machine: Machine
     plan: Plan
     setups: dict[str, Setup]
     noise: Noise = field(default_factory=Noise)
+    air: AirValues | None = None
+    scales: dict[str, Expansion] = field(default_factory=dict)
+    budget: Budget | None = None
+    timed: bool = True
 
     @classmethod
     def from_yaml(cls, text: str, source: str = 'cell_description') -> 'Description':
@@ -104,7 +120,8 @@ class Description:
                                 "write the letters F, X, Y, Z once each, e.g. 'FXYZ'")
         machine = Machine(get.name(m, 'machine.name', 'machine'), chain,
                           get.vector(m, 'machine.volume', 3, positive=True),
-                          get.vector(m, 'machine.tool', 3, default=(0.0, 0.0, 0.0)))
+                          get.vector(m, 'machine.tool', 3, default=(0.0, 0.0, 0.0)),
+                          None if m.get('origin') is None else get.vector(m, 'machine.origin', 3))
         p = get.mapping(data.get('plan'), 'plan')
         order = str(p.get('order', 'XYZ')).upper()
         if sorted(order) != ['X', 'Y', 'Z']:
@@ -127,7 +144,9 @@ class Description:
         get.mapping(n, 'noise')
         noise = Noise(*(get.number(n, f'noise.{key}', default=value, minimum=0.0, maximum=limits.NOISE)
                         for key, value in vars(Noise()).items()))
-        return cls(machine, plan, setups, noise)
+        return cls(machine, plan, setups, noise, air_of(get, data.get('air')),
+                   scales_of(get, data.get('material')), _budget(data.get('budget'), source),
+                   data.get('times') != MADE_UP)
 
     def to_dict(self) -> dict[str, Any]:
         """The mapping of the contract, plain lists and floats."""
@@ -137,13 +156,24 @@ class Description:
                             'beams': [list(b) for b in s.beams]}
             if s.is_linear:
                 setups[name] |= {'length': s.length, 'stops': s.stops}
-        return {'schema': SCHEMA,
-                'machine': {'name': self.machine.name, 'chain': self.machine.chain,
-                            'volume': list(self.machine.volume), 'tool': list(self.machine.tool)},
-                'plan': {'steps': self.plan.steps, 'order': self.plan.order,
-                         'repeats': self.plan.repeats},
-                'setups': setups,
-                'noise': dict(vars(self.noise))}
+        machine = {'name': self.machine.name, 'chain': self.machine.chain,
+                   'volume': list(self.machine.volume), 'tool': list(self.machine.tool)}
+        if self.machine.origin is not None:
+            machine['origin'] = list(self.machine.origin)
+        whole = {'schema': SCHEMA, 'machine': machine,
+                 'plan': {'steps': self.plan.steps, 'order': self.plan.order,
+                          'repeats': self.plan.repeats},
+                 'setups': setups,
+                 'noise': dict(vars(self.noise))}
+        if self.air is not None:
+            whole['air'] = self.air.to_dict()
+        if self.scales:
+            whole['material'] = {'scales': scales_to_dict(self.scales)}
+        if self.budget is not None:
+            whole['budget'] = self.budget.to_list()
+        if not self.timed:
+            whole['times'] = MADE_UP
+        return whole
 
     def to_yaml(self) -> str:
         return yaml.safe_dump(self.to_dict(), sort_keys=False, default_flow_style=None)
@@ -163,6 +193,15 @@ def _setup(get: '_Getter', name: str, body: dict, machine: Machine) -> Setup:
     length = get.number(body, f'{path}.length', minimum=0.0, maximum=limits.LENGTH_M,
                         default=machine.volume['xyz'.index(path_of(name)[-1])])
     return Setup(name, standoff, offset, beams, length, get.count(body, f'{path}.stops', 2, limits.STOPS, default=2))
+
+
+def _budget(raw: Any, source: str) -> Budget | None:
+    if raw is None:
+        return None
+    if not isinstance(raw, list) or not raw:
+        raise StepdiagError(f'{source}: budget is {raw!r}; give a list of contributors')
+    return Budget.from_list(raw, lambda number, key, text: StepdiagError(
+        f'{source}: budget[{number}].{key}: {text}'), source)
 
 
 class _Getter:

@@ -96,9 +96,12 @@ def _samples(first: Samples, further: Samples, renamed: Callable[[str], str]) ->
     names, setup = _places(first.setup_names, tuple(renamed(name) for name in further.setup_names))
     kept = {name: np.concatenate([getattr(first, name), getattr(further, name)])
             for name in ('time_ns', 'values', 'health', 'refractive_index')}
+    unknown = [np.full(len(part), -1, np.int64) if part.uncertainty_ns is None else part.uncertainty_ns
+               for part in (first, further)]
     block = further.block + (int(first.block.max()) + 1 if len(first) else 0)
     return Samples(setup_names=names, setup=np.concatenate([first.setup, setup[further.setup]]),
-                   block=np.concatenate([first.block, block]), **kept)
+                   block=np.concatenate([first.block, block]),
+                   uncertainty_ns=np.concatenate(unknown) if any(np.any(u >= 0) for u in unknown) else None, **kept)
 
 
 def _series(parts: list[ScalarSeries]) -> ScalarSeries:

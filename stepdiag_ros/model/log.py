@@ -51,6 +51,8 @@ class Samples:
     ``refractive_index`` (n,): what the interferometer divided out (1.0: none); ones for a PSD.
     ``setup`` (n,) index into ``setup_names`` (the blocks' frame_id).
     ``block`` (n,): number of the block that a sample came in.
+    ``uncertainty_ns`` (n,): by how much each time can be off at most, where the log says so (−1: it does not);
+    None: it says so of none.
     """
 
     time_ns: np.ndarray
@@ -60,6 +62,7 @@ class Samples:
     setup_names: tuple[str, ...]
     setup: np.ndarray
     block: np.ndarray
+    uncertainty_ns: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.time_ns)
@@ -78,6 +81,19 @@ class ScalarSeries:
     value: np.ndarray
     variance: np.ndarray
 
+    def at(self, time_ns: np.ndarray) -> np.ndarray:
+        """The quantity at ``time_ns`` (k,), smoothed over a few readings so that sensor noise stays out.
+
+        Before the first and after the last reading it stays as it was there.
+        """
+        good = np.isfinite(self.value)
+        time, value = (self.time_ns[good] - self.time_ns[0]) * 1e-9, self.value[good]
+        if len(value) >= 15:
+            kernel = np.hanning(13)[1:-1]
+            padded = np.concatenate([2 * value[0] - value[5:0:-1], value, 2 * value[-1] - value[-2:-7:-1]])
+            value = np.convolve(padded, kernel / kernel.sum(), mode='valid')
+        return np.interp((np.asarray(time_ns, np.int64) - self.time_ns[0]) * 1e-9, time, value)
+
 
 @dataclass(frozen=True)
 class CalibrationLog:
@@ -85,6 +101,7 @@ class CalibrationLog:
 
     ``environment`` maps ``air_temperature``, ``air_pressure``, ``humidity``,
     ``scale_temperature/x`` (``/y``, ``/z``) to series; absent keys were not logged.
+    ``clocks`` maps ``sequencer``, ``interferometer``, ``psd`` to the name of the clock that stamped them, where known.
     ``warnings`` say what the reader repaired or left out; ``namespace`` is the machine's.
     """
 
@@ -96,3 +113,4 @@ class CalibrationLog:
     source: str = 'log'
     namespace: str = ''
     warnings: tuple[str, ...] = ()
+    clocks: dict[str, str] = field(default_factory=dict)

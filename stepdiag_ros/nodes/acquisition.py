@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from stepdiag_ros.devices.base import DeviceError
+from stepdiag_ros.devices.timing import go_first
 from stepdiag_ros.errors import StepdiagError
 
 RETRY_S = 1.0
@@ -73,6 +74,10 @@ class Acquisition:
             self._thread = None
         self._refuse('is not active')
 
+    def retime(self) -> None:
+        """The clock behind the stamps was set: the next block leaves nothing out (to be called by ``read``)."""
+        self._expected_ns = None
+
     def call(self, command: Callable[[], Any]) -> Future:
         """Have ``command()`` called by the thread between two blocks."""
         future: Future = Future()
@@ -89,6 +94,7 @@ class Acquisition:
     def _run(self) -> None:
         """The supervised loop: no exception ends it, each one breaks the connection."""
         connected = True
+        go_first()
         while not self._stop.is_set():
             try:
                 if not connected:

@@ -66,11 +66,11 @@ class LogAssembler:
         tables = Tables()
         for relative, messages in self._messages.items():
             topic = f'{self.namespace}/{relative}'
-            tables.topics[topic] = _table(topic, TOPICS[relative], messages)
+            tables.topics[topic] = table_of(topic, TOPICS[relative], messages)
         return build_log(BagSource(Path(self.source), ()), tables, self.namespace)
 
 
-def _table(topic: str, type_name: str, messages: list[tuple[int, int, bytes]]) -> TopicTable:
+def table_of(topic: str, type_name: str, messages: list[tuple[int, int, bytes]]) -> TopicTable:
     """All messages of one topic, grouped by length and decoded at once."""
     number, sequence, payloads = zip(*messages, strict=True)
     number, sequence = np.array(number, np.int64), np.array(sequence, np.int64)

@@ -22,6 +22,7 @@ environment.prepare()
 import rclpy  # noqa: E402 - the environment has to be set before
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue  # noqa: E402
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor  # noqa: E402
+from rclpy.clock import Clock, ClockType  # noqa: E402
 from rclpy.exceptions import InvalidParameterValueException  # noqa: E402
 from rclpy.experimental.events_executor import EventsExecutor  # noqa: E402
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn  # noqa: E402
@@ -35,6 +36,7 @@ from rclpy.qos import (  # noqa: E402
 from rclpy.qos_overriding_options import QoSOverridingOptions  # noqa: E402
 from rclpy.signals import SignalHandlerOptions  # noqa: E402
 from rclpy.task import Future  # noqa: E402
+from rclpy.timer import Timer  # noqa: E402
 
 from stepdiag_ros.errors import StepdiagError  # noqa: E402
 from stepdiag_ros.guard.show import escaped  # noqa: E402
@@ -53,6 +55,11 @@ def reliable(depth: int = DEPTH, latched: bool = False) -> QoSProfile:
     return QoSProfile(
         depth=depth, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.RELIABLE,
         durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE)
+
+
+def steady_clock() -> Clock:
+    """The monotonic clock, for timers."""
+    return Clock(clock_type=ClockType.STEADY_TIME)
 
 
 def overridable() -> QoSOverridingOptions:
@@ -104,8 +111,8 @@ class StepdiagNode(LifecycleNode):
         self._fault, self._own_start = '', False
         autostart = self.text('autostart', False, 'configure and activate without being asked')
         self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
-        self._diagnostics_timer = self.create_timer(1.0, self.publish_diagnostics)
-        self._autostart_timer = self.create_timer(1.0, self._start_by_itself) if autostart else None
+        self._diagnostics_timer = self.every(1.0, self.publish_diagnostics)
+        self._autostart_timer = self.every(1.0, self._start_by_itself) if autostart else None
 
     def get_logger(self) -> Any:
         return SafeLogger(super().get_logger())
@@ -127,6 +134,10 @@ class StepdiagNode(LifecycleNode):
     def health(self) -> Health:
         """How the node is; called once a second in every state."""
         return Health()
+
+    def every(self, period_s: float, callback: Callable[[], None]) -> Timer:
+        """A timer that a step of the system's clock does not hold up, as it does rclpy's own default."""
+        return self.create_timer(period_s, callback, clock=steady_clock())
 
     # -- parameters --------------------------------------------------------------
 

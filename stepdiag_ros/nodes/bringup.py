@@ -27,12 +27,16 @@ from stepdiag_ros.guard.missing import missing
 from stepdiag_ros.guard.show import escaped
 from stepdiag_ros.nodes import environment
 from stepdiag_ros.nodes.graph import LISTENERS, NODES, PARAMETERS, hardware_endpoints, namespace_of, write_graph
+from stepdiag_ros.nodes.ownership import CELL as CELL_OWNER
+from stepdiag_ros.nodes.ownership import Ownership
 from stepdiag_ros.virtual.acting import allow_effect_files
 from stepdiag_ros.virtual.cell import Cell, load_cell
 
 CELL = 'virtual cell'
 START_TIMEOUT_S = 90.0
 GRACE_S = 15.0
+#: So long the graph is looked at for nodes of the same name before any is started.
+LOOK_AROUND_S = 1.5
 #: A node that dies this often within a minute is left alone.
 RESTARTS_A_MINUTE = 5
 _PR_SET_PDEATHSIG = 1
@@ -103,10 +107,14 @@ class Bringup:
                 other, namespace_of(name), tuple(n for n in nodes if n != 'interferometer_driver'),
                 self.runtime / name, None if bag is None else bag.with_name(f'{bag.name}_{name}')))
         self._say = say
+        self._network = cell.network
+        self._owned: list[Ownership] = []
         self._children: dict[str, _Child] = {}
         self._failed = False
         self.restarts = 0
-        environment.prepare()
+        network = environment.prepare(cell.network)
+        if network:
+            say(network)
         if domain is not None:
             os.environ['ROS_DOMAIN_ID'] = str(domain)
         self._operators: dict = {}
@@ -149,6 +157,7 @@ class Bringup:
 
     def start(self) -> None:
         """All processes up, all nodes active."""
+        self._own()
         endpoints = self._endpoints()
         for machine in self.machines:
             graph = write_graph(machine.cell, endpoints[machine.namespace], machine.runtime,
@@ -162,6 +171,22 @@ class Bringup:
                 self._activate(child)
         for machine in self.machines:
             self._say(f'{machine.namespace}: all nodes active')
+
+    def _own(self) -> None:
+        """Take the namespaces; :class:`StepdiagError` if somebody has one."""
+        self._say(f'network: {self._network}')
+        for machine in self.machines:
+            self._owned.append(Ownership(machine.namespace, CELL_OWNER))
+        # Nodes that were started otherwise, or on another computer of an open network.
+        operator, end = self.operator, time.monotonic() + LOOK_AROUND_S
+        spaces = {machine.namespace for machine in self.machines}
+        while time.monotonic() < end:
+            strangers = [f'{space}/{name}' for name, space in operator.node.get_node_names_and_namespaces()
+                         if space in spaces and name in NODES]
+            if strangers:
+                raise StepdiagError(f'{strangers[0]} runs already and is not of this cell; end it, or choose '
+                                    'another --namespace or ROS_DOMAIN_ID')
+            time.sleep(0.1)
 
     def _endpoints(self) -> dict[str, dict]:
         """The instruments' addresses by machine; a virtual cell is started for them."""
@@ -245,26 +270,26 @@ class Bringup:
                                     f'{self._last_words(child.name)}')
             self._say(f'{child.name} {how}; starting it again')
             if child.node == 'recorder':
-                self._spare_bag(child)
+                self._keep_bag(child)
             self._spawn(child)
+            self.operator_of(child.namespace).restore_parameters(child.node, but=('bag', 'go_on'))
             self._activate(child)
             self.restarts += 1
             self._say(f'{child.name} is active again')
             revived.append(child.name)
         return revived
 
-    def _spare_bag(self, recorder: _Child) -> None:
-        """A recorder that is started again writes beside the bag that its death tore."""
+    def _keep_bag(self, recorder: _Child) -> None:
+        """A recorder that is started again goes on in the bag that its death tore, once that is mended."""
         machine = next(m for m in self.machines if m.namespace == recorder.namespace)
         status = self.operator_of(recorder.namespace).recorder
         torn = Path(status.bag) if status is not None and status.bag else machine.bag
         if torn is None:
             return
-        number = 2
-        while (after := torn.parent / f'{torn.name}_{number}').exists():
-            number += 1
-        self._say(f'{torn} is torn; mend it with: stepdiag recover {torn}; going on in {after}')
-        recorder.command = [*self._command(machine, 'recorder'), '-p', f'bag:={after}']
+        if not torn.exists():
+            return
+        self._say(f'{torn} is torn; it is mended, and recording goes on in it')
+        recorder.command = [*self._command(machine, 'recorder'), '-p', f'bag:={torn}', '-p', 'go_on:=true']
 
     # -- stop --------------------------------------------------------------------
 
@@ -279,6 +304,9 @@ class Bringup:
         for operator in self._operators.values():
             operator.close()
         self._operators.clear()
+        for owned in self._owned:
+            owned.release()
+        self._owned.clear()
         if self._own_runtime and not self._failed:
             shutil.rmtree(self.runtime, ignore_errors=True)
 

@@ -64,6 +64,39 @@ def course(description: Description, setups: Sequence[str] = (), repeats: int = 
     return runs
 
 
+def remaining(runs: Sequence[Run], completed: Sequence[str], broken: str) -> list[Run]:
+    """What of ``runs`` a sequencer that took over has to do: not the ``completed``; ``broken`` under a new name."""
+    done = {original(run_id) for run_id in completed}
+    left = [run for run in runs if run.run_id not in done]
+    return [once_more(replace(run, run_id=broken)) if run.run_id == original(broken) else run for run in left]
+
+
+def original(run_id: str) -> str:
+    """The name that a run bore when it was first tried: ``ppp/0/+/2`` -> ``ppp/0/+``."""
+    return '/'.join(run_id.split('/')[:3])
+
+
+def attempt(run_id: str) -> int:
+    """Which try of a run a name means: ``ppp/0/+`` 1, ``ppp/0/+/2`` 2."""
+    last = run_id.split('/')[3:]
+    return int(last[0]) if last and last[0].isdigit() else 1
+
+
+def once_more(run: Run) -> Run:
+    """The run as it is called when it is repeated because it was broken off: no two runs of a log bear one name."""
+    return replace(run, run_id=f'{original(run.run_id)}/{attempt(run.run_id) + 1}')
+
+
+def first_repeats(run_ids: Sequence[str]) -> dict[str, int]:
+    """The least repeat of each setup among runs."""
+    found: dict[str, int] = {}
+    for run_id in filter(None, run_ids):
+        setup, repeat, *_ = [*run_id.split('/'), '', '']
+        if repeat.isdigit():
+            found[setup] = min(int(repeat), found.get(setup, int(repeat)))
+    return found
+
+
 def _backward(forward: tuple[Stop, ...]) -> tuple[Stop, ...]:
     """The same stops in falling order: the axis is that of the step between two stops."""
     axes = [NONE, *(stop.axis for stop in reversed(forward[1:]))]

@@ -1,13 +1,20 @@
 """What both sensor drivers share: one instrument, its thread, the setup in the stamps."""
 
+import array
 from abc import abstractmethod
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
+from std_msgs.msg import Header
+
+from stepdiag_msgs.msg import SampleTiming
 from stepdiag_msgs.srv import SelectSetup
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.nodes.acquisition import Acquisition
 from stepdiag_ros.nodes.base import ERROR, OK, WARN, Health, StepdiagNode
+from stepdiag_ros.nodes.marked import Marked
+from stepdiag_ros.nodes.stamps import clock_name, stamp_of
 
 
 class DriverNode(StepdiagNode):
@@ -25,6 +32,7 @@ class DriverNode(StepdiagNode):
         self.number('sample_rate', 1000.0, 'samples a second', 1.0, 1.0e6, 'Hz')
         self.count('block_samples', 50, 'samples in one message', 1, 100_000)
         self.text('setup', '', 'the setup that is mounted at the start, e.g. ppp')
+        self.marked = Marked(self)
         self.instrument: Any = None
         self.acquisition: Acquisition | None = None
         self.setup = self.value('setup')
@@ -37,12 +45,24 @@ class DriverNode(StepdiagNode):
     def publish(self, block: Any) -> None:
         """Publish one block."""
 
+    def timing_of(self, block: Any) -> SampleTiming:
+        """When the samples of a block were taken, as it is published."""
+        return SampleTiming(
+            header=Header(stamp=stamp_of(block.stamp_ns), frame_id=self.setup),
+            taken=array.array('i', block.accuracy.taken_ns.astype(np.int32).tobytes()),
+            uncertainty=array.array('I', np.minimum(block.accuracy.uncertainty_ns, 2**32 - 1).astype(
+                np.uint32).tobytes()),
+            missed=block.accuracy.missed, clock=clock_name())
+
     @abstractmethod
     def size(self, block: Any) -> int:
         """Samples in a block."""
 
     def read(self) -> Any:
         """One block from the instrument."""
+        if step_s := self.marked.follow_clock():
+            self.instrument.shift_time(step_s)
+            self.acquisition.retime()
         return self.instrument.read_block(self.value('block_samples'),
                                           1.0 / self.value('sample_rate'))
 

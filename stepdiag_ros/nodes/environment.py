@@ -9,18 +9,44 @@ from pathlib import Path
 #: ports locked and the next one is deaf; and with the discovery range LOCALHOST rmw_fastrtps
 #: sets shared memory up whatever else is asked for (decision 0003).
 LOOPBACK_PROFILE = Path(__file__).with_name('fastdds_loopback.xml')
-#: Whoever sets one of these has a network of his own in mind.
+#: What widens or replaces the network that ROS nodes talk over.
 NETWORK = ('ROS_AUTOMATIC_DISCOVERY_RANGE', 'ROS_STATIC_PEERS', 'FASTRTPS_DEFAULT_PROFILES_FILE',
            'FASTDDS_DEFAULT_PROFILES_FILE', 'ROS_DISCOVERY_SERVER')
 DOMAINS = range(1, 100)
+#: The key ``network`` of a cell, and the variable that hands it on to nodes and commands.
+SCOPE = 'STEPDIAG_NETWORK'
+LOOPBACK, OPEN = 'loopback', 'open'
 
 
-def prepare() -> None:
-    """Set what the user has not; call it before rclpy is imported."""
+#: What the user had set before it was replaced.
+_given: dict[str, str] = {}
+
+
+def prepare(network: str | None = None) -> str:
+    """Set the scope of the network, ``loopback`` or ``open``, for this process and those it starts.
+
+    Without ``network`` it is what ``STEPDIAG_NETWORK`` says, loopback otherwise.  To be called before
+    rclpy is imported.  Returns what is to be said of it: on loopback what of the environment is
+    not followed (mostly nothing), with an open network a warning.
+    """
     os.environ.setdefault('RMW_IMPLEMENTATION', 'rmw_fastrtps_cpp')
-    if not any(name in os.environ for name in NETWORK):
-        os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'SYSTEM_DEFAULT'
-        os.environ['FASTRTPS_DEFAULT_PROFILES_FILE'] = str(LOOPBACK_PROFILE)
+    scope = os.environ[SCOPE] = network or os.environ.get(SCOPE) or LOOPBACK
+    if os.environ['RMW_IMPLEMENTATION'] == 'rmw_fastrtps_cpp':
+        ours = {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'SYSTEM_DEFAULT',
+                'FASTRTPS_DEFAULT_PROFILES_FILE': str(LOOPBACK_PROFILE)}
+    else:
+        ours = {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}
+    for name in NETWORK:
+        value = os.environ.pop(name, '')
+        if value and value != ours.get(name):
+            _given[name] = value
+    if scope == OPEN:
+        os.environ |= _given
+        return ('WARNING: the network is OPEN (the cell says so): whoever reaches this computer can move the '
+                f'machine and read all. Commands reach it with {SCOPE}={OPEN}')
+    os.environ |= ours
+    ignored = ', '.join(f'{name}={value}' for name, value in _given.items())
+    return f'the network is loopback, as the cell says; not followed: {ignored}' if ignored else ''
 
 
 def free_domain() -> int:

@@ -46,8 +46,9 @@ def hardware_endpoints(cell: Cell) -> dict[str, dict[str, Any]]:
                                 'port': instruments.interferometer.port},
              'psd': {'host': instruments.psd.host, 'port': instruments.psd.port,
                      'stream_port': instruments.psd_stream.port},
-             'cnc': {'host': instruments.cnc.host, 'port': instruments.cnc.port, 'origin': list(cell.origin),
-                     'setup_codes': dict(instruments.setup_codes)}}
+             'cnc': {'host': instruments.cnc.host, 'port': instruments.cnc.port,
+                     'setup_codes': dict(instruments.setup_codes),
+                     **({'watch_port': instruments.watch_port} if instruments.watch_port else {})}}
     if instruments.multiplexer:
         found['switch'] = {'host': instruments.switch.host, 'port': instruments.switch.port,
                            'channels': {m: i + 1 for i, m in enumerate(instruments.multiplexer)}}
@@ -93,11 +94,12 @@ def parameters(cell: Cell, endpoints: Mapping[str, Mapping[str, Any]], descripti
             'zero': [float(z) for z in detector.zero], 'mode': detector.mode, **rate(sampling.psd)},
         'step_sequencer': {
             'host': where['cnc']['host'], 'port': where['cnc']['port'],
+            'watch_port': where['cnc'].get('watch_port', 0),
+            'origin': [float(c) for c in cell.description.machine.origin or (0.0, 0.0, 0.0)],
             'description_file': str(description_file), 'feed': float(motion.feed),
             'dwell': float(motion.dwell), 'stand': float(motion.stand), 'steps': steps,
-            # A virtual machine counts from its volume's corner.
-            'origin': [float(x) for x in where['cnc'].get('origin', (0.0, 0.0, 0.0))],
             'setup_codes': [f'{setup}={code}' for setup, code in codes.items()] or [''],
+            'lease': float(cell.client.lease), 'lost_client': cell.client.lost,
             # Where no code mounts the mirrors, as on most machines, a person does.
             'ask_operator': not codes},
     }

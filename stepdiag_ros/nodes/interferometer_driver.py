@@ -18,15 +18,16 @@ import numpy as np
 from sensor_msgs.msg import FluidPressure, RelativeHumidity, Temperature
 from std_msgs.msg import Header
 
-from stepdiag_msgs.msg import Displacement, Step
+from stepdiag_msgs.msg import Displacement, SampleTiming, Step
 from stepdiag_msgs.srv import ResetDisplacement
-from stepdiag_ros.bag.schemas import STEP
+from stepdiag_ros.bag.schemas import DISPLACEMENT_TIMING, STEP
 from stepdiag_ros.devices.base import DisplacementBlock
+from stepdiag_ros.devices.hostclock import HOST
 from stepdiag_ros.devices.ids3010 import PORT, Ids3010
 from stepdiag_ros.devices.optical_switch import PORT as SWITCH_PORT
 from stepdiag_ros.devices.optical_switch import OpticalSwitch
 from stepdiag_ros.errors import StepdiagError
-from stepdiag_ros.nodes.base import ERROR, OK, WARN, Health, overridable, reliable, run_node
+from stepdiag_ros.nodes.base import ERROR, OK, WARN, Health, reliable, run_node
 from stepdiag_ros.nodes.driver import DriverNode
 from stepdiag_ros.nodes.stamps import stamp_of
 
@@ -42,9 +43,9 @@ class _Machine:
 
     def __init__(self, node: 'InterferometerDriver', prefix: str):
         def publisher(kind: type, topic: str):
-            return node.create_lifecycle_publisher(kind, prefix + topic, reliable(),
-                                                   qos_overriding_options=overridable())
+            return node.marked.publisher(kind, topic, prefix)
         self.displacement = publisher(Displacement, 'interferometer/displacement')
+        self.timing = publisher(SampleTiming, DISPLACEMENT_TIMING)
         self.environment = {name: publisher(kind, f'environment/{name}')
                             for name, (kind, _, _) in ENVIRONMENT.items()}
         self.scale = publisher(Temperature, 'environment/scale_temperature')
@@ -110,7 +111,7 @@ class InterferometerDriver(DriverNode):
     def read(self) -> DisplacementBlock:
         if time.monotonic() >= self._next_environment:
             self._next_environment = time.monotonic() + self.value('environment_period')
-            self._publish_environment(self.instrument.environment(), time.time_ns())
+            self._publish_environment(self.instrument.environment(), HOST.now_ns())
         return super().read()
 
     def size(self, block: DisplacementBlock) -> int:
@@ -150,13 +151,15 @@ class InterferometerDriver(DriverNode):
 
     def publish(self, block: DisplacementBlock) -> None:
         quality = block.quality if self._zero_known else np.zeros_like(block.quality)
-        self._quality, self._index = int(quality.min()), block.refractive_index
+        self._quality, self._index = int(quality.max()), block.refractive_index
         message = Displacement(
             header=Header(stamp=stamp_of(block.stamp_ns), frame_id=self.setup),
             sample_period=block.period_s, beams=block.displacement_m.shape[1],
             displacement=array.array('d', np.ascontiguousarray(block.displacement_m).tobytes()),
             refractive_index=block.refractive_index,
             quality=array.array('B', quality.astype(np.uint8).tobytes()))
+        # First when, then what: whoever waits for the samples has their times.
+        self._machines[self._prefix].timing.publish(self.timing_of(block))
         self._machines[self._prefix].displacement.publish(message)
 
     def _publish_environment(self, readings: dict[str, float], now_ns: int) -> None:

@@ -7,16 +7,27 @@ Activating begins a new log.
 
 import threading
 import time
+from dataclasses import replace
 
 from action_msgs.msg import GoalStatus, GoalStatusArray
+from rclpy.serialization import deserialize_message
 
-from stepdiag_ros.bag.schemas import DESCRIPTION, STEP, TOPICS
+from stepdiag_msgs.msg import RecorderStatus, Step
+from stepdiag_ros.bag.reader import build_log
+from stepdiag_ros.bag.schemas import DESCRIPTION, STEP, TOPICS, split_topic
+from stepdiag_ros.bag.source import open_bag
+from stepdiag_ros.bag.tables import collect
 from stepdiag_ros.model.log import DONE, CalibrationLog
 from stepdiag_ros.nodes.assembler import LogAssembler
 from stepdiag_ros.nodes.base import OK, WARN, Health, StepdiagNode, reliable
 from stepdiag_ros.nodes.ears import HEARS, Ears, Heard
+from stepdiag_ros.nodes.idle import IdleFilter
+from stepdiag_ros.nodes.stamps import ns_of
 from stepdiag_ros.nodes.step_sequencer import ACTION
 
+RECORDER = 'recorder/status'
+#: Longest wait for the recorder's first word.
+WORD_S = 1.5
 #: Longest wait for samples that are still on their way.
 SETTLE_S = 3.0
 
@@ -28,8 +39,10 @@ class ListenerNode(StepdiagNode):
         super().__init__(name)
         self.create_subscription(GoalStatusArray, f'{ACTION}/_action/status', self._on_status,
                                  reliable(10, latched=True))
+        self._missed = ''        # the bag of which this node has missed the beginning
+        self._asked_ns = 0       # since when the recorder's word is waited for; 0: it has come
         self._keeping = threading.Lock()
-        self._assembler = LogAssembler(self.get_namespace())
+        self._begin_log()
         self._ears: Ears | None = None
         self._running: set[bytes] = set()
 
@@ -37,10 +50,16 @@ class ListenerNode(StepdiagNode):
         """A calibration has succeeded while this node was active."""
 
     def activate(self) -> None:
-        self._assembler = LogAssembler(self.get_namespace())
+        self._begin_log()
         self._running.clear()
-        self._ears = Ears(self, TOPICS, self._keep, latched=(DESCRIPTION,))
+        self._ears = Ears(self, TOPICS | {RECORDER: 'stepdiag_msgs/msg/RecorderStatus'}, self._keep,
+                          latched=(DESCRIPTION,))
         self._ears.start()
+
+    def _begin_log(self) -> None:
+        self._assembler = LogAssembler(self.get_namespace())
+        self._filter = IdleFilter(self._assembler.add, Step)
+        self._missed, self._asked_ns = '', time.time_ns()
 
     def deactivate(self) -> None:
         if self._ears is not None:
@@ -51,8 +70,11 @@ class ListenerNode(StepdiagNode):
         self._ears = None
 
     def _keep(self, heard: Heard) -> None:
+        if heard.topic == RECORDER:
+            self._on_recorder(deserialize_message(heard.cdr, RecorderStatus))
+            return
         with self._keeping:
-            self._assembler.add(heard.topic, heard.cdr, heard.sequence)
+            self._filter.add(heard.topic, heard.cdr, heard.sequence)
 
     def _on_status(self, array: GoalStatusArray) -> None:
         for status in array.status_list:
@@ -64,12 +86,37 @@ class ListenerNode(StepdiagNode):
                 if status.status == GoalStatus.STATUS_SUCCEEDED and self.state == 'active':
                     threading.Thread(target=self.calibration_done, name='done', daemon=True).start()
 
+    def _on_recorder(self, status: RecorderStatus) -> None:
+        """The first word after this node was activated tells whether it has come too late."""
+        if self._asked_ns and ns_of(status.header.stamp) > self._asked_ns and status.recording:
+            self._asked_ns = 0
+            held = dict(zip(status.topics, status.received, strict=True)).get(self.resolve_topic_name(STEP), 0)
+            if held > self.steps_heard():
+                self._missed = status.bag
+                self.get_logger().info(f'runs before are read from {status.bag}')
+
+    def _log_of_bag(self, bag: str) -> CalibrationLog:
+        """The log of a bag that is still being written: its last bytes may be missing."""
+        source = open_bag(bag)
+        space = self.get_namespace().rstrip('/')
+        tables = collect(source, lambda topic: (split_topic(topic) or ('',))[0] == space, tolerant=True)
+        return build_log(replace(source, counts=None), tables, space)
+
     def steps_heard(self) -> int:
         """Step events kept so far."""
         return self._assembler.count(STEP)
 
     def log_so_far(self) -> CalibrationLog:
-        """The log as it is; :class:`StepdiagError` if there is none yet."""
+        """The log as it is; :class:`StepdiagError` if there is none yet.
+
+        A node that was started again has missed the runs before; the recorder's bag has them all.
+        """
+        end = time.monotonic() + WORD_S
+        while self._asked_ns and time.monotonic() < end:
+            time.sleep(0.02)
+        self._asked_ns = 0
+        if self._missed:
+            return self._log_of_bag(self._missed)
         with self._keeping:
             kept = self._assembler.copy()
         return kept.build()

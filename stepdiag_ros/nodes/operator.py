@@ -20,6 +20,8 @@ from action_msgs.msg import GoalStatus
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
+from rcl_interfaces.msg import Parameter as ParameterMessage
+from rcl_interfaces.msg import ParameterEvent
 from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.action import ActionClient
 from rclpy.experimental.events_executor import EventsExecutor
@@ -28,18 +30,24 @@ from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 from std_srvs.srv import Trigger
+from unique_identifier_msgs.msg import UUID
 
 from stepdiag_msgs.action import RunStepDiagonal
 from stepdiag_msgs.msg import RecorderStatus
 from stepdiag_ros.errors import StepdiagError
-from stepdiag_ros.nodes.step_sequencer import ACTION
+from stepdiag_ros.nodes.step_sequencer import ACTION, LEASE, lease_qos
 
 TRANSITIONS = {'configure': Transition.TRANSITION_CONFIGURE,
                'activate': Transition.TRANSITION_ACTIVATE,
                'deactivate': Transition.TRANSITION_DEACTIVATE,
                'cleanup': Transition.TRANSITION_CLEANUP}
-#: A goal of which the sequencer's diagnostics say nothing for so long is lost.
-LOST_GOAL_S = 8.0
+#: A goal of which the sequencer's diagnostics say nothing for so long is lost; so it is sooner where they say
+#: that there is none.
+LOST_GOAL_S, DENIED_GOAL_S = 8.0, 3.0
+#: So often a goal's client says that it lives: a twentieth of the sequencer's default lease.
+LEASE_PERIOD_S = 0.25
+#: So often a calibration is taken up again after a sequencer died, and so long its return is waited for.
+RESUMES, RETURN_S = 5, 90.0
 UNCONFIGURED, INACTIVE, ACTIVE = 'unconfigured', 'inactive', 'active'
 
 
@@ -71,6 +79,10 @@ def running_machines(wait_s: float = 5.0) -> list[str]:
         return sorted(found)
 
 
+class LostGoal(StepdiagError):
+    """The sequencer has ended, or was started again, and knows nothing of the goal."""
+
+
 class Operator:
     """Talks to the nodes below ``namespace``; a context manager.
 
@@ -93,7 +105,11 @@ class Operator:
         self._handle = None
         self.node.create_subscription(DiagnosticArray, '/diagnostics', self._on_diagnostics, 50)
         self.node.create_subscription(RecorderStatus, 'recorder/status', self._on_recorder, 10)
+        self._changed: dict[str, dict[str, ParameterMessage]] = {}
+        self.node.create_subscription(ParameterEvent, '/parameter_events', self._on_parameters, 1000)
         self._action = ActionClient(self.node, RunStepDiagonal, ACTION)
+        self._lease = self.node.create_publisher(UUID, LEASE, lease_qos())
+        self.node.create_timer(LEASE_PERIOD_S, self._renew_lease, clock=base.steady_clock())
         self._stop = threading.Event()
         self._thread = threading.Thread(
             target=base.spin, args=(self._executor, self._stop.is_set), name='operator', daemon=True)
@@ -119,6 +135,15 @@ class Operator:
     def _on_diagnostics(self, array: DiagnosticArray) -> None:
         for status in array.status:
             self._heard['/' + status.name] = (time.monotonic(), status)
+
+    def _on_parameters(self, event: ParameterEvent) -> None:
+        for parameter in event.changed_parameters:
+            self._changed.setdefault(event.node, {})[parameter.name] = parameter
+
+    def _renew_lease(self) -> None:
+        handle = self._handle
+        if handle is not None:
+            self._lease.publish(handle.goal_id)
 
     def _on_recorder(self, status: RecorderStatus) -> None:
         self._recorder = status
@@ -192,6 +217,12 @@ class Operator:
                 raise StepdiagError(f'{self.namespace}/{node}: parameter {name} cannot be '
                                     f'{value!r}: {result.reason}')
 
+    def restore_parameters(self, node: str, but: Sequence[str] = ()) -> None:
+        """Give a node that was started again the parameters that were changed since this facade is here."""
+        changed = [p for name, p in self._changed.get(f'{self.namespace}/{node}', {}).items() if name not in but]
+        if changed:
+            self._call(SetParameters, f'{node}/set_parameters', SetParameters.Request(parameters=changed), 30.0)
+
     def new_log(self, bag: str = '', steps: int = 0) -> None:
         """Begin a new bag, and have those who keep a log of their own begin anew with it.
 
@@ -199,6 +230,7 @@ class Operator:
         ``steps``: of each axis along a diagonal, if not those of the cell description.
         """
         name = self._name_of(bag)
+        self._refuse_while_busy()
         self.bring('step_sequencer', UNCONFIGURED)
         listeners = ['recorder', 'evaluation_solver']
         if self._is_there('gap_monitor'):
@@ -210,6 +242,19 @@ class Operator:
         for node in (*listeners, 'step_sequencer'):
             self.bring(node, ACTIVE)
 
+    def _refuse_while_busy(self) -> None:
+        """Somebody else's calibration must not be ended by who wants one of his own."""
+        began = time.monotonic()
+        while time.monotonic() < began + 3.0:
+            at, health = self._heard.get(f'{self.namespace}/step_sequencer', (0.0, None))
+            busy = health is not None and any(v.key == 'goal' and v.value == 'under way' for v in health.values)
+            if health is not None and (not busy or at > began):
+                break
+            time.sleep(0.05)
+        else:
+            return   # it says nothing; whether it lives is seen by whoever asks it next
+        if busy:
+            raise StepdiagError(f'{self.namespace} is being calibrated by somebody else; wait until that has ended')
     def _name_of(self, bag: str) -> str:
         """The name by which the recorder is asked for a bag; :class:`StepdiagError` if it lies elsewhere."""
         if not bag:
@@ -233,14 +278,41 @@ class Operator:
                   steps: int = 0, meanwhile: Callable[[], object] = lambda: None) -> Calibration:
         """Send the goal and wait until it has ended; Ctrl-C cancels it and waits for that.
 
-        ``meanwhile()`` is called ten times a second; what it raises ends the waiting.
+        ``meanwhile()`` is called ten times a second; what it raises ends the waiting.  A calibration whose
+        sequencer died is taken up again where it was broken off, once the sequencer is active again.
         """
         if not self._action.wait_for_server(timeout_sec=10.0):
             raise StepdiagError(f'no sequencer answers at {self.namespace}/{ACTION}; '
                                 'is the cell up? (stepdiag up CELL.yaml)')
         goal = RunStepDiagonal.Goal(setups=list(setups), repeats=repeats, dwell=float(dwell_s),
                                     steps=steps)
-        heard = None if feedback is None else lambda message: feedback(message.feedback)
+        at: dict[str, Any] = {'completed': [], 'run_id': ''}
+
+        def heard(message: Any) -> None:
+            at['completed'], at['run_id'] = list(message.feedback.completed), message.feedback.run_id
+            if feedback is not None:
+                feedback(message.feedback)
+        lost: list[str] = []
+        while True:
+            try:
+                ended = self._one_goal(goal, heard, meanwhile)
+                break
+            except LostGoal as error:
+                if len(lost) >= RESUMES or not at['run_id']:
+                    raise
+                lost.append(at['run_id'])
+                self._await_return(error, meanwhile)
+                goal.completed = at['completed']
+                goal.broken = '' if at['run_id'] in at['completed'] else at['run_id']
+        how = {GoalStatus.STATUS_SUCCEEDED: 'succeeded',
+               GoalStatus.STATUS_CANCELED: 'canceled'}.get(ended.status, 'aborted')
+        word = ''.join(f'; the sequencer ended during {run_id} and was started again' for run_id in lost)
+        return Calibration(how, ended.result.message + word, (*goal.completed, *ended.result.run_ids),
+                           ended.result.stops)
+
+    def _one_goal(self, goal: RunStepDiagonal.Goal, heard: Callable[[Any], None],
+                  meanwhile: Callable[[], object]) -> Any:
+        """Send a goal and wait for its result."""
         self._handle = self.wait(
             self._asked(lambda: self._action.send_goal_async(goal, feedback_callback=heard)), 30.0,
             'the sequencer does not answer the goal')
@@ -253,29 +325,40 @@ class Operator:
 
         def look() -> None:
             meanwhile()
-            if time.monotonic() - began > LOST_GOAL_S:
+            if time.monotonic() - began > DENIED_GOAL_S:
                 self._check_goal()
         try:
-            ended = self.wait(result, None, '', look)
+            return self.wait(result, None, '', look)
         except KeyboardInterrupt:
             self.cancel()
-            ended = self.wait(result, 60.0, 'the sequencer does not end the goal')
+            return self.wait(result, 60.0, 'the sequencer does not end the goal')
         finally:
             self._handle = None
-        how = {GoalStatus.STATUS_SUCCEEDED: 'succeeded',
-               GoalStatus.STATUS_CANCELED: 'canceled'}.get(ended.status, 'aborted')
-        return Calibration(how, ended.result.message, tuple(ended.result.run_ids), ended.result.stops)
 
     def _check_goal(self) -> None:
         """A sequencer that died or was started again knows nothing of the goal any more."""
         now, (at, health) = time.monotonic(), self._heard.get(
             f'{self.namespace}/step_sequencer', (0.0, None))
-        values = {} if health is None else {v.key: v.value for v in health.values}
-        if values.get('goal') == 'under way' and now - at < LOST_GOAL_S:
-            self._goal_seen = now
-        if now - self._goal_seen > LOST_GOAL_S:
-            raise StepdiagError(f'{self.namespace}/step_sequencer has ended or was started again; '
-                                'the calibration is lost, begin it anew')
+        goal = '' if health is None else next((v.value for v in health.values if v.key == 'goal'), '')
+        if goal == 'under way' and now - at < LOST_GOAL_S:
+            self._goal_seen = max(self._goal_seen, at)
+        denied = goal == 'none' and at > self._goal_seen
+        if now - self._goal_seen > (DENIED_GOAL_S if denied else LOST_GOAL_S):
+            raise LostGoal(f'{self.namespace}/step_sequencer has ended or was started again; '
+                           'the calibration is lost, begin it anew')
+
+    def _await_return(self, error: LostGoal, meanwhile: Callable[[], object]) -> None:
+        """Wait until the sequencer is active again; ``error`` if it does not come back."""
+        end = time.monotonic() + RETURN_S
+        while time.monotonic() < end:
+            meanwhile()
+            try:
+                if self.state('step_sequencer', 2.0) == ACTIVE:
+                    return
+            except StepdiagError:
+                pass   # nobody answers yet
+            time.sleep(0.2)
+        raise error
 
     def cancel(self) -> None:
         """Ask the goal under way to end; :meth:`calibrate` then returns."""

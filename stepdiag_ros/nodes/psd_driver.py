@@ -9,13 +9,14 @@ import sys
 import numpy as np
 from std_msgs.msg import Header
 
-from stepdiag_msgs.msg import SpotPosition
+from stepdiag_msgs.msg import SampleTiming, SpotPosition
+from stepdiag_ros.bag.schemas import SPOT, SPOT_TIMING
 from stepdiag_ros.devices import t7
 from stepdiag_ros.devices.base import SpotBlock
 from stepdiag_ros.devices.modbus_psd import ModbusPsd
 from stepdiag_ros.devices.psd_signal import SpotOptics
 from stepdiag_ros.errors import StepdiagError
-from stepdiag_ros.nodes.base import WARN, Health, overridable, reliable, run_node
+from stepdiag_ros.nodes.base import WARN, Health, run_node
 from stepdiag_ros.nodes.driver import DriverNode
 from stepdiag_ros.nodes.stamps import stamp_of
 
@@ -36,8 +37,8 @@ class PsdDriver(DriverNode):
         self.text('gain', [1.0, 1.0], "factors of the detector's x and y [1]", fixed=True)
         self.text('zero', [0.0, 0.0], "zero in the detector's axes, taken off first [m]", fixed=True)
         self.number('dark', 0.05, 'sum signal below which there is no spot', 0.0, 10.0, 'V')
-        self._publisher = self.create_lifecycle_publisher(
-            SpotPosition, 'psd/spot', reliable(), qos_overriding_options=overridable())
+        self._publisher = self.marked.publisher(SpotPosition, SPOT)
+        self._timing = self.marked.publisher(SampleTiming, SPOT_TIMING)
         self.serve_select('psd/select_setup')
         self._intensity = 0.0
         self._dark = 0
@@ -66,6 +67,7 @@ class PsdDriver(DriverNode):
     def publish(self, block: SpotBlock) -> None:
         self._intensity = float(np.mean(block.intensity_V))
         self._dark = int(np.sum(~np.isfinite(block.x_m)))
+        self._timing.publish(self.timing_of(block))
         self._publisher.publish(SpotPosition(
             header=Header(stamp=stamp_of(block.stamp_ns), frame_id=self.setup),
             sample_period=block.period_s, x=_doubles(block.x_m), y=_doubles(block.y_m),

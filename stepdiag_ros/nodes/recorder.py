@@ -1,7 +1,7 @@
 """The recorder's node: every contract topic of a machine into a rosbag2 directory.
 
 Active is recording: activating opens a bag, deactivating closes it.  ``recorder/status``
-says twice a second what is heard and what was lost by sequence number.  On SIGTERM it
+says five times a second what is heard and what was lost by sequence number.  On SIGTERM it
 stops taking in, drains what has arrived and closes; ``kill -9`` costs what came in
 since the writer's last flush, a quarter of a second.
 """
@@ -11,7 +11,10 @@ import time
 from datetime import datetime
 from pathlib import Path
 
+from rclpy.parameter import Parameter
+
 from stepdiag_msgs.msg import RecorderStatus
+from stepdiag_ros.bag.append import go_on
 from stepdiag_ros.bag.qos import LATCHED, RELIABLE, qos_profile, qos_yaml
 from stepdiag_ros.bag.schemas import DESCRIPTION, TOPICS
 from stepdiag_ros.bag.writer import COMPRESSIONS, BagWriter
@@ -20,7 +23,7 @@ from stepdiag_ros.nodes.base import DEPTH, ERROR, OK, WARN, Health, StepdiagNode
 from stepdiag_ros.nodes.ears import HEARS, Ears, Heard
 from stepdiag_ros.nodes.stamps import stamp_of
 
-STATUS_PERIOD_S = 0.5
+STATUS_PERIOD_S = 0.2
 
 
 class Recorder(StepdiagNode):
@@ -33,12 +36,15 @@ class Recorder(StepdiagNode):
         self.text('bag_folder', '.', 'where new bags are made', fixed=True)
         self.text('name', '', "the next bag's name in bag_folder; empty: after machine and time")
         self.text('compression', 'zstd', f'of the chunks: {", ".join(COMPRESSIONS)}')
+        self.text('go_on', False, 'go on in the bag, which exists: its recorder has died')
         self.count('queue_depth', 10_000, 'messages of a topic that may wait to be written', 1, 1_000_000)
         self._status = self.create_publisher(RecorderStatus, 'recorder/status', reliable(10))
-        self._timer = self.create_timer(STATUS_PERIOD_S, self._publish_status)
+        self._timer = self.every(STATUS_PERIOD_S, self._publish_status)
         self._writer: BagWriter | None = None
         self._ears: Ears | None = None
         self._bag = ''
+        self._file = 0
+        self._earlier: dict[str, int] = {}
         self._announced: set[str] = set()
 
     def configure(self) -> None:
@@ -49,7 +55,18 @@ class Recorder(StepdiagNode):
     def activate(self) -> None:
         path = self._path()
         self._announced = set()
-        self._writer = BagWriter(path, compression=self.value('compression'))
+        self._earlier = {}
+        if self.value('go_on') and path.exists():
+            continued = go_on(path, self.value('compression'))
+            self._writer, self._earlier = continued.writer, continued.received
+            for name in continued.mended:
+                self.get_logger().warning(f'{path / name} was torn; it is mended, and recording goes on in '
+                                          f'{continued.writer.file.name}')
+            # Only this once: a bag of that name that comes later is a new one.
+            self.set_parameters([Parameter('go_on', value=False)])
+        else:
+            self._writer = BagWriter(path, compression=self.value('compression'))
+        self._file = self._writer.number
         self._bag = str(path)
         self._ears = Ears(self, TOPICS, self._write, latched=(DESCRIPTION,),
                           depth=self.value('queue_depth'))
@@ -104,12 +121,13 @@ class Recorder(StepdiagNode):
 
     def _publish_status(self) -> None:
         ears, names = self._ears, self.resolve_topic_name
-        received = ears.received if ears is not None else {}
+        received = {t: n + self._earlier.get(names(t), 0) for t, n in ears.received.items()} \
+            if ears is not None else {}
         lost = ears.lost if ears is not None else {}
         status = RecorderStatus(
             recording=self._writer is not None and not self._trouble(), bag=self._bag,
-            topics=[names(t) for t in received], received=list(received.values()),
-            lost=list(lost.values()), hears=[names(t) for t, n in received.items() if n])
+            file=self._file, topics=[names(t) for t in received], received=list(received.values()),
+            lost=list(lost.values()), hears=[names(t) for t in ears.heard.split()] if ears is not None else [])
         status.header.stamp = stamp_of(time.time_ns())
         self._status.publish(status)
 

@@ -1,19 +1,23 @@
 """A bag's messages in the order (stamp, machine, sequence), for replay.
 
-Never through an executor: executors promise no order.
+Never through an executor: executors promise no order.  Where the system clock was set while the bag was
+recorded, stamps are put right first.
 """
 
 import struct
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
+from stepdiag_ros.bag.clocksteps import shift_ns, steps_of
 from stepdiag_ros.bag.msgdef import contract_fields, layout
 from stepdiag_ros.bag.scan import HEADER_SIZE, McapFile
-from stepdiag_ros.bag.schemas import DESCRIPTION, TOPICS, split_topic
+from stepdiag_ros.bag.schemas import CLOCK_STEP, DESCRIPTION, TOPICS, split_topic
 from stepdiag_ros.bag.source import open_bag
 from stepdiag_ros.errors import StepdiagError
-from stepdiag_ros.nodes.assembler import LogAssembler
+from stepdiag_ros.nodes.assembler import LogAssembler, table_of
 
 SECOND = 1_000_000_000
 
@@ -68,7 +72,28 @@ def read_messages(path: str | Path, namespace: str | None = None) -> tuple[str, 
         if chosen is None:
             raise StepdiagError(f'{path}: has no machine {namespace}; '
                                 f'it holds {", ".join(machines) or "none"}')
-    return chosen, sorted(message for message in found if message.namespace == chosen)
+    return chosen, sorted(_put_right([message for message in found if message.namespace == chosen]))
+
+
+def _put_right(messages: list[Message]) -> list[Message]:
+    """The messages without their ``clock_step``, stamps of a step's topics on the log's first time scale."""
+    said = [(m.place, m.sequence, m.cdr) for m in messages if m.topic == CLOCK_STEP]
+    if not said:
+        return messages
+    steps = steps_of(table_of(CLOCK_STEP, TOPICS[CLOCK_STEP], said))
+    right = {m.place: m for m in messages if m.topic != CLOCK_STEP}
+    for topic in {step.topic for step in steps}:
+        mine = [m for m in right.values() if m.topic == topic and m.stamp_ns >= 0]
+        shift = shift_ns(*(np.array([getattr(m, key) for m in mine], np.int64)
+                           for key in ('stamp_ns', 'sequence', 'place')),
+                         [step for step in steps if step.topic == topic])
+        for message, by in zip(mine, shift, strict=True):
+            if by:
+                stamp = message.stamp_ns + int(by)
+                order = '<iI' if message.cdr[1] & 1 else '>iI'
+                cdr = message.cdr[:4] + struct.pack(order, *divmod(stamp, SECOND)) + message.cdr[12:]
+                right[message.place] = replace(message, stamp_ns=stamp, cdr=cdr)
+    return list(right.values())
 
 
 def _contract_topic(file: McapFile, channel_id: int) -> tuple[str, str] | None:

@@ -17,9 +17,13 @@ class Cancelled(Exception):
     """Somebody asked to stop."""
 
 
+class Interrupted(StepdiagError):
+    """A run was broken off by what may pass: a node that is started again, an instrument that comes back."""
+
+
 @dataclass(frozen=True)
 class Progress:
-    """Where a calibration is: stops done of all, what moves, seconds left, one phrase."""
+    """Where a calibration is: stops done of all, what moves, seconds left, one phrase, runs completed."""
 
     run: Run
     done: int
@@ -27,6 +31,7 @@ class Progress:
     axis: int
     time_left_s: float
     doing: str
+    completed: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -48,7 +53,10 @@ class Runner:
     ``report(progress)``; ``cancelled()``.  For ``guard_s`` after a dwell nothing moves: a
     sample that was polled a little later than its stamp says must not see the next move.
     The first dwell after a mounting lasts ``stand_s`` longer: it shows what goes on while nothing moves.
-    However :meth:`execute` ends, the machine stands still.
+    After an :class:`Interrupted` run the machine stands; ``again(run, error)`` waits until it can be repeated
+    and returns it under the name it then bears, or raises what ends the calibration.
+    ``attended(stop)``: raises when the client is gone, ``stop``: a stop has been measured.
+    However :meth:`execute` ends, by whatever exception, the machine is stopped.
     """
 
     controller: MotionController
@@ -59,6 +67,9 @@ class Runner:
     caught_up: Callable[[str, int], None]
     report: Callable[[Progress], None]
     cancelled: Callable[[], bool]
+    again: Callable[[Run, Interrupted], Run]
+    attended: Callable[[bool], None]
+    now_ns: Callable[[], int]
     feed_m_s: float
     dwell_s: float
     guard_s: float = 0.025
@@ -66,39 +77,54 @@ class Runner:
     move_timeout_s: float = 120.0
 
     def execute(self, runs: Sequence[Run]) -> Outcome:
-        """All runs in order; :class:`Cancelled` or :class:`StepdiagError` end it early.
-
-        Either carries ``outcome``, what was completed until then.
-        """
+        """All runs in order; what ends it early carries ``outcome``, what was completed until then."""
         self._total = sum(len(run.stops) for run in runs)
         self._done, self._completed = 0, []
         self._spent_s = 0.0
-        mounted = None
+        self._mounted = None
+        error: BaseException | None = None
         try:
             for run in runs:
-                fresh = run.setup != mounted
-                if fresh:
-                    self._tell(run, NONE, f'mounting setup {run.setup}')
-                    self.mount(run.setup)
-                    mounted = run.setup
-                self._traverse(run, self.stand_s if fresh else 0.0)
-                self._completed.append(run.run_id)
-        except (Cancelled, StepdiagError) as error:
-            error.outcome = self._outcome()
-            self._hold(error)
+                self._persist(run)
+        except BaseException as caught:
+            error = caught
             raise
+        finally:
+            if error is not None:
+                error.outcome = self._outcome()
+            self._hold(error)
         return self._outcome()
 
     def _outcome(self) -> Outcome:
         return Outcome(tuple(self._completed), self._done)
 
-    def _hold(self, error: Exception) -> None:
+    def _hold(self, error: BaseException | None) -> None:
         """Stop the axes; a control that does not answer is the worse news of the two."""
         try:
             self.controller.stop()
-        except StepdiagError as worse:
-            raise StepdiagError(f'{error or "cancelled"}; and the machine could not be stopped: '
-                                f'{worse}') from None
+        except StepdiagError as failed:
+            worse = StepdiagError(f'{_word(error)}; and the machine could not be stopped: {failed}')
+            worse.outcome = self._outcome()
+            raise worse from None
+
+    def _persist(self, run: Run) -> None:
+        """One run, again where it was interrupted."""
+        while True:
+            done = self._done
+            fresh = run.setup != self._mounted
+            try:
+                if fresh:
+                    self._tell(run, NONE, f'mounting setup {run.setup}')
+                    self.mount(run.setup)
+                    self._mounted = run.setup
+                self._traverse(run, self.stand_s if fresh else 0.0)
+            except Interrupted as broken:
+                self._hold(broken)
+                self._done, self._mounted = done, None
+                run = self.again(run, broken)
+            else:
+                self._completed.append(run.run_id)
+                return
 
     def _traverse(self, run: Run, longer: float) -> None:
         """One run, its first dwell ``longer`` [s] than usual."""
@@ -110,19 +136,21 @@ class Runner:
         for stop in run.stops:
             began, stand = time.monotonic(), longer if stop is first else 0.0
             if stop is first:
-                self.announce(run, stop, MOVE, time.time_ns())
+                self.announce(run, stop, MOVE, self.now_ns())
             else:
                 self._tell(run, stop.axis, f'{AXES[stop.axis]} to stop {stop.index} '
                                            f'of {len(run.stops) - 1}')
-                self.announce(run, stop, MOVE, time.time_ns())
+                self.announce(run, stop, MOVE, self.now_ns())
                 self._go(stop)
-            self.announce(run, stop, DWELL, time.time_ns())
+            self.announce(run, stop, DWELL, self.now_ns())
             self._dwell(self.dwell_s + stand)
-            done_ns = time.time_ns()
+            # A stop is done when it was measured: by sources that lived, by a clock that went on.
+            self.check(run.setup)
+            done_ns = self.now_ns()
             self.announce(run, stop, DONE, done_ns)
             self._done += 1
             self._spent_s += time.monotonic() - began - stand
-            self.check(run.setup)
+            self.attended(True)
             time.sleep(self.guard_s)
         # The next zero or setup forgives what was lost before it.
         self.caught_up(run.setup, done_ns)
@@ -149,8 +177,18 @@ class Runner:
     def _breathe(self) -> None:
         if self.cancelled():
             raise Cancelled
+        self.attended(False)
 
     def _tell(self, run: Run, axis: int, doing: str) -> None:
         per_stop = self._spent_s / self._done if self._done else self.dwell_s + 0.5
         self.report(Progress(run, self._done, self._total, axis,
-                             per_stop * (self._total - self._done), doing))
+                             per_stop * (self._total - self._done), doing, tuple(self._completed)))
+
+
+def _word(error: BaseException | None) -> str:
+    """What ended a run, in words."""
+    if error is None:
+        return 'all was measured'
+    if isinstance(error, Cancelled):
+        return 'cancelled'
+    return str(error) if isinstance(error, StepdiagError) else f'{type(error).__name__}: {error}'

@@ -4,6 +4,10 @@ It drives the machine control along the plan, has the sensors put to each setup 
 zeroed at each run's start, and announces every change of phase.  A goal is only begun
 when every source delivers and the recorder confirms that it hears them; otherwise the
 goal ends at once, nothing has moved, and the result's message names what is silent.
+
+The machine moves only while its client lives, who publishes the goal's UUID on
+``run_step_diagonal/lease``; and what a sequencer finds moving when it starts it stops.
+A run that a node's death has broken off is repeated when the node is back.
 """
 
 import sys
@@ -17,27 +21,48 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import Point
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
+from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.task import Future
 from std_msgs.msg import Header, String
 from std_srvs.srv import Trigger
+from unique_identifier_msgs.msg import UUID
 
 from stepdiag_msgs.action import RunStepDiagonal
-from stepdiag_msgs.msg import Displacement, RecorderStatus, SpotPosition, Step
+from stepdiag_msgs.msg import Displacement, RecorderStatus, SampleTiming, SpotPosition, Step
 from stepdiag_msgs.srv import ResetDisplacement, SelectSetup
-from stepdiag_ros.bag.schemas import DESCRIPTION, DISPLACEMENT, SPOT, STEP
+from stepdiag_ros.bag.schemas import DESCRIPTION, DISPLACEMENT, SPOT, STEP, STEP_TIMING
+from stepdiag_ros.devices.hostclock import HOST
 from stepdiag_ros.devices.linuxcnc_rsh import PORT, LinuxCncRsh
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.model.description import Description
+from stepdiag_ros.model.log import NONE
 from stepdiag_ros.nodes.base import ERROR, OK, Health, StepdiagNode, overridable, reliable, run_node
-from stepdiag_ros.nodes.course import Run, Stop, course, with_steps
+from stepdiag_ros.nodes.course import (
+    Run,
+    Stop,
+    attempt,
+    course,
+    first_repeats,
+    once_more,
+    remaining,
+    with_steps,
+)
 from stepdiag_ros.nodes.ears import HEARS
-from stepdiag_ros.nodes.runner import Cancelled, Outcome, Progress, Runner
-from stepdiag_ros.nodes.stamps import ns_of, stamp_of
+from stepdiag_ros.nodes.marked import Marked
+from stepdiag_ros.nodes.ownership import SEQUENCER, Ownership
+from stepdiag_ros.nodes.runner import Cancelled, Interrupted, Outcome, Progress, Runner
+from stepdiag_ros.nodes.stamps import clock_name, ns_of, stamp_of
 from stepdiag_ros.nodes.watch import Recording, Watch
 
 #: Setup services wait for an operator who mounts a mirror.
 SERVICE_TIMEOUT_S = 60.0
 ACTION = 'run_step_diagonal'
+#: Here a goal's client says that it lives, by the goal's UUID.
+LEASE = f'{ACTION}/lease'
+NEXT_STOP, AT_ONCE = 'next_stop', 'at_once'
+#: A run that is broken off so often has another trouble than a node that died.
+RETRIES = 5
 #: Feedback begins with this while a person is waited for.
 ASK = 'waiting until somebody has mounted'
 
@@ -49,6 +74,7 @@ class StepSequencer(StepdiagNode):
         super().__init__('step_sequencer')
         self.text('host', '127.0.0.1', 'host name or address of the machine control', fixed=True)
         self.count('port', PORT, 'TCP port of the machine control', 1, 65535, fixed=True)
+        self.count('watch_port', 0, "TCP port of the control's watchdog; 0: it has none", 0, 65535, fixed=True)
         self.number('timeout', 5.0, 'silence after which the control counts as stalled',
                     0.1, 120.0, 's')
         self.text('description_file', '', 'YAML file of the cell description', fixed=True)
@@ -63,6 +89,11 @@ class StepSequencer(StepdiagNode):
         self.text('setup_codes', [''], 'what has a mirror mounted: setup=M-code, e.g. ppp=M101', fixed=True)
         self.text('ask_operator', False, 'a setup without a code is mounted by a person, who confirms by the '
                                          'service sequencer/mounted')
+        self.number('lease', 5.0, 'a client that has not renewed its lease for so long is lost', 0.5, 3600.0, 's')
+        self.text('lost_client', NEXT_STOP, f'what ends a run whose client is lost: {NEXT_STOP} (when that has been '
+                                            f'measured) or {AT_ONCE}')
+        self.number('resume_timeout', 60.0, 'wait for a node or an instrument that broke a run off before the '
+                    'calibration ends; 0: none', 0.0, 3600.0, 's')
         self.text('listeners', ['recorder', 'evaluation_solver'],
                   'nodes that must be connected to sequencer/step and hear the sources before a start', fixed=True)
         self.text('sources', [DISPLACEMENT, SPOT], 'topics that must deliver before a start', fixed=True)
@@ -70,10 +101,11 @@ class StepSequencer(StepdiagNode):
                     0.0, 600.0, 's')
         self.number('source_timeout', 3.0, 'silence after which a source counts as lost',
                     0.1, 60.0, 's')
-        self._steps = self.create_lifecycle_publisher(Step, STEP, reliable(),
-                                                      qos_overriding_options=overridable())
-        self._description_publisher = self.create_lifecycle_publisher(
-            String, DESCRIPTION, reliable(1, latched=True), qos_overriding_options=overridable())
+        self._ownership = Ownership(self.get_namespace(), SEQUENCER)
+        self._marked = Marked(self)
+        self._steps = self._marked.publisher(Step, STEP)
+        self._timing = self._marked.publisher(SampleTiming, STEP_TIMING)
+        self._description_publisher: Publisher | None = None
         self._select = {sensor: self.create_client(SelectSetup, f'{sensor}/select_setup')
                         for sensor in ('interferometer', 'psd')}
         self._reset = self.create_client(ResetDisplacement, 'interferometer/reset')
@@ -89,6 +121,7 @@ class StepSequencer(StepdiagNode):
                                      qos_overriding_options=overridable())
         self.create_subscription(RecorderStatus, 'recorder/status', self._on_recorder, reliable(10))
         self.create_subscription(DiagnosticArray, '/diagnostics', self._on_diagnostics, 50)
+        self.create_subscription(UUID, LEASE, self._on_lease, lease_qos())
         self._mounted, self._asking = threading.Event(), False
         self.create_service(Trigger, 'sequencer/mounted', self._on_mounted)
         self._action = ActionServer(
@@ -98,10 +131,13 @@ class StepSequencer(StepdiagNode):
         self.description: Description | None = None
         self._worker: threading.Thread | None = None
         self._leave = threading.Event()
+        self._goal, self._leased_s = b'', 0.0
         self._progress: Progress | None = None
         self._last = ''
+        self._broken: list[str] = []
+        self._clock_steps: list[float] = []
         # Events published by this process since the bag was opened, and the repeats in it.
-        self._bag = ''
+        self._bag, self._file = '', 0
         self._published = 0
         self._repeats: dict[str, int] = {}
 
@@ -123,15 +159,25 @@ class StepSequencer(StepdiagNode):
                                 'give three coordinates in metres')
         self.controller = LinuxCncRsh(self.value('host'), self.value('port'), origin,
                                       _codes(self.value('setup_codes')),
-                                      timeout_s=self.value('timeout'))
+                                      timeout_s=self.value('timeout'), watch_port=self.value('watch_port'))
+        if self.value('lost_client') not in (NEXT_STOP, AT_ONCE):
+            raise StepdiagError(f'step_sequencer: parameter lost_client is {self.value("lost_client")!r}; '
+                                f'choose {NEXT_STOP} or {AT_ONCE}')
         try:
             self.controller.connect()
+            if not self.controller.state()['idle']:
+                # Whoever commanded this is gone: this node is the namespace's only sequencer.
+                self.get_logger().warning('the machine was moving when the sequencer started; stopping it')
+                self.controller.stop()
         except StepdiagError:
             self.cleanup()
             raise
 
     def activate(self) -> None:
         self._leave.clear()
+        # A publisher anew: a latched one would hand the next recorder the description of an earlier plan.
+        self._description_publisher = self.create_publisher(
+            String, DESCRIPTION, reliable(1, latched=True), qos_overriding_options=overridable())
         self._description_publisher.publish(String(data=self.description.to_yaml()))
 
     def deactivate(self) -> None:
@@ -139,6 +185,9 @@ class StepSequencer(StepdiagNode):
         if self._worker is not None:
             self._worker.join()
             self._worker = None
+        if self._description_publisher is not None:
+            self.destroy_publisher(self._description_publisher)
+            self._description_publisher = None
 
     def cleanup(self) -> None:
         self.deactivate()
@@ -177,7 +226,7 @@ class StepSequencer(StepdiagNode):
     def _on_recorder(self, status: RecorderStatus) -> None:
         self._watch.recorder(Recording(
             time.monotonic(), status.recording, status.bag, frozenset(status.hears),
-            dict(zip(status.topics, status.received, strict=True)), int(sum(status.lost))))
+            dict(zip(status.topics, status.received, strict=True)), int(sum(status.lost)), status.file))
 
     def _on_diagnostics(self, array: DiagnosticArray) -> None:
         for status in array.status:
@@ -185,6 +234,10 @@ class StepSequencer(StepdiagNode):
             if space == self.get_namespace().rstrip('/') and name in self.value('listeners'):
                 heard = next((v.value for v in status.values if v.key == HEARS), '')
                 self._watch.listener(name, frozenset(map(self.resolve_topic_name, heard.split())))
+
+    def _on_lease(self, goal: UUID) -> None:
+        if bytes(goal.uuid) == self._goal:
+            self._leased_s = time.monotonic()
 
     # -- the action --------------------------------------------------------------
 
@@ -197,6 +250,7 @@ class StepSequencer(StepdiagNode):
 
     async def _execute(self, handle: ServerGoalHandle) -> RunStepDiagonal.Result:
         done = Future(executor=self.executor)
+        self._goal, self._leased_s = bytes(handle.goal_id.uuid), time.monotonic()
         self._worker = threading.Thread(target=self._work, args=(handle, done), name='sequence',
                                         daemon=True)
         self._worker.start()
@@ -235,12 +289,16 @@ class StepSequencer(StepdiagNode):
                 f'refused: {goal.steps} steps were asked for and the cell description that is being '
                 f'recorded says {self.description.plan.steps}; set the parameter steps of '
                 f'{self.get_name()} and begin a new bag (stepdiag calibrate --steps does both)')
+        self._marked.follow_clock()
+        self._clock_steps = []
         asked = course(self.description, goal.setups)   # unknown setups are refused at once
         self._claim(handle, asked[0].setup)
         self._await_ready(handle)
         bag = self._watch.recording.bag
-        self._begin_bag(bag)
-        runs = course(self.description, goal.setups, goal.repeats, self._repeats)
+        held = [*goal.completed, *filter(None, [goal.broken])]
+        self._begin_bag(bag, held)
+        runs = remaining(course(self.description, goal.setups, goal.repeats, self._repeats),
+                         goal.completed, goal.broken)
         self._ready_control()
 
         def cancelled() -> bool:
@@ -251,17 +309,19 @@ class StepSequencer(StepdiagNode):
             handle.publish_feedback(RunStepDiagonal.Feedback(
                 run_id=progress.run.run_id, setup=progress.run.setup, stop=progress.done,
                 stops=progress.total, axis=progress.axis, time_left=progress.time_left_s,
-                doing=progress.doing))
+                doing=progress.doing, completed=[*goal.completed, *progress.completed]))
 
         def mount(setup: str) -> None:
-            self._mount(setup, cancelled,
+            self._mount(setup, lambda: self._alive(handle),
                         lambda: report(replace(self._progress, doing=f'{ASK} setup {setup}')))
 
         dwell = goal.dwell if goal.dwell > 0.0 else self.value('dwell')
         runner = Runner(self.controller, self._announce, mount, self._zero,
-                        lambda setup: self._watch.check(bag, setup),
-                        lambda setup, time_ns: self._caught_up(bag, setup, time_ns, cancelled),
-                        report, cancelled, self.value('feed'), dwell, self.value('guard'), self.value('stand'))
+                        lambda setup: self._check(bag, setup),
+                        lambda setup, time_ns: self._caught_up(bag, setup, time_ns, handle),
+                        report, cancelled, lambda run, error: self._again(run, error, bag, handle),
+                        lambda stop: self._attended(handle, stop), HOST.now_ns,
+                        self.value('feed'), dwell, self.value('guard'), self.value('stand'))
         try:
             return runner.execute(runs)
         finally:
@@ -275,8 +335,7 @@ class StepSequencer(StepdiagNode):
             response = self._ask(client, SelectSetup.Request(setup=setup), 2.0)
             if response is None or response.success:
                 return   # a driver that does not answer shows as a silent source
-            if handle.is_cancel_requested or self._leave.is_set():
-                raise Cancelled
+            self._alive(handle)
             if time.monotonic() > end:
                 raise StepdiagError(f'refused to start: {response.message}')
             time.sleep(0.2)
@@ -297,16 +356,56 @@ class StepSequencer(StepdiagNode):
 
     def _await_ready(self, handle: ServerGoalHandle) -> None:
         """Every source delivers, and the recorder and the listeners hear it, or the goal is refused."""
+        if wants := self._wait_until_ready(handle, self.value('ready_timeout')):
+            raise StepdiagError('refused to start: ' + '; '.join(wants))
+
+    def _wait_until_ready(self, handle: ServerGoalHandle, timeout_s: float, bag: str = '') -> list[str]:
+        """Wait until all deliver and all is kept (in ``bag``, where one is named); what is missing after the time."""
         began = time.monotonic()
-        end = began + self.value('ready_timeout')
         listeners = [name for name in self.value('listeners') if name]
-        while wants := (self._watch.wants(since_s=began) + self._unconnected(listeners)
-                        + self._watch.deaf(listeners, began)):
-            if handle.is_cancel_requested or self._leave.is_set():
-                raise Cancelled
-            if time.monotonic() > end:
-                raise StepdiagError('refused to start: ' + '; '.join(wants))
+        while True:
+            wants = (self._watch.wants(since_s=began) + self._unconnected(listeners)
+                     + self._watch.deaf(listeners, began))
+            if not wants and bag and (now := self._watch.recording.bag) != bag:
+                wants = [f'the recorder writes {now} and not {bag}']
+            if not wants or time.monotonic() > began + timeout_s:
+                return wants
+            self._alive(handle)
             time.sleep(0.05)
+
+    def _again(self, run: Run, error: Interrupted, bag: str, handle: ServerGoalHandle) -> Run:
+        """Wait until an interrupted run can be repeated, into the same bag; it bears another name then."""
+        timeout_s = self.value('resume_timeout')
+        if not timeout_s or attempt(run.run_id) > RETRIES:
+            raise error
+        self.get_logger().warning(f'{run.run_id} was broken off: {error}; it is repeated as soon as all deliver again')
+        handle.publish_feedback(RunStepDiagonal.Feedback(
+            run_id=run.run_id, setup=run.setup, stop=self._progress.done, stops=self._progress.total, axis=NONE,
+            doing=f'{run.run_id} was broken off, waiting to repeat it: {error}',
+            completed=[*handle.request.completed, *self._progress.completed]))
+        if wants := self._wait_until_ready(handle, timeout_s, bag):
+            raise StepdiagError(f'{error}; waited {timeout_s:g} s to repeat {run.run_id}: {"; ".join(wants)}')
+        self._file = self._watch.recording.file
+        self._published -= self._unrecorded()      # what is lost is measured again
+        self._ready_control()
+        repeated = once_more(run)
+        self._broken.append(run.run_id)
+        self.get_logger().info(f'{run.run_id} is repeated as {repeated.run_id}')
+        return repeated
+
+    def _alive(self, handle: ServerGoalHandle) -> None:
+        """Raise what ends a calibration while the machine stands: a request, or a client that is lost."""
+        if handle.is_cancel_requested or self._leave.is_set():
+            raise Cancelled
+        self._attended(handle, True)
+
+    def _attended(self, handle: ServerGoalHandle, stop: bool) -> None:
+        """Raise :class:`StepdiagError` if the client is lost, while an axis may move (not ``stop``) only if told so."""
+        silent_s = time.monotonic() - self._leased_s
+        if not handle.request.unattended and silent_s > self.value('lease') \
+                and (stop or self.value('lost_client') == AT_ONCE):
+            raise StepdiagError(f'the client has not renewed its lease for {silent_s:.1f} s and is taken for lost; '
+                                'the machine stands still')
 
     def _unconnected(self, listeners: Sequence[str]) -> list[str]:
         """Listeners that would miss the first step."""
@@ -315,12 +414,18 @@ class StepSequencer(StepdiagNode):
         return [f'{listener} is not connected to {self.resolve_topic_name(STEP)}'
                 for listener in listeners if not any(name.startswith(listener) for name in names)]
 
-    def _begin_bag(self, bag: str) -> None:
-        """Number runs from 0 in a new bag; refuse one that holds runs which are not ours."""
+    def _begin_bag(self, bag: str, resumed: Sequence[str] = ()) -> None:
+        """Number runs from 0 in a new bag; refuse one that holds runs which are not ours.
+
+        ``resumed``: runs of a sequencer that has ended, whose calibration this one takes over.
+        """
+        self._broken, self._file = [], self._watch.recording.file
         if bag != self._bag:
             self._bag, self._published, self._repeats = bag, 0, {}
-        held = self._watch.recording.received.get(self.resolve_topic_name(STEP), 0)
-        if held > self._published:
+        if resumed:
+            self._repeats = first_repeats(resumed)
+            self._published -= self._unrecorded()
+        if self._unrecorded() < 0:
             raise StepdiagError(f'refused to start: {bag} holds runs of a sequencer that has ended '
                                 'since; begin a new bag (stepdiag calibrate does)')
 
@@ -339,39 +444,57 @@ class StepSequencer(StepdiagNode):
         self._mounted.set()
         return response
 
-    def _mount(self, setup: str, cancelled: Callable[[], bool], ask: Callable[[], None]) -> None:
+    def _mount(self, setup: str, alive: Callable[[], None], ask: Callable[[], None]) -> None:
         """Mirror, base unit and sensors to a setup, by the control's code or a person's hands."""
         self.controller.select_setup(setup)
         if self.value('ask_operator') and setup not in _codes(self.value('setup_codes')):
             self._mounted.clear()
             self._asking = True
             ask()
-            while not self._mounted.wait(0.1):
-                if cancelled():
-                    self._asking = False
-                    raise Cancelled
-            self._asking = False
+            try:
+                while not self._mounted.wait(0.1):
+                    alive()
+            finally:
+                self._asking = False
         for sensor, client in self._select.items():
             self._call(client, SelectSetup.Request(setup=setup), f'{sensor}/select_setup')
         self._watch.begin()
 
     def _zero(self) -> None:
+        self._timing.publish(SampleTiming(header=Header(stamp=stamp_of(HOST.now_ns())), clock=clock_name()))
         self._call(self._reset, ResetDisplacement.Request(), 'interferometer/reset')
         self._watch.begin()
 
-    def _caught_up(self, bag: str, setup: str, time_ns: int, cancelled: Callable[[], bool]) -> None:
-        """Wait until all sources have delivered up to ``time_ns`` and see light; or end the run."""
-        while self._watch.delivered_until() < time_ns or self._watch.dark():
-            if cancelled():
-                raise Cancelled
-            self._watch.check(bag, setup)
-            time.sleep(0.01)
+    def _check(self, bag: str, setup: str) -> float:
+        """Raise :class:`Interrupted` if a run has lost something; returns by how much [s] the clock was set since."""
+        step_s = self._marked.follow_clock()
+        if step_s:
+            self._clock_steps.append(step_s)
+            self._watch.begin()
         self._watch.check(bag, setup)
+        if self._watch.recording.file != self._file:
+            raise Interrupted('the recorder was started again during the run')
+        return step_s
+
+    def _caught_up(self, bag: str, setup: str, time_ns: int, handle: ServerGoalHandle) -> None:
+        """Wait until all sources have delivered up to ``time_ns``, see light, and all is recorded; or end the run."""
+        end = time.monotonic() + self.value('source_timeout')
+        while self._watch.delivered_until() < time_ns or self._watch.dark() or self._unrecorded() > 0:
+            self._alive(handle)
+            time_ns += round(self._check(bag, setup) * 1e9)
+            if time.monotonic() > end and (missing := self._unrecorded()) > 0:
+                raise Interrupted(f'the recorder has not confirmed {missing} step events')
+            time.sleep(0.01)
+        self._check(bag, setup)
+
+    def _unrecorded(self) -> int:
+        """Step events that were published into the bag and that the recorder has not confirmed."""
+        return self._published - self._watch.recording.received.get(self.resolve_topic_name(STEP), 0)
 
     def _call(self, client, request, name: str) -> None:
         """Call a service from the worker's thread."""
         if not client.wait_for_service(timeout_sec=5.0):
-            raise StepdiagError(f'the service {name} is not there; is its driver running?')
+            raise Interrupted(f'the service {name} is not there; is its driver running?')
         answered = threading.Event()
         future = client.call_async(request)
         future.add_done_callback(lambda _future: answered.set())
@@ -380,11 +503,11 @@ class StepSequencer(StepdiagNode):
             if self._leave.is_set():
                 raise Cancelled
             if wants := self._watch.wants():
-                raise StepdiagError(f'no answer from {name}: ' + '; '.join(wants))
+                raise Interrupted(f'no answer from {name}: ' + '; '.join(wants))
             if time.monotonic() > end:
                 raise StepdiagError(f'the service {name} does not answer for {SERVICE_TIMEOUT_S:g} s')
         if not future.result().success:
-            raise StepdiagError(f'{name}: {future.result().message}')
+            raise Interrupted(f'{name}: {future.result().message}')
 
     def _announce(self, run: Run, stop: Stop, phase: int, time_ns: int) -> None:
         x, y, z = (float(v) for v in stop.position_m)
@@ -396,21 +519,26 @@ class StepSequencer(StepdiagNode):
 
     def _closing_word(self, outcome: Outcome) -> str:
         """Wait until samples and recorder have caught up, and say what was done."""
-        now, end = time.time_ns(), time.monotonic() + self.value('source_timeout')
-        step = self.resolve_topic_name(STEP)
-        while time.monotonic() < end:
-            said = self._watch.recording
-            if self._watch.delivered_until() >= now and said.received.get(step, 0) >= self._published:
-                break
+        now, end = HOST.now_ns(), time.monotonic() + self.value('source_timeout')
+        while time.monotonic() < end and (self._watch.delivered_until() < now or self._unrecorded() > 0):
             time.sleep(0.05)
         said = self._watch.recording
         word = f'{outcome.stops} stops in {len(outcome.run_ids)} runs'
-        missing = self._published - said.received.get(step, 0)
+        missing = self._unrecorded()
         if missing > 0:
             word += f'; the recorder has not confirmed {missing} of {self._published} step events'
+        if self._broken:
+            word += f'; repeated, because they were broken off: {", ".join(self._broken)}'
+        if self._clock_steps:
+            word += '; the system clock was set by ' + ', '.join(f'{s:+.3f} s' for s in self._clock_steps)
         if said.lost:
             word += f'; the recorder lost {said.lost} messages'
         return word
+
+
+def lease_qos() -> QoSProfile:
+    """A sign of life: only the last one counts, and none is sent again."""
+    return QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
 def _codes(pairs: list[str]) -> dict[str, str]:

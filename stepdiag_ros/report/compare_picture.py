@@ -11,6 +11,7 @@ from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate.compare import Comparison
 from stepdiag_ros.estimate.solution import Solution
 from stepdiag_ros.model.machine import CURVES, SQUARENESS
+from stepdiag_ros.report.legends import legend_outside
 
 COLOURS = ('#1b6ca8', '#d1495b', '#2e9e6b', '#e8a33d', '#7a5195', '#8c6d46')
 MARKS = ('o', 's', '^', 'v', 'D', 'P')
@@ -59,7 +60,7 @@ def draw(comparison: Comparison, solutions: Mapping[str, Solution], path: Path, 
             if label not in labels:
                 handles.append(handle)
                 labels.append(label)
-    figure.legend(handles, labels, loc='outside upper right', ncols=len(labels), fontsize=9)
+    legend_outside(figure, handles, labels, 'upper right', ncols=len(labels), fontsize=9)
     figure.suptitle(f'{title}: every method on one log, bars k = 2', x=0.01, ha='left')
     try:
         figure.savefig(path, dpi=110, metadata={'Date': None} if str(path).endswith('.svg') else None)

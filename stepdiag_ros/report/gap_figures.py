@@ -10,8 +10,9 @@ from matplotlib.figure import Figure
 
 from stepdiag_ros.estimate.reduce import StopTable
 from stepdiag_ros.estimate.solution import Solution
-from stepdiag_ros.gap.steady import Spectrum
+from stepdiag_ros.gap.noise.coherent_lines import Spectrum
 from stepdiag_ros.model.machine import CURVES, SQUARENESS
+from stepdiag_ros.report.legends import legend_outside
 from stepdiag_ros.report.series import Inside, Series
 from stepdiag_ros.report.words import setup_words
 
@@ -104,7 +105,7 @@ def along_stops(parts: Series, table: StopTable, overlay: bool) -> Figure:
                    matplotlib.patches.Patch(color=NOISE)]
         labels = ['before, forward', 'before, backward', 'after (what was found is in the simulator)',
                   'noise, ± 2σ']
-    figure.legend(handles, labels, loc='outside upper left', ncols=4, fontsize=8.5)
+    legend_outside(figure, handles, labels, 'upper left', ncols=4, fontsize=8.5)
     return figure
 
 
@@ -249,7 +250,7 @@ def _rates(parts: Inside, table: StopTable) -> Figure:
             ax.plot(minutes[rows], parts.simulated_rate[rows, channel] * 1e9, '-', color=AFTER, linewidth=1.5,
                     label='simulator with what was found' if run == table.run[0] else None)
         ax.set_ylabel(f'{CHANNEL_NAMES[channel]}  [nm/s]')
-    figure.legend(*figure.axes[0].get_legend_handles_labels(), loc='outside upper left', ncols=3)
+    legend_outside(figure, *figure.axes[0].get_legend_handles_labels(), 'upper left', ncols=3)
     figure.axes[-1].set_xlabel('time of measuring  [min], pauses cut short')
     return figure
 
@@ -300,9 +301,8 @@ def errors_before_after(before: Solution, after: Solution | None) -> Figure:
         ax.set_title(f'{name}  squareness [µrad]', fontsize=8.5)
         ax.tick_params(labelsize=7)
     if after is not None:
-        figure.legend([_line(BEFORE), _line(AFTER)],
-                      ['as a plain evaluation gives them', 'with the causes taken out'],
-                      loc='outside upper left', ncols=2)
+        legend_outside(figure, [_line(BEFORE), _line(AFTER)],
+                       ['as a plain evaluation gives them', 'with the causes taken out'], 'upper left', ncols=2)
     return figure
 
 

@@ -5,11 +5,11 @@ from html import escape
 
 import numpy as np
 
-from stepdiag_ros.gap.bands import Band
+from stepdiag_ros.gap.alternatives.unmodelled import NAME as UNKNOWN
+from stepdiag_ros.gap.constants import LEAST_SHARE
 from stepdiag_ros.gap.diagnosis import Diagnosis, Found
-from stepdiag_ros.gap.margins import SETTLING, Margins
-from stepdiag_ros.gap.thresholds import LEAST_SHARE
-from stepdiag_ros.gap.unknown import NAME as UNKNOWN
+from stepdiag_ros.gap.summary.bands import Band
+from stepdiag_ros.gap.summary.margins import SETTLING, Margins
 from stepdiag_ros.report import gap_figures, gap_words
 from stepdiag_ros.report.page import bars, figure, page, table
 from stepdiag_ros.report.series import Series, inside, series, spectra

@@ -5,12 +5,13 @@ from dataclasses import replace
 import numpy as np
 
 from stepdiag_ros.estimate.solution import Solution
-from stepdiag_ros.gap.closing import closing
+from stepdiag_ros.gap.alternatives.unmodelled import NAME as UNKNOWN
+from stepdiag_ros.gap.constants import ALARM, CONFUSED
 from stepdiag_ros.gap.diagnosis import AXIS_LIKE, Diagnosis, Found
-from stepdiag_ros.gap.margins import AT_REST, MOVING, SETTLING
-from stepdiag_ros.gap.thresholds import ALARM, CONFUSED
-from stepdiag_ros.gap.unknown import NAME as UNKNOWN
-from stepdiag_ros.gap.volume import VolumeChange
+from stepdiag_ros.gap.inference.search import NOTHING
+from stepdiag_ros.gap.summary.cross_validation import closing
+from stepdiag_ros.gap.summary.margins import AT_REST, MOVING, SETTLING
+from stepdiag_ros.gap.summary.volume import VolumeChange
 from stepdiag_ros.model.machine import CURVES, SQUARENESS
 from stepdiag_ros.report.series import reach
 from stepdiag_ros.report.words import (
@@ -28,6 +29,8 @@ from stepdiag_ros.report.words import (
     title,
 )
 
+ALTERNATIVE = 0.05
+"""Probability from which a headline names what may act instead."""
 SIGNIFICANT = 3.0
 """A size is named in a sentence from this many standard deviations on."""
 SPEAKING = ('angle', 'jump', 'both', 'all')
@@ -114,6 +117,11 @@ def headline(diagnosis: Diagnosis) -> str:
         return f'Something disturbs the measurement that is none of the known causes: {leftover}.'
     if len(found) == 1:
         text = cause(diagnosis, found[0])
+        others = alternatives(diagnosis, found[0])
+        if others:
+            said = [f'{_lower(title(name)) if name != UNKNOWN else "something without a name"} ({percent(p)})'
+                    for name, p in others]
+            text = f'Either: {_lower(text)} ({percent(found[0].probability)}) — or {" or ".join(said)}'
     else:
         count = {2: 'Two', 3: 'Three', 4: 'Four'}.get(len(found), str(len(found)))
         text = f'{count} things act together: ' + '; '.join(
@@ -156,6 +164,14 @@ def _hinted(diagnosis: Diagnosis) -> str:
         first = f'something without a name ({leftover_words(form)})' if name == UNKNOWN else f'“{title(name)}”'
         said.append(' or '.join([first, *(f'“{title(n)}”' for n in others)]))
     return ' and '.join(said)
+
+
+def alternatives(diagnosis: Diagnosis, found: Found) -> list[tuple[str, float]]:
+    """What may act instead of the only cause found, with the probabilities, the likeliest first; nothing, where the log
+    leaves it less than one in twenty."""
+    claimed = {f.name for f in diagnosis.effects}
+    return [(name, p) for name, p in sorted(diagnosis.ranking.items(), key=lambda item: -item[1])
+            if name not in claimed and name != NOTHING and p > ALTERNATIVE and found.probability < 1.0 - ALTERNATIVE]
 
 
 def stand_ins(diagnosis: Diagnosis) -> list[str]:

@@ -8,8 +8,8 @@ from stepdiag_ros.estimate.enhanced import readings_of
 from stepdiag_ros.estimate.noise import whiteners
 from stepdiag_ros.estimate.reduce import StopTable
 from stepdiag_ros.gap.diagnosis import Diagnosis
-from stepdiag_ros.gap.steady import Spectrum, spectrum
-from stepdiag_ros.gap.unrest import dwells_by_channel
+from stepdiag_ros.gap.noise.coherent_lines import Spectrum, spectrum
+from stepdiag_ros.gap.noise.dwell_spectrum import dwells_by_channel
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from stepdiag_ros.errors import StepdiagError
-from stepdiag_ros.gap.observe import observe
+from stepdiag_ros.gap.preprocess.observe import observe
 from stepdiag_ros.model.description import Description
 from stepdiag_ros.model.log import DWELL, CalibrationLog, Samples, StepEvents
 from stepdiag_ros.twin.story import starts_in

@@ -9,7 +9,7 @@ from collections.abc import Callable
 import numpy as np
 
 from stepdiag_ros.gap.diagnosis import Diagnosis
-from stepdiag_ros.gap.joint import Active
+from stepdiag_ros.gap.inference.joint import Active
 from stepdiag_ros.model.air import refractive_index
 from stepdiag_ros.model.machine import CURVES, SQUARENESS
 

@@ -7,10 +7,10 @@ again it stands where that left it, by as much as a reversal either way.
 import numpy as np
 
 from stepdiag_ros.effects.base import StopView
-from stepdiag_ros.gap.joint import fit_jointly
-from stepdiag_ros.gap.observe import Observation
-from stepdiag_ros.gap.parity import Parity
-from stepdiag_ros.gap.turns import noise_of
+from stepdiag_ros.gap.inference.joint import fit_jointly
+from stepdiag_ros.gap.inference.parity import Parity
+from stepdiag_ros.gap.inference.select_effects import noise_of
+from stepdiag_ros.gap.preprocess.observe import Observation
 
 SURE = 5.0
 """Standard deviations by which noise must be exceeded."""

@@ -26,6 +26,8 @@ from stepdiag_ros.model.description import (
 from stepdiag_ros.model.machine import GeometricErrors
 from stepdiag_ros.model.sensor import Misalignment
 from stepdiag_ros.virtual import drawn
+from stepdiag_ros.virtual.noise import NoiseLaw, NoiseLaws, Spread
+from stepdiag_ros.virtual.surroundings import BELIEVED, believed_air, budget, scales
 from stepdiag_ros.virtual.yamlreader import Reader, parse_yaml, read_yaml
 
 SCHEMA = 1
@@ -107,6 +109,9 @@ class Instruments:
     an answer with one.  ``multiplexer`` names the machines that share the interferometer through an
     optical ``switch``, this one first (empty: it is this one's alone); ``machine_files`` are the cell
     files of the others.  ``setup_codes``: what has a real machine's mirror mounted, M-code by setup.
+    ``watchdog`` [s]: the virtual control brakes when its client has said nothing for so long while the
+    axes move.  ``control`` of a virtual cell: ``virtual``, or ``linuxcnc`` for a real one; ``config`` is the
+    folder of its configuration, ``watch_port`` where its watchdog takes signs of life.
     """
 
     interferometer: Endpoint = Endpoint()
@@ -118,8 +123,23 @@ class Instruments:
     multiplexer: tuple[str, ...] = ()
     machine_files: tuple[str, ...] = ()
     switch: Endpoint = Endpoint()
+    control: str = 'virtual'
+    config: str = ''
+    watch_port: int = 0
     detector: Detector = Detector()
+    watchdog: float = 1.0
     setup_codes: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Client:
+    """Whoever commands a calibration must live: ``lease`` [s] that it renews, and what ends its run when it is lost.
+
+    ``lost``: ``next_stop`` ends the run when the stop has been measured, ``at_once`` stops the axes too.
+    """
+
+    lease: float = 5.0
+    lost: str = 'next_stop'
 
 
 @dataclass(frozen=True)
@@ -138,8 +158,9 @@ class Cell:
 
     ``description`` is what the log will say; the rest is the truth behind it.
     ``misalignments`` and ``psd_zero`` [m] are by setup; ``effects`` maps the contract's
-    names to parameters; ``faults`` are injected by the servers (tests).  ``origin``: a real machine's
-    coordinates [m] of the volume's lower corner.
+    names to parameters; ``noise_law`` says how the noise falls, ``description.noise`` how large it is; ``faults`` are
+    injected by the servers (tests).  ``network``: whom the nodes
+    talk to, ``loopback`` (this computer alone) or ``open``.
     """
 
     source: str
@@ -154,7 +175,9 @@ class Cell:
     instruments: Instruments = Instruments()
     sampling: Sampling = Sampling()
     faults: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    client: Client = Client()
+    network: str = 'loopback'
+    noise_law: NoiseLaws = field(default_factory=NoiseLaws)
 
     @property
     def setup_names(self) -> tuple[str, ...]:
@@ -173,8 +196,8 @@ def parse_cell(text: str, source: str = 'cell') -> Cell:
 
 def _cell(top: Reader) -> Cell:
     keys = top.mapping(('schema', 'seed', 'machine', 'plan', 'setups', 'noise', 'geometry',
-                        'misalignments', 'air', 'motion', 'effects', 'instruments', 'sampling',
-                        'faults'))
+                        'misalignments', 'air', 'material', 'budget', 'motion', 'effects', 'instruments',
+                        'sampling', 'faults', 'network', 'client', 'noise_law'))
     if 'schema' in keys and keys['schema'].count() != SCHEMA:
         raise keys['schema'].fail(f'must be {SCHEMA} for this version')
     for needed in ('machine', 'plan', 'setups'):
@@ -183,7 +206,8 @@ def _cell(top: Reader) -> Cell:
     seed = keys['seed'].count() if 'seed' in keys else 0
     machine = _machine(keys['machine'])
     setups = _setups(keys['setups'], machine)
-    description = Description(machine, _plan(keys['plan']), setups, _noise(keys.get('noise')))
+    description = Description(machine, _plan(keys['plan']), setups, _noise(keys.get('noise')),
+                              believed_air(keys.get('air')), scales(keys.get('material')), budget(keys.get('budget')))
     misalignments, zero = drawn.misalignments(keys.get('misalignments'), seed, tuple(setups))
     motion = _fill(Motion, keys.get('motion'), {
         'feed': {'above': 0.0, 'unit': 'm/s'}, 'acceleration': {'above': 0.0, 'unit': 'm/s²'},
@@ -196,12 +220,9 @@ def _cell(top: Reader) -> Cell:
                 motion=motion, effects=_named_mappings(keys.get('effects')),
                 instruments=_instruments(keys.get('instruments'), machine.name),
                 sampling=_sampling(keys.get('sampling')),
-                faults=_named_mappings(keys.get('faults')), origin=_origin(keys['machine']))
-
-
-def _origin(node: Reader) -> tuple[float, float, float]:
-    keys = node.mapping()
-    return keys['origin'].vector(3) if 'origin' in keys else (0.0, 0.0, 0.0)
+                faults=_named_mappings(keys.get('faults')), client=_client(keys.get('client')),
+                network=keys['network'].text(('loopback', 'open')) if 'network' in keys else 'loopback',
+                noise_law=_noise_laws(keys.get('noise_law')))
 
 
 def _machine(node: Reader) -> Machine:
@@ -215,7 +236,8 @@ def _machine(node: Reader) -> Machine:
     name = keys['name'].text() if 'name' in keys else 'machine'
     if len(name) > limits.NAME_LETTERS:
         raise keys['name'].fail(f'has {len(name)} letters; give at most {limits.NAME_LETTERS}')
-    return Machine(name, chain, keys['volume'].vector(3, above=0.0), tool)
+    origin = keys['origin'].vector(3, unit='m') if 'origin' in keys else None
+    return Machine(name, chain, keys['volume'].vector(3, above=0.0), tool, origin)
 
 
 def _plan(node: Reader) -> Plan:
@@ -258,6 +280,28 @@ def _noise(node: Reader | None) -> Noise:
     return _fill(Noise, node, {key: {'minimum': 0.0} for key in vars(Noise())})
 
 
+SPREAD: dict[str, dict] = {'dof': {'above': 2.0}, 'correlation': {'minimum': -0.999, 'maximum': 0.999}}
+SHARE = {'minimum': 0.0, 'maximum': 0.9}
+SENSOR_LAW: dict[str, dict] = SPREAD | {
+    'quantum': {'minimum': 0.0, 'unit': 'm'}, 'dropouts': SHARE, 'burst': {'minimum': 1}, 'spikes': SHARE,
+    'spike_size': {'minimum': 0.0}, 'duplicates': SHARE, 'late': {'minimum': 0.0, 'maximum': 1.0},
+    'delay': {'minimum': 0.0, 'maximum': 1.0, 'unit': 's'}}
+
+
+def _noise_laws(node: Reader | None) -> NoiseLaws:
+    if node is None or node.is_null:
+        return NoiseLaws()
+    laws: dict[str, Any] = {}
+    for name, child in node.mapping(('displacement', 'spot', 'position', 'angle')).items():
+        sensor = name in ('displacement', 'spot')
+        rules = SENSOR_LAW if sensor else SPREAD
+        given = {} if child.is_null else {
+            key: value.count(**rules[key]) if key == 'burst' else value.number(**rules[key])
+            for key, value in child.mapping(tuple(rules)).items()}
+        laws[name] = NoiseLaw(**given) if sensor else Spread(**given)
+    return NoiseLaws(**laws)
+
+
 def _fill(kind: type, node: Reader | None, rules: dict[str, dict]) -> Any:
     """A dataclass of numbers from a mapping with the same keys."""
     if node is None or node.is_null:
@@ -270,7 +314,7 @@ def _air(node: Reader | None) -> Air:
     if node is None or node.is_null:
         return Air()
     keys = node.mapping(('temperature', 'pressure', 'humidity', 'drift', 'compensated', 'sensors',
-                         'scale_temperature', 'scale_drift', 'period'))
+                         'scale_temperature', 'scale_drift', 'period', *BELIEVED))
     given: dict[str, Any] = {}
     for key, rule in {'temperature': {'minimum': -20.0, 'maximum': 60.0, 'unit': '°C'},
                       'pressure': {'minimum': 5.0e4, 'maximum': 1.2e5, 'unit': 'Pa'},
@@ -333,8 +377,16 @@ def _instruments(node: Reader | None, name: str) -> Instruments:
             detector['channels'] = channels
         given['detector'] = Detector(**detector)
     if 'cnc' in top:
-        keys = top['cnc'].mapping(('host', 'port', 'setup_codes'))
+        keys = top['cnc'].mapping(('host', 'port', 'watchdog', 'control', 'config', 'watch_port', 'setup_codes'))
         given['cnc'] = _endpoint(keys)
+        if 'watchdog' in keys:
+            given['watchdog'] = keys['watchdog'].number(minimum=0.05, maximum=10.0, unit='s')
+        if 'control' in keys:
+            given['control'] = keys['control'].text(('virtual', 'linuxcnc'))
+        if 'config' in keys:
+            given['config'] = keys['config'].text()
+        if 'watch_port' in keys:
+            given['watch_port'] = keys['watch_port'].count(0, 65535)
         if 'setup_codes' in keys:
             given['setup_codes'] = {setup: _m_code(code) for setup, code
                                     in keys['setup_codes'].mapping(DIAGONALS + LINEAR).items()}
@@ -368,6 +420,18 @@ def _multiplexer(node: Reader, name: str) -> dict[str, Any]:
         names.append(other.description.machine.name)
         files.append(str(file))
     return {'multiplexer': tuple(names), 'machine_files': tuple(files), 'switch': _endpoint(keys)}
+
+
+def _client(node: Reader | None) -> Client:
+    if node is None or node.is_null:
+        return Client()
+    keys = node.mapping(('lease', 'lost'))
+    given: dict[str, Any] = {}
+    if 'lease' in keys:
+        given['lease'] = keys['lease'].number(minimum=0.5, maximum=3600.0, unit='s')
+    if 'lost' in keys:
+        given['lost'] = keys['lost'].text(('next_stop', 'at_once'))
+    return Client(**given)
 
 
 def _sampling(node: Reader | None) -> Sampling:

@@ -34,6 +34,8 @@ OWN = ('cnc', 'psd')
 """What each of several machines has to itself."""
 START_TIMEOUT_S = 60.0
 GRACE_S = 3.0
+LINUXCNC_GRACE_S = 12.0
+"""A real control takes its own time to end."""
 
 
 class CellProcess:
@@ -42,12 +44,16 @@ class CellProcess:
     def __init__(self, cell_path: Path, runtime: Path):
         self._cell_path, self._runtime = Path(cell_path), Path(runtime)
         self._children: dict[str, subprocess.Popen] = {}
+        self._grace_s = GRACE_S
+        self._servers = dict(SERVERS)
         self._beside: dict[str, Path] = {}    # runtime directories of the machines that share
 
     def start(self) -> dict:
         """Start the servers; returns the endpoints once all listen."""
         # Complain here, in one line, and not from three children.
         instruments = load_cell(self._cell_path).instruments
+        if instruments.control == 'linuxcnc':
+            self._servers['cnc'], self._grace_s = 'linuxcnc_server', LINUXCNC_GRACE_S
         self._beside = {name: self._runtime / name for name in instruments.multiplexer[1:]}
         for folder in (self._runtime, *self._beside.values()):
             folder.mkdir(parents=True, exist_ok=True)
@@ -70,7 +76,7 @@ class CellProcess:
 
     def _spawn(self, title: str, name: str, cell: Path, runtime: Path) -> None:
         self._children[title] = subprocess.Popen(
-            [sys.executable, '-m', f'stepdiag_ros.virtual.{SERVERS[name]}', str(cell),
+            [sys.executable, '-m', f'stepdiag_ros.virtual.{self._servers[name]}', str(cell),
              '--runtime', str(runtime), '--parent', str(os.getpid())])
 
     def _tell(self, runtime: Path, endpoints: dict, cell: str | Path) -> dict:
@@ -101,7 +107,7 @@ class CellProcess:
         for child in self._children.values():
             if child.poll() is None:
                 child.terminate()
-        end = time.monotonic() + GRACE_S
+        end = time.monotonic() + self._grace_s
         for child in self._children.values():
             try:
                 child.wait(max(0.01, end - time.monotonic()))

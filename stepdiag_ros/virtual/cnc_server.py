@@ -4,18 +4,24 @@ It knows what the calibration needs: the power-up sequence, homing, MDI with
 ``G0 G1 G4 G20 G21 G53 G90 G91``, feed, abort, positions and states.  User M-codes from
 M101 on mount the mirror for the cell's setups, in the order of the cell file.  Every
 move goes into the motion history that the sensors look at.
+
+Nothing moves without a client that lives: the connection that enabled the control (one at a
+time, as in linuxcncrsh) has to say something at least every ``watchdog`` seconds of the cell
+file while the axes move, or the control brakes; when that connection ends it brakes at once.
 """
 
 import asyncio
 import re
 import time
+from collections import deque
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from stepdiag_ros.virtual.cell import Cell
 from stepdiag_ros.virtual.faults import Faults
-from stepdiag_ros.virtual.history import SharedHistory
+from stepdiag_ros.virtual.history import SharedHistory, now_ns
 from stepdiag_ros.virtual.motion import (
     Profile,
     brake,
@@ -31,9 +37,21 @@ LEAD_NS = 4_000_000
 FIRST_SETUP_CODE = 101
 LIMIT_M = 1.0e-3
 """The axes can go this far beyond the volume."""
+WATCH_S = 0.01
+"""So often the control looks for its client and for moves whose turn it is."""
 PASSWORD, ENABLE_PASSWORD, NAME = 'EMC', 'EMCTOO', 'EMCNETSVR'
 WORD = re.compile(r'([A-Z])\s*([-+]?(?:\d+\.?\d*|\.\d+))')
 STILL = np.zeros(3)
+
+
+@dataclass(frozen=True)
+class _Order:
+    """A move, a mounting (``setup``) or a pause (``pause_s``) that waits for its turn."""
+
+    target: np.ndarray
+    profile: Profile
+    setup: int
+    pause_s: float = 0.0
 
 
 class Machine:
@@ -43,24 +61,55 @@ class Machine:
         self.cell, self.history = cell, history
         self.estop, self.on, self.mode, self.error = True, False, 'MANUAL', 'OK'
         self.homed = [False] * 3
-        self._target = np.zeros(3)
-        self._end_ns = time.time_ns()
+        self.owner: Session | None = None
+        """The connection that may command; the others may look."""
+        self._heard_s = 0.0
+        self._queue: deque[_Order] = deque()
+        self._braking = False
+        self._target = np.zeros(3)      # in the volume, where the orders given so far end
+        self._place = np.zeros(3)       # where the last move of the history ends
+        self._end_ns = now_ns()
+        self._origin = np.array(cell.description.machine.origin or (0.0, 0.0, 0.0))
         self._feed = 0.0
         self._unit = 1e-3
         self._setup = -1
-        history.append(self._end_ns, self._target, self._target, _rest(), self._setup)
+        history.append(self._end_ns, self._place, self._place, _rest(), self._setup)
 
     # -- states
 
     @property
     def idle(self) -> bool:
-        return time.time_ns() >= self._end_ns
+        return not self._queue and now_ns() >= self._end_ns
 
     def position(self, actual: bool = True) -> np.ndarray:
-        """(3,) [m] now, of the axes or of the command."""
-        _, commanded, followed, _ = self.history.locate(np.array([time.time_ns()]),
+        """(3,) [m] now, of the axes or of the command, in machine coordinates."""
+        _, commanded, followed, _ = self.history.locate(np.array([now_ns()]),
                                                         self.cell.motion.settling)
-        return (followed if actual else commanded)[0]
+        return (followed if actual else commanded)[0] + self._origin
+
+    # -- who commands
+
+    def heard(self) -> None:
+        """The owner said something."""
+        self._heard_s = time.monotonic()
+
+    def lost(self, session: 'Session') -> None:
+        """A connection has ended."""
+        if session is self.owner:
+            self.owner = None
+            self._unattended('its client is gone')
+
+    def watch(self) -> None:
+        """Look for the client, and begin what is next in the queue."""
+        silent_s = time.monotonic() - self._heard_s
+        if silent_s > self.cell.instruments.watchdog:
+            self._unattended(f'nothing was heard from its client for {silent_s:.2f} s')
+        self._advance()
+
+    def _unattended(self, why: str) -> None:
+        if not self.idle and not self._braking:
+            self.abort()
+            self.error = f'watchdog: {why}; motion aborted'
 
     # -- motion
 
@@ -89,9 +138,9 @@ class Machine:
             if letter == 'M':
                 self._m_code(int(value))
         if 4 in g:
-            self._end_ns = max(self._end_ns, time.time_ns()) + round(values.get('P', 0.0) * 1e9)
+            self._order(self._target, _rest(), pause_s=values.get('P', 0.0))
         elif any(axis in values for axis in 'XYZ'):
-            target = np.array([values[axis] * self._unit if axis in values else self._target[i]
+            target = np.array([values[axis] * self._unit - self._origin[i] if axis in values else self._target[i]
                                for i, axis in enumerate('XYZ')])
             self._go(target, self.cell.motion.feed if 0 in g else self._feed)
 
@@ -107,13 +156,21 @@ class Machine:
         limits = self.cell.motion
         profile = point_to_point(float(np.linalg.norm(target - self._target)),
                                  min(feed, limits.feed), limits.acceleration, limits.jerk)
-        self._begin(target, profile)
+        self._order(target, profile)
 
-    def _begin(self, target: np.ndarray, profile: Profile) -> None:
-        start = max(time.time_ns() + LEAD_NS, self._end_ns)
-        self.history.append(start, self._target, target, profile, self._setup)
+    def _order(self, target: np.ndarray, profile: Profile, pause_s: float = 0.0) -> None:
+        self._queue.append(_Order(target, profile, self._setup, pause_s))
         self._target = target
-        self._end_ns = start + self._duration_ns(profile)
+        self._advance()
+
+    def _advance(self) -> None:
+        """What waits goes into the history, which knows no way back, when its turn has come."""
+        while self._queue and now_ns() + LEAD_NS >= self._end_ns:
+            order, self._braking = self._queue.popleft(), False
+            start = max(now_ns() + LEAD_NS, self._end_ns)
+            self.history.append(start, self._place, order.target, order.profile, order.setup)
+            self._place = order.target
+            self._end_ns = start + self._duration_ns(order.profile) + round(order.pause_s * 1e9)
 
     def _duration_ns(self, profile: Profile) -> int:
         table = tabulate(profile.duration[None], profile.jerk[None], np.array([profile.speed]),
@@ -127,19 +184,19 @@ class Machine:
         if not FIRST_SETUP_CODE <= number < FIRST_SETUP_CODE + len(self.cell.setup_names):
             raise ValueError(f'Unknown m code used: M{number}')
         self._setup = number - FIRST_SETUP_CODE
-        self._begin(self._target, _rest())
+        self._order(self._target, _rest())
 
     def abort(self) -> None:
-        """Brake at once, along the path."""
-        now = time.time_ns() + LEAD_NS
-        if now >= self._end_ns:
+        """Brake at once, along the path, and forget what waits."""
+        self._queue.clear()
+        self._target = self._place
+        now = now_ns() + LEAD_NS
+        # A brake that was begun anew again and again would never end.
+        if self._braking or now >= self._end_ns:
             return
+        self._braking = True
         segment_number = int(self.history.segment_at(np.array([now]))[0])
         segment = self.history.records[segment_number]
-        if segment_number != len(self.history) - 1 or now < segment['start_ns']:
-            # Moves that wait for their turn cannot be unsaid in the shared history.
-            self.error = 'abort: queued moves are finished first'
-            return
         elapsed = np.array([(now - segment['start_ns']) * 1e-9])
         row = np.array([segment_number])
         travel, speed, acceleration, followed = (
@@ -150,7 +207,7 @@ class Machine:
         profile = brake(speed, acceleration, self.cell.motion.acceleration, self.cell.motion.jerk)
         self.history.append(now, place, place, profile, self._setup,
                             lag=(travel - followed) * direction, direction=direction)
-        self._target = place + profile.length * direction
+        self._target = self._place = place + profile.length * direction
         self._end_ns = now + self._duration_ns(profile) + round(
             5.0 * self.cell.motion.settling * 1e9)
 
@@ -165,10 +222,17 @@ class Session(asyncio.Protocol):
     def __init__(self, machine: Machine, faults: Faults):
         self._machine, self._faults = machine, faults
         self._rest = b''
-        self._linked, self._echo, self._verbose, self._enabled = False, True, False, False
+        self._linked, self._echo, self._verbose = False, True, False
 
     def connection_made(self, transport) -> None:
         self._transport = transport
+
+    def connection_lost(self, _error: Exception | None) -> None:
+        self._machine.lost(self)
+
+    @property
+    def _enabled(self) -> bool:
+        return self._machine.owner is self
 
     def data_received(self, data: bytes) -> None:
         fault = self._faults.kind
@@ -182,6 +246,8 @@ class Session(asyncio.Protocol):
             return
         if self._echo and self._linked:
             self._transport.write(data)
+        if self._enabled:
+            self._machine.heard()
         *lines, self._rest = re.split(rb'[\r\n]', self._rest + data)
         for line in lines:
             if line.strip():
@@ -218,7 +284,11 @@ class Session(asyncio.Protocol):
             setattr(self, f'_{name.lower()}', value == 'ON')
             return True
         if name == 'ENABLE':
-            self._enabled = bool(words) and words[0] == ENABLE_PASSWORD
+            if bool(words) and words[0] == ENABLE_PASSWORD:
+                machine.owner = self
+                machine.heard()
+            elif self._enabled:
+                machine.owner = None
             return self._enabled or value == 'OFF'
         if not self._enabled:
             return False
@@ -300,7 +370,9 @@ async def main(cell: Cell, runtime: Path) -> None:
     announce(runtime, 'cnc', {'host': where.host, 'port': server.sockets[0].getsockname()[1],
                               'setup_codes': setup_codes(cell)})
     async with server:
-        await server.serve_forever()
+        while True:
+            machine.watch()
+            await asyncio.sleep(WATCH_S)
 
 
 if __name__ == '__main__':

@@ -7,6 +7,7 @@ looks at a time whose segment is not there yet.  The file is a count followed by
 fixed-size records: a record is complete before the count includes it.
 """
 
+import time
 from pathlib import Path
 
 import numpy as np
@@ -16,11 +17,16 @@ from stepdiag_ros.virtual.motion import PHASES, Profile, Table, evaluate, tabula
 SEGMENT = np.dtype([('start_ns', '<i8'), ('setup', '<i8'), ('origin', '<f8', 3),
                     ('direction', '<f8', 3), ('duration', '<f8', PHASES), ('jerk', '<f8', PHASES),
                     ('speed', '<f8'), ('acceleration', '<f8'), ('lag', '<f8', 3)])
-"""One move: begin [ns], setup that is mounted (number, −1: none), commanded start [m],
+"""One move: begin [ns of :func:`now_ns`], setup that is mounted (number, −1: none), commanded start [m],
 unit vector, phases [s, m/s³], speed and acceleration at the start, and the servo's
 following error [m] that it inherited."""
 
 CAPACITY = 200_000
+
+
+def now_ns() -> int:
+    """Time of the virtual world [ns]: the same in all processes, and no step of the system's clock moves an axis."""
+    return time.monotonic_ns()
 
 
 class History:

@@ -1,8 +1,7 @@
 """A virtual attocube IDS3010: JSON-RPC 2.0 over TCP, with and without newlines.
 
-Requests that arrive together were sent on a time grid; they are answered with the
-positions at the times since the last ones, evenly spaced, as an instrument that works
-them off at a steady pace would have taken them.
+A position is that of the moment at which its request arrived; requests that wait for the process together are answered
+with the position when the last of them arrived, as an instrument with a queue does.
 
 Where a cell shares its interferometer, an optical switch on a port of its own (SCPI)
 routes the laser to one machine's world or another's.
@@ -11,26 +10,23 @@ routes the laser to one machine's world or another's.
 import asyncio
 import json
 import re
-import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from stepdiag_ros.devices.jsonstream import JsonStream
+from stepdiag_ros.virtual.ahead import Ahead
 from stepdiag_ros.virtual.air import environment
 from stepdiag_ros.virtual.cell import Cell, load_cell
 from stepdiag_ros.virtual.draw import normals
 from stepdiag_ros.virtual.faults import Faults
+from stepdiag_ros.virtual.history import now_ns
 from stepdiag_ros.virtual.offline import SENSOR_SIGMA
-from stepdiag_ros.virtual.serving import announce, open_world, serve
+from stepdiag_ros.virtual.serving import PromptProtocol, announce, open_world, serve
 from stepdiag_ros.virtual.world import World
 
 AXES = 3
-PACE_NS = 20_000
-"""Time an idle instrument needs for a request."""
-GAP_NS = 20_000_000
-"""Requests further apart than this do not belong to one time grid."""
 METHOD_NOT_FOUND = {'code': -32601, 'message': 'Method not found'}
 INVALID_REQUEST = {'code': -32600, 'message': 'Invalid Request'}
 NO_SIGNAL_WARNING = 1001
@@ -42,11 +38,11 @@ class Instrument:
 
     def __init__(self, cell: Cell, world: World, faults: Faults):
         self.cell, self.world, self.faults = cell, world, faults
-        self._late_ns = round(world.clock_offset('interferometer') * 1e9)
+        self._ahead = Ahead(world, round(world.clock_offset('interferometer') * 1e9))
         self._measuring = False
         self._taken = 0                # samples so far: addresses their noise
         self._ecu_read = 0
-        self._last_ns = time.time_ns()
+        self._arrived_ns = now_ns()
         self._reference = np.zeros(AXES)
         prefix = f'com.attocube.{cell.instruments.namespace}.'
         self.fast = prefix + 'displacement.getAbsolutePositions'
@@ -79,10 +75,11 @@ class Instrument:
     def route(self, world: World) -> None:
         """From now on look at another machine."""
         self.world, self.cell = world, world.cell
-        self._late_ns = round(world.clock_offset('interferometer') * 1e9)
+        self._ahead = Ahead(world, round(world.clock_offset('interferometer') * 1e9))
 
-    def answer(self, requests: list[Any]) -> list[dict]:
-        """Responses to requests that arrived together, in their order."""
+    def answer(self, requests: list[Any], arrived_ns: int) -> list[dict]:
+        """Responses to requests of which the last arrived at ``arrived_ns``, in their order."""
+        self._arrived_ns = arrived_ns
         answers, pending = [], []
         for request in requests:
             if isinstance(request, dict) and request.get('method') == self.fast:
@@ -112,35 +109,28 @@ class Instrument:
         return [{'jsonrpc': '2.0', 'id': number, 'result': row}
                 for number, row in zip(numbers, self._positions(len(numbers)), strict=True)]
 
-    def _times(self, count: int) -> np.ndarray:
-        now = time.time_ns()
-        since = now - self._last_ns
-        step = since // count if since < GAP_NS else PACE_NS
-        self._last_ns = now
-        return now - np.arange(count - 1, -1, -1) * step
-
     def _positions(self, count: int, zero: np.ndarray | None = None) -> list[list[int]]:
         """``[warning, pm, pm, pm]`` of ``count`` samples, absolute or from ``zero`` [pm]."""
         self.world.history.follow()
-        times = self._times(count)
+        times = np.full(count, self._arrived_ns)
         setup = self.world.setup_at(int(times[-1]))
         first, self._taken = self._taken, self._taken + count
         rows = np.zeros((count, 1 + AXES))
         if setup is None or not self._measuring or self.faults.kind == 'no_signal':
             rows[:, 0] = NO_SIGNAL_WARNING
             return rows.astype(np.int64).tolist()
-        reading = self.world.read(times - self._late_ns, setup)
+        noise = self.world.displacement
+        reading = self._ahead.read(times - noise.delays_ns(first, count), setup)
         beams = reading.length.shape[1]
-        noise = self.world.displacement_noise(first, count, beams)
-        rows[:, 1:1 + beams] = (reading.length + noise) * 1e12
+        rows[:, 1:1 + beams] = noise.readings(reading.length, first) * 1e12
         if zero is not None:
             rows[:, 1:1 + beams] -= zero[:beams]
-        rows[:, 0] = np.where(reading.quality < 1.0, NO_SIGNAL_WARNING, 0)
+        rows[:, 0] = np.where((reading.quality < 1.0) | noise.dark(first, count), NO_SIGNAL_WARNING, 0)
         return np.rint(rows).astype(np.int64).tolist()
 
     def _now(self) -> np.ndarray:
         self.world.history.follow()
-        return np.array([time.time_ns()])
+        return np.array([self._arrived_ns])
 
     def _mode(self, params: list) -> list:
         return [0, 'measurement running' if self._measuring else 'system idle']
@@ -157,7 +147,7 @@ class Instrument:
         now = self._now()
         setup = self.world.setup_at(int(now[0]))
         if setup is not None:
-            length = self.world.read(now - self._late_ns, setup).length[0]
+            length = self._ahead.read(now, setup).length[0]
             self._reference[:len(length)] = length * 1e12
         return [0]
 
@@ -169,11 +159,11 @@ class Instrument:
         setup = self.world.setup_at(int(now[0]))
         if setup is None or self.faults.kind == 'no_signal':
             return [NO_SIGNAL_WARNING, 0, 0]
-        contrast = round(10.0 * float(self.world.read(now, setup).quality[0]))
+        contrast = round(10.0 * float(self._ahead.read(now, setup).quality[0]))
         return [0, contrast, (1000 - contrast) // 2]
 
     def _seconds(self) -> float:
-        return (time.time_ns() - self.world.epoch_ns) * 1e-9
+        return (now_ns() - self.world.epoch_ns) * 1e-9
 
     def _ecu(self, sensor: str, stream: str, scale: float) -> list:
         if sensor not in self.cell.air.sensors:
@@ -190,7 +180,7 @@ class Instrument:
         return float(self.world.index(np.array([self._seconds()]))[0])
 
 
-class Connection(asyncio.Protocol):
+class Connection(PromptProtocol):
     """One client."""
 
     def __init__(self, instrument: Instrument):
@@ -198,10 +188,7 @@ class Connection(asyncio.Protocol):
         self._stream = JsonStream()
         self._end = '\n' if instrument.cell.instruments.newline else ''
 
-    def connection_made(self, transport) -> None:
-        self._transport = transport
-
-    def data_received(self, data: bytes) -> None:
+    def requested(self, data: bytes, arrived_ns: int) -> None:
         fault = self._instrument.faults.kind
         if fault == 'stall':
             return
@@ -217,7 +204,7 @@ class Connection(asyncio.Protocol):
             self._transport.abort()   # as the device does with what is not JSON
             return
         self._transport.write(''.join(
-            _encode(answer) + self._end for answer in self._instrument.answer(requests)).encode())
+            _encode(answer) + self._end for answer in self._instrument.answer(requests, arrived_ns)).encode())
 
 
 def _encode(answer: dict) -> str:

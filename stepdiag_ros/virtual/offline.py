@@ -36,6 +36,8 @@ RESET_NS = 20_000_000
 SENSOR_SIGMA = {'air_temperature': 0.01, 'air_pressure': 5.0, 'humidity': 0.005,
                 'scale_temperature': 0.01}
 """Standard deviations [°C, Pa, 1, °C] of the environment's readings."""
+DARK_V = 0.001
+"""What each of a detector's inputs shows without light [V]."""
 
 
 @dataclass(frozen=True)
@@ -181,11 +183,16 @@ def _displacement(world: World, spans: list, rate: float, memory: dict) -> Sampl
     zero: dict[str, np.ndarray] = {}
 
     def look(times, run, first):
-        reading = _read(world, times - late_ns, run.setup, memory)
+        delays = world.displacement.delays_ns(first, len(times))
+        reading = _read(world, times - late_ns - delays, run.setup, memory)
         # A run is sampled from its first dwell on, which begins with the reset.
-        zero.setdefault(run.run_id, reading.length[:1])
-        noise = world.displacement_noise(first, len(times), reading.length.shape[1])
-        return (reading.length - zero[run.run_id] + noise, np.rint(reading.quality), reading.index)
+        if run.run_id not in zero:
+            zero[run.run_id] = reading.length[:1]
+            world.displacement.forget()
+        begin = zero[run.run_id]
+        values = world.displacement.readings(reading.length - begin, first, begin)
+        quality = np.where(world.displacement.dark(first, len(times)), 0.0, np.rint(reading.quality))
+        return values, quality, reading.index
     return _collect(world, spans, rate, beams, look)
 
 
@@ -193,15 +200,16 @@ def _spot(world: World, spans: list, rate: float, memory: dict) -> Samples:
     late_ns = round(world.clock_offset('psd') * 1e9)
 
     def look(times, run, first):
-        reading = _read(world, times - late_ns, run.setup, memory)
-        return (reading.spot + world.spot_noise(first, len(times)), reading.intensity,
-                np.ones(len(times)))
+        reading = _read(world, times - late_ns - world.spot.delays_ns(first, len(times)), run.setup, memory)
+        dark = world.spot.dark(first, len(times))
+        return (np.where(dark[:, None], np.nan, world.spot.readings(reading.spot, first)),
+                np.where(dark, 2.0 * DARK_V, reading.intensity), np.ones(len(times)))
     return _collect(world, spans, rate, 2, look)
 
 
 def _read(world: World, times: np.ndarray, setup: str, memory: dict) -> Reading:
     """What both sensors see, traced once when they sample at the same times."""
-    key = (setup, int(times[0]), int(times[-1]), len(times))
+    key = (setup, times.tobytes())
     if key in memory:
         return memory.pop(key)
     memory[key] = reading = world.read(times, setup)

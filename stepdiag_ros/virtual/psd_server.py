@@ -1,35 +1,37 @@
 """A virtual PSD behind a LabJack T7: Modbus registers, and stream packets on a second port."""
 
 import asyncio
-import logging
 import struct
-import time
 from pathlib import Path
 
 import numpy as np
-from pymodbus.constants import ExcCodes
-from pymodbus.server import ModbusTcpServer
-from pymodbus.simulator import DataType, SimData, SimDevice
 
 from stepdiag_ros.devices import t7
 from stepdiag_ros.devices.psd_signal import SpotOptics
+from stepdiag_ros.virtual.ahead import Ahead
 from stepdiag_ros.virtual.cell import Cell
 from stepdiag_ros.virtual.faults import Faults
+from stepdiag_ros.virtual.history import now_ns
+from stepdiag_ros.virtual.modbus import ILLEGAL_VALUE, READ, ModbusServer
+from stepdiag_ros.virtual.offline import DARK_V
 from stepdiag_ros.virtual.serving import announce, open_world, serve
 from stepdiag_ros.virtual.world import World
 
 INPUTS = 14
-DARK_V = 0.001
-TICK_S = 0.002
+TICK_S = 0.005
 """How often the stream looks for scans that are due."""
 BACKLOG_BYTES = 1 << 22
 """What a client may leave unread before scans are skipped, as in the box's own buffer."""
-READ_FUNCTIONS = (3, 4)
-BLOCKS = ((t7.AIN0, 2 * INPUTS), (t7.STREAM_SCANRATE_HZ, 22),
+BLOCKS = ((t7.AIN0, 2 * INPUTS), (t7.STREAM_SCANRATE_HZ, 26), (t7.CORE_TIMER, 2),
           (t7.STREAM_SCANLIST_ADDRESS0, 256), (t7.STREAM_ENABLE, 2), (t7.AIN0_RANGE, 2 * INPUTS),
           (t7.AIN0_NEGATIVE_CH, INPUTS), (t7.INTERNAL_FLASH_READ_POINTER, 2),
           (t7.INTERNAL_FLASH_READ, 82))
 """First register and number of registers of what is served."""
+
+
+def core_timer(time_ns: int) -> int:
+    """What the box's counter shows at a time."""
+    return time_ns * int(t7.CORE_HZ) // 10**9 % 2**32
 
 
 class Box:
@@ -41,7 +43,7 @@ class Box:
         self._channels = detector.channels
         self._optics = SpotOptics(detector.length, detector.rotation, detector.gain, detector.zero)
         self._calibration = t7.Calibration()
-        self._late_ns = round(world.clock_offset('psd') * 1e9)
+        self._ahead = Ahead(world, round(world.clock_offset('psd') * 1e9))
         self._taken = 0            # scans so far: addresses their noise
         self.stream: Stream | None = None
         self.clients: set[asyncio.StreamWriter] = set()
@@ -55,41 +57,42 @@ class Box:
         first, self._taken = self._taken, self._taken + len(times)
         inputs[:, self._channels] = DARK_V
         if setup is not None and self.faults.kind != 'no_signal':
-            reading = self.world.read(times - self._late_ns, setup)
-            spot = reading.spot + self.world.spot_noise(first, len(times))
-            inputs[:, self._channels] = np.maximum(
-                self._optics.volts(spot, reading.intensity), DARK_V)
+            noise = self.world.spot
+            reading = self._ahead.read(times - noise.delays_ns(first, len(times)), setup)
+            spot = noise.readings(reading.spot, first)
+            light = np.where(noise.dark(first, len(times)), 0.0, reading.intensity)
+            inputs[:, self._channels] = np.maximum(self._optics.volts(spot, light), DARK_V)
         return inputs
 
     def raw(self, times: np.ndarray, channels: list[int]) -> np.ndarray:
         """(n, channels) raw readings, as streamed."""
         return self._calibration.raw(self.volts(times)[:, channels])
 
-    async def access(self, function: int, start: int, address: int, count: int,
-                     registers: list[int], values: list | None) -> ExcCodes | None:
-        """pymodbus asks before each access: bring registers up to date, act on what is written."""
+    async def access(self, function: int, address: int, registers: list[int], values: list[int] | None) -> int | None:
+        """Before each access: bring registers up to date, act on what is written."""
         while self.faults.kind == 'stall':
             await asyncio.sleep(0.02)
-        if function in READ_FUNCTIONS:
+        if function in READ:
             if address < t7.AIN0 + 2 * INPUTS:
-                volts = self.volts(np.array([time.time_ns()]))[0].astype('>f4')
-                registers[t7.AIN0 - start:t7.AIN0 - start + 2 * INPUTS] = \
-                    volts.view('>u2').tolist()
+                volts = self.volts(np.array([now_ns()]))[0].astype('>f4')
+                registers[t7.AIN0:t7.AIN0 + 2 * INPUTS] = volts.view('>u2').tolist()
+            elif address == t7.CORE_TIMER:
+                registers[address:address + 2] = t7.uint_registers(core_timer(now_ns()))
             elif address == t7.INTERNAL_FLASH_READ:
-                pointer = self._uint(registers, t7.INTERNAL_FLASH_READ_POINTER - start)
+                pointer = self._uint(registers, t7.INTERNAL_FLASH_READ_POINTER)
                 if pointer != t7.CALIBRATION_ADDRESS:
-                    return ExcCodes.ILLEGAL_VALUE
+                    return ILLEGAL_VALUE
                 words = np.frombuffer(self._calibration.pack() * 8, '>u2').tolist()
-                registers[address - start:address - start + len(words)] = words
+                registers[address:address + len(words)] = words
         elif values and address == t7.STREAM_ENABLE:
-            return self._enable(start, registers, list(values))
+            return self._enable(registers, values)
         return None
 
     @staticmethod
     def _uint(registers: list[int], at: int) -> int:
         return (registers[at] << 16) | registers[at + 1]
 
-    def _enable(self, start: int, registers: list[int], values: list[int]) -> ExcCodes | None:
+    def _enable(self, registers: list[int], values: list[int]) -> int | None:
         if self.stream is not None:
             self.stream.task.cancel()
             self.stream = None
@@ -97,8 +100,8 @@ class Box:
             return None
 
         def uint(address: int) -> int:
-            return self._uint(registers, address - start)
-        at = t7.STREAM_SCANRATE_HZ - start
+            return self._uint(registers, address)
+        at = t7.STREAM_SCANRATE_HZ
         rate = struct.unpack('>f', struct.pack('>2H', *registers[at:at + 2]))[0]
         width, per_packet = uint(t7.STREAM_NUM_ADDRESSES), uint(t7.STREAM_SAMPLES_PER_PACKET)
         addresses = [uint(t7.STREAM_SCANLIST_ADDRESS0 + 2 * i) for i in range(min(width, 128))]
@@ -106,8 +109,10 @@ class Box:
                 and width <= per_packet <= t7.MAX_SAMPLES_PER_PACKET
                 and uint(t7.STREAM_AUTO_TARGET) == t7.TARGET_ETHERNET
                 and all(a % 2 == 0 and a < 2 * INPUTS for a in addresses)):
-            return ExcCodes.ILLEGAL_VALUE
+            return ILLEGAL_VALUE
         self.stream = Stream(self, rate, [a // 2 for a in addresses], per_packet // width)
+        at = t7.STREAM_START_TIME_STAMP
+        registers[at:at + 2] = t7.uint_registers(core_timer(self.stream.begin_ns))
         return None
 
 
@@ -116,7 +121,7 @@ class Stream:
 
     def __init__(self, box: Box, rate: float, channels: list[int], scans: int):
         self._box, self._rate, self._channels, self._scans = box, rate, channels, scans
-        self._begin_ns = time.time_ns()
+        self.begin_ns = now_ns()
         self._done = self._sent = 0
         self.task = asyncio.ensure_future(self._run())
 
@@ -124,7 +129,7 @@ class Stream:
         skipped = 0
         while True:
             await asyncio.sleep(TICK_S)
-            due = int((time.time_ns() - self._begin_ns) * 1e-9 * self._rate) + 1
+            due = int((now_ns() - self.begin_ns) * 1e-9 * self._rate) + 1
             packets = (due - self._done) // self._scans
             if packets == 0:
                 continue
@@ -135,7 +140,7 @@ class Stream:
                 self._done += count
                 skipped += count
                 continue
-            times = self._begin_ns + np.rint(
+            times = self.begin_ns + np.rint(
                 (self._done + np.arange(count)) / self._rate * 1e9).astype(np.int64)
             raw = self._box.raw(times, self._channels).reshape(packets, -1)
             self._done += count
@@ -156,15 +161,7 @@ class Stream:
                 client.write(b'\xff' * 64 if fault == 'nonsense' else bytes(data))
 
 
-def device(box: Box) -> SimDevice:
-    """The registers as pymodbus serves them."""
-    data = [SimData(first, count=count, values=0, datatype=DataType.REGISTERS)
-            for first, count in sorted(BLOCKS)]
-    return SimDevice(0, simdata=data, action=box.access)
-
-
 async def main(cell: Cell, runtime: Path) -> None:
-    logging.getLogger('pymodbus').setLevel(logging.CRITICAL)
     world = await open_world(cell, runtime)
     box = Box(cell, world, Faults(runtime, 'psd', cell.faults))
 
@@ -179,24 +176,23 @@ async def main(cell: Cell, runtime: Path) -> None:
             box.clients.discard(writer)
             writer.close()
 
-    def packet(sending: bool, data: bytes) -> bytes:
+    def tamper(answer: bytes) -> bytes:
         if box.faults.kind == 'drop':
-            for connection in tuple(server.active_connections.values()):
-                connection.transport.abort()
-        return b'\xde\xad\xbe\xef' * 4 if sending and box.faults.kind == 'nonsense' else data
+            server.drop()
+        return b'\xde\xad\xbe\xef' * 4 if box.faults.kind == 'nonsense' else answer
 
     where, stream_where = cell.instruments.psd, cell.instruments.psd_stream
     stream_server = await asyncio.start_server(listener, stream_where.host, stream_where.port)
-    server = ModbusTcpServer(device(box), address=(where.host, where.port), trace_packet=packet)
-    await server.serve_forever(background=True)
+    server = ModbusServer(BLOCKS, box.access, tamper)
+    port = await server.start(where.host, where.port)
     announce(runtime, 'psd', {
-        'host': where.host, 'port': server.transport.sockets[0].getsockname()[1],
+        'host': where.host, 'port': port,
         'stream_port': stream_server.sockets[0].getsockname()[1]})
     try:
         async with stream_server:
             await stream_server.serve_forever()
     finally:
-        await server.shutdown()
+        server.close()
 
 
 if __name__ == '__main__':

@@ -10,15 +10,19 @@ import asyncio
 import ctypes
 import os
 import signal
+import socket
 import sys
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 
 import yaml
 
+from stepdiag_ros.devices.link import SO_TIMESTAMPNS, receive_stamped
+from stepdiag_ros.devices.timing import go_first
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.virtual.cell import Cell, load_cell
-from stepdiag_ros.virtual.history import SharedHistory
+from stepdiag_ros.virtual.history import SharedHistory, now_ns
+from stepdiag_ros.virtual.sampled import SampledHistory
 from stepdiag_ros.virtual.world import World
 
 MOTION_FILE = 'motion.bin'
@@ -46,17 +50,66 @@ def die_with_parent(parent: int) -> None:
         sys.exit(1)   # it ended before the kernel knew
 
 
-async def open_world(cell: Cell, runtime: Path, timeout_s: float = 30.0) -> World:
+async def open_world(cell: Cell, runtime: Path, timeout_s: float = 60.0) -> World:
     """The world of a running cell; waits for the control to have made the history."""
     path = runtime / MOTION_FILE
     for _ in range(int(timeout_s / 0.02)):
         if path.exists():
-            history = SharedHistory(path)
+            # A real control is watched; the virtual one says what it will do.
+            history = SampledHistory(path) if cell.instruments.control == 'linuxcnc' else SharedHistory(path)
             if history.follow():
                 return World(cell, history, int(history.records['start_ns'][0]))
         await asyncio.sleep(0.02)
     raise StepdiagError(f'{path}: no motion history after {timeout_s:g} s; '
                         'the control did not start, see its message')
+
+
+class PromptProtocol(asyncio.Protocol):
+    """A connection whose ``requested(data, arrived_ns)`` learns when data arrived at the computer.
+
+    An instrument answers when it is asked; this process does when it gets the processor.  What it says of the
+    machine is therefore what was so when the request arrived, which the kernel notes.
+    """
+
+    def connection_made(self, transport) -> None:
+        self._transport = transport
+        given = transport.get_extra_info('socket')
+        # asyncio reads without the kernel's times: it is left the writing, a second descriptor is read here.
+        self._socket = socket.socket(fileno=os.dup(given.fileno()))
+        self._socket.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
+        self._loop = asyncio.get_running_loop()
+        self._loop.call_soon(self._begin)   # after asyncio has begun to read
+
+    def _begin(self) -> None:
+        if not self._transport.is_closing():
+            self._transport.pause_reading()
+            self._loop.add_reader(self._socket.fileno(), self._readable)
+
+    def _readable(self) -> None:
+        try:
+            data, ago = receive_stamped(self._socket)
+        except BlockingIOError:
+            return
+        except OSError:
+            data, ago = b'', 0.0
+        if data:
+            self.requested(data, now_ns() - round(ago * 1e9))
+        else:
+            self._transport.close()
+        if self._transport.is_closing():
+            self.connection_lost(None)
+
+    def data_received(self, data: bytes) -> None:
+        """What asyncio read before it was told not to."""
+        self.requested(data, now_ns())
+
+    def requested(self, data: bytes, arrived_ns: int) -> None:
+        raise NotImplementedError
+
+    def connection_lost(self, _error: Exception | None) -> None:
+        if self._socket.fileno() >= 0:
+            self._loop.remove_reader(self._socket.fileno())
+            self._socket.close()
 
 
 def serve(name: str, main: Callable[[Cell, Path], Awaitable[None]],
@@ -70,6 +123,7 @@ def serve(name: str, main: Callable[[Cell, Path], Awaitable[None]],
                         help='process with which this one ends')
     given = parser.parse_args(arguments)
     die_with_parent(given.parent)
+    go_first()   # an instrument has a processor of its own
     # Ctrl-C reaches the whole foreground group; the parent decides what ends when.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:

@@ -18,9 +18,9 @@ from stepdiag_ros.model.machine import compose, rotation
 from stepdiag_ros.virtual.acting import Draws, create_effects
 from stepdiag_ros.virtual.air import environment, index_at
 from stepdiag_ros.virtual.cell import Cell
-from stepdiag_ros.virtual.draw import normals
 from stepdiag_ros.virtual.history import History
 from stepdiag_ros.virtual.motion import settling_time, tabulate
+from stepdiag_ros.virtual.noise import Numbers, SensorNoise
 from stepdiag_ros.virtual.scene import SensorScene
 
 WALK_LIMIT = 4.0e-3
@@ -49,7 +49,7 @@ class Reading:
 
 class World:
     """A cell in motion.  ``epoch_ns`` is the time at which drifts begin; ``effects`` act instead of
-    those that the cell names."""
+    those that the cell names.  ``displacement``, ``spot``: what the sensors add (:class:`SensorNoise`)."""
 
     def __init__(self, cell: Cell, history: History, epoch_ns: int,
                  effects: Sequence[Effect] | None = None):
@@ -69,6 +69,11 @@ class World:
         self._settled_ns = np.zeros(0, np.int64)   # when each move was in position
         self._mounted_ns = np.zeros(0, np.int64)   # when the setup of each move was mounted
         self._mounted = -2
+        noise, laws, seed = description.noise, cell.noise_law, cell.seed
+        self.displacement = SensorNoise(laws.displacement, noise.displacement, seed, 'displacement')
+        self.spot = SensorNoise(laws.spot, noise.spot, seed, 'spot')
+        self._positions = Numbers(laws.position, seed, 'position')
+        self._angles = Numbers(laws.angle, seed, 'angle')
 
     def clock_offset(self, sensor: str) -> float:
         """Seconds that the stamps of ``sensor`` are late."""
@@ -81,9 +86,9 @@ class World:
             return
         first, fresh = self._known, count - self._known
         records = self.history.records[first:]
-        noise, seed, motion = self.cell.description.noise, self.cell.seed, self.cell.motion
-        draws = noise.position_repeatability * normals(seed, 'position', first, fresh, 3)
-        turns = noise.angle_repeatability * normals(seed, 'angle', first, fresh, 3)
+        noise, motion = self.cell.description.noise, self.cell.motion
+        draws = noise.position_repeatability * self._positions.draw(first, fresh, 3)
+        turns = noise.angle_repeatability * self._angles.draw(first, fresh, 3)
         sign = np.sign(records['direction'])
         error, approach = np.empty((fresh, 3)), np.empty((fresh, 3))
         moved, mounted = np.empty(fresh, int), np.empty(fresh, np.int64)
@@ -177,15 +182,6 @@ class World:
     def index(self, seconds: np.ndarray) -> np.ndarray:
         """Index of air (n,) after ``seconds`` (n,)."""
         return index_at(self.cell.air, seconds)
-
-    def displacement_noise(self, first: int, count: int, beams: int) -> np.ndarray:
-        """(count, beams) [m]: noise of samples number ``first`` and following."""
-        scale = self.cell.description.noise.displacement
-        return scale * normals(self.cell.seed, 'displacement', first, count, beams)
-
-    def spot_noise(self, first: int, count: int) -> np.ndarray:
-        """(count, 2) [m]: noise of PSD samples number ``first`` and following."""
-        return self.cell.description.noise.spot * normals(self.cell.seed, 'spot', first, count, 2)
 
     def setup_at(self, time_ns: int) -> str | None:
         """The setup that is mounted at a time; ``None`` when there is none."""

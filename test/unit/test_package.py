@@ -76,6 +76,35 @@ def test_every_import_of_ros_is_declared() -> None:
                 assert module in declared, f'{file.relative_to(ROOT)} imports {module}; package.xml does not name it'
 
 
+def pinned(file: str) -> dict[str, str]:
+    """Name -> version of what a requirements file pins."""
+    lines = (line.split('#')[0].strip() for line in (ROOT / 'requirements' / file).read_text().splitlines())
+    return dict(line.split('==') for line in lines if line)
+
+
+def stated() -> dict[str, tuple[str, str]]:
+    """Name -> (floor, ceiling) of what setup.py asks for."""
+    tree = ast.parse((ROOT / 'setup.py').read_text())
+    [value] = [node.value for node in tree.body if isinstance(node, ast.Assign) and node.targets[0].id == 'REQUIRES']
+    parts = (line.replace('>=', ' ').replace(',<', ' ').split() for line in ast.literal_eval(value))
+    return {name: (floor, ceiling) for name, floor, ceiling in parts}
+
+
+def numbers(version: str) -> list[int]:
+    return [int(part) for part in version.split('.')]
+
+
+def test_floors_and_ceilings_are_those_that_are_tested() -> None:
+    oldest, newest = pinned('floor.txt'), pinned('run.txt')
+    for name, (floor, ceiling) in stated().items():
+        assert oldest[name] == floor, f'{name}: `make test-floor` tests {oldest[name]}, setup.py says {floor}'
+        assert numbers(floor) <= numbers(newest[name]) < numbers(ceiling), name
+    for depend in ElementTree.parse(MANIFESTS['stepdiag_ros']).getroot().iter('exec_depend'):
+        if depend.text.startswith('python3-'):
+            name = {'yaml': 'PyYAML'}.get(depend.text[8:], depend.text[8:])
+            assert (depend.get('version_gte'), depend.get('version_lt')) == stated()[name], depend.text
+
+
 def ament_prefixes() -> list[Path]:
     """Where ROS packages are installed: prefixes whose share/ has the ament index."""
     return [Path(prefix) for prefix in os.environ['AMENT_PREFIX_PATH'].split(os.pathsep) if prefix]

@@ -37,7 +37,7 @@ def setup_env(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     monkeypatch.setattr(
         module.Environment, 'install', lambda _, names: module.done.append(f'install {" ".join(names)}')
     )
-    for name in ('build_messages', 'install_package'):
+    for name in ('build_messages', 'install_package', 'install_floor'):
         monkeypatch.setattr(module.Environment, name, lambda _, name=name: module.done.append(name))
     return module
 
@@ -57,6 +57,21 @@ def test_first_run_does_all_and_second_nothing(setup_env: ModuleType) -> None:
 def test_tests_are_added_to_an_environment_without(setup_env: ModuleType) -> None:
     assert redone(setup_env, tests=False) == [stage for stage in STAGES if 'test' not in stage]
     assert redone(setup_env) == ['install build run test']
+
+
+def test_the_oldest_libraries_come_last_and_after_each_change(setup_env: ModuleType) -> None:
+    def redone_with_floor() -> list[str]:
+        setup_env.done.clear()
+        setup_env.Environment(setup_env.ROOT / 'build' / 'floor').make(True, floor=True)
+        return list(setup_env.done)
+
+    assert redone_with_floor() == [*STAGES, 'install_floor']
+    assert redone_with_floor() == []
+    for file, first in (('test', 'install build run test'), ('run', 'install build run')):
+        with open(setup_env.REQUIREMENTS / f'{file}.txt', 'a') as changed:
+            changed.write('# changed\n')
+        done = redone_with_floor()
+        assert done[0] == first and done[-1] == 'install_floor'
 
 
 @pytest.mark.parametrize(

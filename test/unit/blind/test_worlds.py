@@ -8,7 +8,7 @@ from stepdiag_ros.blind.floor import floor
 from stepdiag_ros.blind.world import Order, make
 from stepdiag_ros.effects import all_effects
 from stepdiag_ros.gap.diagnose import diagnose
-from stepdiag_ros.gap.observe import observe
+from stepdiag_ros.gap.preprocess.observe import observe
 
 
 @pytest.fixture(scope='module')

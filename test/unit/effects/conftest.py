@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from stepdiag_ros.effects.base import Effect, Form, StopView
-from stepdiag_ros.gap.observe import Observation, observe
+from stepdiag_ros.gap.preprocess.observe import Observation, observe
 from stepdiag_ros.model.log import CalibrationLog
 from stepdiag_ros.virtual.cell import Cell, parse_cell
 from stepdiag_ros.virtual.offline import simulate_log

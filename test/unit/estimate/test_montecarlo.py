@@ -3,10 +3,8 @@
 import numpy as np
 import pytest
 
-from stepdiag_ros.cli.uncertainty import default_budget
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate import montecarlo
-from stepdiag_ros.estimate.budget import Budget
 from stepdiag_ros.estimate.enhanced import fit
 from stepdiag_ros.estimate.evaluate import solution_of
 from stepdiag_ros.estimate.gauge import reporting_matrix, to_reference_lines
@@ -15,6 +13,7 @@ from stepdiag_ros.estimate.planned import filled, observe, planned_table
 from stepdiag_ros.estimate.propagate import Conditions, Setting, propagate
 from stepdiag_ros.estimate.readings import readings_of_stops
 from stepdiag_ros.estimate.step_diagonal import evaluate as vector_method
+from stepdiag_ros.model.standard_budget import standard_budget
 from stepdiag_ros.virtual.scene import SensorScene
 
 
@@ -30,7 +29,7 @@ def case(plan_of, draw_errors, misaligned):
     result = fit(description, table, NoiseModel(3e-7, 2e-7, sensor, 'repeats', (400, 400)), linear_laser=1e-4)
     solution = solution_of(result, table)
     setting = Setting.of_fit(description, table, result, Conditions(scales=(21.0, 21.0, 21.5)))
-    budget = Budget.from_yaml(default_budget(), 'default')
+    budget = standard_budget()
     return truth, misalignments, result, setting, propagate(budget, setting, result, solution)
 
 
@@ -90,7 +89,7 @@ def test_chords_come_to_the_full_solution(case):
     live = sigma > 1e-12    # less is the rounding of what is zero by definition
     for one, readings in zip(theta, trial.readings, strict=True):
         full = fit(setting.description, setting.table, result.noise, readings, result.theta, linear_laser=1e-4)
-        assert np.abs((reporting @ (one - full.theta))[live] / sigma[live]).max() < 0.05
+        assert np.abs((reporting @ (one - full.theta))[live] / sigma[live]).max() < 0.15
 
 
 def test_any_estimator_can_be_drawn(case):

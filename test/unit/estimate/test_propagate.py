@@ -3,8 +3,6 @@
 import numpy as np
 import pytest
 
-from stepdiag_ros.cli.uncertainty import default_budget
-from stepdiag_ros.estimate.budget import Budget
 from stepdiag_ros.estimate.enhanced import fit
 from stepdiag_ros.estimate.evaluate import solution_of
 from stepdiag_ros.estimate.noise import NoiseModel
@@ -19,6 +17,8 @@ from stepdiag_ros.estimate.propagate import (
     propagate,
 )
 from stepdiag_ros.model.air import refractive_index
+from stepdiag_ros.model.budget import Budget
+from stepdiag_ros.model.standard_budget import standard_budget
 
 SCALES = (21.0, 20.5, 22.0)
 
@@ -38,7 +38,7 @@ def case(plan_of, draw_errors, misaligned):
 
 
 def only(*kinds):
-    whole = Budget.from_yaml(default_budget(), 'default')
+    whole = standard_budget()
     return Budget(tuple(c for c in whole.contributors if c.kind in kinds))
 
 
@@ -95,7 +95,7 @@ def test_signs_and_sizes_known_by_hand(case):
 
 def test_points_add_up_with_correlations(case):
     description, _, result, solution, setting = case
-    found = propagate(Budget.from_yaml(default_budget(), 'default'), setting, result, solution)
+    found = propagate(standard_budget(), setting, result, solution)
     points = np.array([[0.4, 0.3, 0.25], [0.8, 0.6, 0.5], [0.11, 0.22, 0.33]])
     at = found.at(description.machine, points)
     want = predict(found.solution, description.machine, points).sigma_m

@@ -5,7 +5,7 @@ import pytest
 from stepdiag_ros.effects import all_effects
 from stepdiag_ros.effects.base import Effect
 from stepdiag_ros.gap import Diagnosis, diagnose
-from stepdiag_ros.gap.observe import Observation, observe
+from stepdiag_ros.gap.preprocess.observe import Observation, observe
 from stepdiag_ros.model.log import CalibrationLog
 from stepdiag_ros.virtual.cell import Cell, parse_cell
 from stepdiag_ros.virtual.offline import simulate_log

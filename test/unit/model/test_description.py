@@ -23,6 +23,16 @@ def test_round_trip():
     assert Description.from_yaml(description.to_yaml()) == description
 
 
+def test_the_place_of_the_volume_in_machine_coordinates_is_kept():
+    assert Description.from_yaml(TEXT).machine.origin is None
+    placed = TEXT.replace('chain: fxyz', 'chain: fxyz, origin: [-0.8, 0.0, -0.5]')
+    description = Description.from_yaml(placed)
+    assert description.machine.origin == (-0.8, 0.0, -0.5)
+    assert Description.from_yaml(description.to_yaml()) == description
+    with pytest.raises(StepdiagError, match='machine.origin'):
+        Description.from_yaml(placed.replace('-0.8, 0.0, -0.5', '-0.8, 0.0'))
+
+
 def test_noise_may_be_left_out():
     short = TEXT[:TEXT.index('noise')]
     assert Description.from_yaml(short).noise.angle_repeatability == 2.0e-7

@@ -1,13 +1,15 @@
 """The runner drives a control that answers, one that never arrives, and one that fails."""
 
+import time
+
 import numpy as np
 import pytest
 
 from stepdiag_ros.devices.base import DeviceError
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.model.log import DONE, DWELL, MOVE
-from stepdiag_ros.nodes.course import Run, Stop
-from stepdiag_ros.nodes.runner import Cancelled, Runner
+from stepdiag_ros.nodes.course import Run, Stop, once_more
+from stepdiag_ros.nodes.runner import Cancelled, Interrupted, Runner
 
 
 class Control:
@@ -42,11 +44,15 @@ class Hall:
         self.runner = Runner(
             control, self._announce, self.mounted.append, self._reset,
             changes.pop('check', lambda setup: None), changes.pop('caught_up', lambda setup, time_ns: None),
-            self.progress.append, self._cancelled,
+            self.progress.append, self._cancelled, changes.pop('again', self._never), lambda stop: None, time.time_ns,
             feed_m_s=0.1, dwell_s=0.005, guard_s=0.001, **changes)
 
     def _announce(self, run, stop, phase, time_ns):
         self.events.append((run.run_id, stop.index, phase, time_ns))
+
+    @staticmethod
+    def _never(run, error):
+        raise error
 
     def _reset(self):
         self.events.append(('reset',))
@@ -77,7 +83,7 @@ def test_every_stop_is_move_dwell_done_after_a_reset_at_the_first():
     dwells = [(e[3], d[3]) for e, d in zip(hall.events, hall.events[1:], strict=False)
               if len(e) == 4 and len(d) == 4 and (e[2], d[2]) == (DWELL, DONE)]
     assert len(dwells) == 4 and all(done - dwell >= 4_000_000 for dwell, done in dwells)
-    assert not control.stopped
+    assert control.stopped == 1
 
 
 def test_progress_names_what_moves_and_ends_at_all_stops():
@@ -132,7 +138,7 @@ def test_a_silent_source_ends_the_runs():
         raise StepdiagError('/m/psd/spot has been silent for 3.0 s')
     with pytest.raises(StepdiagError, match='silent') as caught:
         Hall(Control(), check=check).runner.execute(runs())
-    assert caught.value.outcome.stops == 1
+    assert caught.value.outcome.stops == 0   # it was not done when the source fell silent
 
 
 def test_a_source_lost_at_a_runs_last_stop_ends_it_before_the_next_zero():
@@ -146,3 +152,60 @@ def test_a_source_lost_at_a_runs_last_stop_ends_it_before_the_next_zero():
         hall.runner.execute(runs())
     assert waited == [('lin_x', hall.events[-1][3])] and hall.events[-1][2] == DONE
     assert caught.value.outcome.run_ids == () and hall.resets == 1
+
+
+class Sudden(Exception):
+    """Nobody foresaw this one."""
+
+
+@pytest.mark.parametrize('raised', [Sudden('boom'), RuntimeError('boom'), KeyboardInterrupt(), MemoryError()])
+def test_any_exception_stops_the_machine(raised):
+    def check(setup):
+        raise raised
+    control = Control()
+    with pytest.raises(type(raised)):
+        Hall(control, check=check).runner.execute(runs())
+    assert control.stopped == 1
+
+
+def test_an_interrupted_run_is_repeated_after_the_machine_stood_and_was_mounted_anew():
+    broken, waited = [Interrupted('/m/psd/spot is silent')], []
+    control = Control()
+
+    def check(setup):
+        if len(hall.events) > 9 and broken:
+            raise broken.pop()
+
+    def again(run, error):
+        waited.append((run.run_id, str(error), control.stopped))
+        return once_more(run)
+    hall = Hall(control, check=check, again=again)
+    outcome = hall.runner.execute(runs())
+    assert waited == [('lin_x/0/-', '/m/psd/spot is silent', 1)]
+    assert outcome.run_ids == ('lin_x/0/+', 'lin_x/0/-/2') and outcome.stops == 4
+    assert hall.mounted == ['lin_x', 'lin_x'] and hall.resets == 3
+    assert control.stopped == 2 and hall.progress[-1].done == 4
+
+
+def test_what_cannot_be_repeated_ends_the_calibration_with_the_machine_stopped():
+    control = Control()
+
+    def check(setup):
+        raise Interrupted('gone')
+    with pytest.raises(Interrupted, match='gone') as caught:
+        Hall(control, check=check).runner.execute(runs())
+    assert control.stopped == 2 and caught.value.outcome.stops == 0
+
+
+@pytest.mark.parametrize(('mid_move', 'stops'), [(False, 1), (True, 0)])
+def test_a_lost_client_ends_the_run_at_the_next_stop_or_at_once(mid_move, stops):
+    control = Control()
+    hall = Hall(control)
+
+    def attended(stop):
+        if hall.resets and (stop or mid_move):
+            raise StepdiagError('the client is lost')
+    hall.runner.attended = attended
+    with pytest.raises(StepdiagError, match='client is lost') as caught:
+        hall.runner.execute(runs())
+    assert caught.value.outcome.stops == stops and control.stopped == 1

@@ -9,7 +9,7 @@ import yaml
 from stepdiag_ros.effects import all_effects
 from stepdiag_ros.estimate.reduce import reduce_log
 from stepdiag_ros.gap.diagnose import diagnose
-from stepdiag_ros.gap.observe import observe
+from stepdiag_ros.gap.preprocess.observe import observe
 from stepdiag_ros.twin.against import without_known
 from stepdiag_ros.twin.story import unknown_starts
 from stepdiag_ros.virtual.cell import load_cell

@@ -46,9 +46,12 @@ def test_the_first_stops_agree_to_the_noise(tmp_path):
                 time.sleep(0.002)
             if number == 0:
                 meter.reset()
-            spots = detector.read_block(100, 1e-3)
-            live.append([meter.read_block(100, 1e-3).displacement_m.mean(),
-                         spots.x_m.mean(), spots.y_m.mean()])
+            spots, lengths = [], []
+            while sum(map(len, spots)) < 100 or sum(map(len, lengths)) < 100:
+                block = detector.read_block(100, 1e-3)
+                spots.append(np.stack([block.x_m, block.y_m], axis=1))
+                lengths.append(meter.read_block(100, 1e-3).displacement_m)
+            live.append([np.concatenate(lengths).mean(), *np.concatenate(spots).mean(axis=0)])
         for client in (cnc, meter, detector):
             client.close()
     difference = np.array(live) - offline_means(cell)

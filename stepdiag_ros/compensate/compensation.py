@@ -1,0 +1,352 @@
+"""From a solution to the tables of a control, with what the machine will be like under exactly these tables.
+
+    compensation(solution, machine, CONTROLS['linuxcnc'], origin=…) → Compensation
+
+Everything that is said of the machine under its tables is computed from the files' text, read back as the control
+reads it.  Tables are made only of what the log tells (:mod:`open_directions`), for a functional point
+(:mod:`functional`), so that no place becomes worse (:mod:`harmless`), on top of what the control holds already.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from stepdiag_ros.compensate.control import Control, Place
+from stepdiag_ros.compensate.functional import FunctionalPoint, functional_point, tables_of_line
+from stepdiag_ros.compensate.harmless import best_of_volume, held_back
+from stepdiag_ros.compensate.largest import largest
+from stepdiag_ros.compensate.open_directions import openness, without
+from stepdiag_ros.compensate.taken import Taken, Trim, added, as_measured, difference, left_of
+from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.estimate.prediction import Prediction, deviation, predict
+from stepdiag_ros.estimate.solution import Solution
+from stepdiag_ros.model.description import Machine
+from stepdiag_ros.model.machine import AXES, CURVES, SQUARENESS, SQUARENESS_SHIFT, Curve, GeometricErrors
+
+K = 2.0
+"""Coverage factor of every U."""
+ROOM = 0.5
+"""Share of a place's U by which tables may let it become worse while they are made; a whole U refuses them."""
+LEAST_GAIN = 0.01
+"""Share by which the mean square of the deviations must fall, or the tables are not worth a change."""
+LEAST_GROWTH_M = 5e-9
+"""What rounding in the files may add to the largest deviation."""
+MOST_KNOTS = 21
+"""Positions an axis at most on which places are judged."""
+FITTED_KNOTS = 11
+BEFORE = 'before/'
+
+
+@dataclass(frozen=True)
+class Compensation:
+    """Tables of one control and what they do.
+
+    ``files``: texts by name, ready to write; ``before_files``: what takes them back; both empty where ``refusals``
+    says why.  ``change`` is what the control will take off beyond what it takes off now.  ``before`` and ``after`` are
+    predictions at the same points of the volume with the same covariance; ``predicted`` the 21 errors that a
+    measurement will report afterwards.  ``not_carried``: largest deviation [m] in the volume that each error alone
+    keeps under tables of this kind, by name.  ``line_alone`` the prediction with the tables of the line as they are,
+    where these had to be held back, else None.
+    """
+
+    control: Control
+    place: Place
+    point: FunctionalPoint
+    files: Mapping[str, str]
+    before_files: Mapping[str, str]
+    change: Taken
+    before: Prediction
+    after: Prediction
+    predicted: GeometricErrors
+    solution: Solution
+    not_carried: Mapping[str, float]
+    line_alone: Prediction | None
+    left_out: tuple[str, ...]
+    unmeasured: tuple[str, ...]
+    whole_volume: bool
+    reversal: Mapping[str, tuple[float, float]]
+    refusals: tuple[str, ...] = ()
+
+    @cached_property
+    def worst_before(self) -> tuple[float, float, np.ndarray]:
+        """Largest deviation, its U (95 %) and its place, all [m]."""
+        return self.worst(self.before)
+
+    @cached_property
+    def worst_after(self) -> tuple[float, float, np.ndarray]:
+        """The same with the tables in force."""
+        return self.worst(self.after)
+
+    def worst(self, field: Prediction) -> tuple[float, float, np.ndarray]:
+        """The same of any field at these points."""
+        return largest(self.solution, self.place.machine, self.point.tool, field)
+
+    @property
+    def as_measured(self) -> Prediction:
+        """What a measurement afterwards will show at the same points: the same machine from its own reference lines.
+
+        ``after`` counts from the lines of the measurement before; tables across axes turn those lines.
+        """
+        shown = deviation(self.predicted, self.place.machine, self.after.points, self.point.tool)
+        return Prediction(self.after.points, shown, self.after.covariance_m2)
+
+    def checked(self) -> 'Compensation':
+        """This, or :class:`StepdiagError` with every reason why nothing may be written."""
+        if self.refusals:
+            raise StepdiagError('no tables written: ' + '; '.join(self.refusals))
+        return self
+
+
+def worst(prediction: Prediction) -> tuple[float, float, np.ndarray]:
+    """Largest deviation of a prediction, U (k = 2) at its place, and that place, all [m]."""
+    row = int(np.argmax(prediction.size_m))
+    return float(prediction.size_m[row]), K * float(prediction.size_sigma_m[row]), prediction.points[row]
+
+
+def worsened(before: Prediction, after: Prediction) -> np.ndarray:
+    """By how much each place becomes worse beyond its U (n,) [m]; negative or zero: it does not."""
+    return after.size_m - before.size_m - K * np.maximum(before.size_sigma_m, after.size_sigma_m)
+
+
+def place_of(machine: Machine, origin: np.ndarray | None) -> Place:
+    """Where tables count from: ``origin`` (3,) [m], else the machine's own; :class:`StepdiagError` where neither is."""
+    origin = machine.origin if origin is None else origin
+    if origin is None:
+        raise StepdiagError('where the volume lies in machine coordinates is not known; give the machine coordinates '
+                            'of its lower corner with --origin X,Y,Z, or machine.origin in the cell')
+    return Place(machine, np.asarray(origin, float))
+
+
+def compensation(solution: Solution, machine: Machine, control: Control, origin: np.ndarray | None = None,
+                 point: FunctionalPoint | None = None, present: Mapping[str, str] | None = None,
+                 partial: bool = False, exact: bool = False, air: str = '', volume: bool = False,
+                 reversal: Mapping[str, tuple[float, float]] | None = None) -> Compensation:
+    """Tables for ``control`` from ``solution``, or in ``refusals`` why there are none.
+
+    ``origin`` (3,) [m]: machine coordinates of the volume's corner (default: the machine's own; without any
+    :class:`StepdiagError`).  ``point``: the functional point (default: the log's tool, lines through the middle of the
+    volume).  ``present``: texts of the files that the control holds, by name.  ``partial`` leaves out what the log
+    leaves open instead of refusing.  ``exact`` asks for the tables of the line even where they would have to be held
+    back, which refuses them.  ``volume`` asks for tables by single axes that leave the least mean square in the whole
+    volume, instead of those of a line.  ``air``: why lengths are not known to be metres, '' where they are.
+    ``reversal``: lost motion of an axis and its U [m], by its letter, as the effect ``backlash`` counts it.
+    """
+    place = place_of(machine, origin)
+    known = openness(solution)
+    refusals = [air] if air else []
+    if 'not converged' in solution.status:
+        refusals.append(f'the evaluation is {solution.status}')
+    touched = _used(control, known.open, solution, known.unmeasured)
+    if touched and not partial:
+        refusals.append(f'the log leaves {", ".join(touched)} open ({"; ".join(known.runs)}); '
+                        '--partial leaves them out')
+    kept = without(solution, known.unmeasured + known.open)
+    errors = kept.errors
+    measured = [axis for axis in range(3) if any(kept.has(f'E{m}{AXES[axis]}') for m in AXES)]
+    # Where no rotation of an axis is known, nothing is known beside the line on which it was measured.
+    whole = bool(measured) and all(kept.has(f'E{turn}{AXES[axis]}') for axis in measured for turn in 'ABC')
+    point = _point(machine, point, whole)
+    held = control.read(present, place) if present else {}
+    lost = _significant(reversal or {}, control)
+
+    if not any(kept.has(name) for name in control.carries):
+        refusals.append('nothing that this kind of table carries is known')
+    points = _places(kept, machine, point, measured, whole, MOST_KNOTS)
+    before = predict(kept, machine, points, point.tool)
+    line = _of_line(kept, machine, point, control)
+    if volume and not control.whole_model:
+        line = best_of_volume(line, points, before.deviation_m)
+    # Judged by what repeats leave open: a scale or a tool that is off is off before and after alike.
+    repeated = predict(_repeats(kept), machine, points, point.tool)
+    plain, alone = line, _after(before, errors, machine, point, line)
+    if not control.whole_model and not exact and _harms(repeated, _after(repeated, errors, machine, point, line)):
+        plain = _harmless(line, _repeats(kept), machine, point, measured, whole)
+    wanted = _with_reversal(plain, lost)
+    files, change = _written(control, place, wanted, held, measured)
+    after = _after(before, errors, machine, point, change)
+    refusals += _harm(before, repeated, _after(repeated, errors, machine, point, change), files, exact)
+    undo = _undo(control, place, wanted, files, present or {})
+    return Compensation(
+        control, place, point, {} if refusals else files, {} if refusals else undo, change, before, after,
+        as_measured(left_of(errors, change), kept.positions), kept,
+        _not_carried(kept, machine, point, control, points), None if plain is line else alone, tuple(known.open),
+        known.unmeasured, whole, lost, tuple(refusals))
+
+
+def _used(control: Control, names: tuple[str, ...], solution: Solution, absent: tuple[str, ...]) -> list[str]:
+    """Of open errors those that tables of this kind are made of: rotations over levers and squareness too."""
+    axes = {name[2] for name in control.carries if solution.has(name) and name not in absent}
+    moved = {name[1] for name in control.carries}
+    return [name for name in names
+            if name in control.carries or (name in CURVES and name[1] in 'ABC' and name[2] in axes)
+            or (name in SQUARENESS and len(control.carries) > 3 and moved)]
+
+
+def _point(machine: Machine, point: FunctionalPoint | None, whole: bool) -> FunctionalPoint:
+    if whole:
+        return point or functional_point(machine)
+    measured = functional_point(machine, line=np.zeros(3))
+    if point is not None and not (np.allclose(point.line, measured.line) and np.allclose(point.tool, measured.tool)):
+        raise StepdiagError('rotations were not measured: tables hold on the line that was measured and for the '
+                            "log's tool only; leave --line, --workpiece and --tool away")
+    return measured
+
+
+def _significant(reversal: Mapping[str, tuple[float, float]], control: Control) -> dict[str, tuple[float, float]]:
+    """Reversals that stand out of their U, where the control can do something about them."""
+    return {axis: (value, spread) for axis, (value, spread) in reversal.items()
+            if control.reverses and abs(value) > spread}
+
+
+def _places(solution: Solution, machine: Machine, point: FunctionalPoint, measured: list[int], whole: bool,
+            most: int) -> np.ndarray:
+    """Where the machine is judged (n, 3) [m]: all knots, corners included; or the lines that were measured."""
+    axes = []
+    for axis in range(3):
+        names = [f'E{m}{AXES[axis]}' for m in 'XYZABC' if solution.has(f'E{m}{AXES[axis]}')]
+        knots = np.asarray(solution.positions[names[0]], float) if names else point.line[axis:axis + 1]
+        axes.append(knots if len(knots) <= most else np.linspace(knots[0], knots[-1], most))
+    if whole:
+        return np.stack(np.meshgrid(*axes, indexing='ij'), axis=-1).reshape(-1, 3)
+    lines = []
+    for axis in measured:
+        points = np.tile(point.line, (len(axes[axis]), 1))
+        points[:, axis] = axes[axis]
+        lines.append(points)
+    return np.concatenate(lines) if lines else point.line[None, :]
+
+
+def _of_line(solution: Solution, machine: Machine, point: FunctionalPoint, control: Control) -> dict[str, Trim]:
+    """What the control should take off: along the lines of ``point``, or the whole model."""
+    names = [name for name in control.carries if solution.has(name)]
+    if not control.whole_model:
+        return tables_of_line(solution.errors, machine, point, names, solution.positions)
+    taken = {}
+    for name in names:
+        position, value, _ = solution.curve(name)
+        value = value + _slope(solution, name) * position
+        taken[name] = Trim(np.asarray(position, float), value, value)
+    return taken
+
+
+def _slope(solution: Solution, name: str) -> float:
+    """The squareness error that a straightness takes along as its slope [rad]."""
+    slope = 0.0
+    for square in SQUARENESS:
+        axis, per_metre = SQUARENESS_SHIFT[square]
+        if solution.has(square) and AXES[axis] == name[2] and name[1] in AXES:
+            slope += solution.squareness(square)[0] * per_metre[AXES.index(name[1])]
+    return float(slope)
+
+
+def _harmless(line: dict[str, Trim], solution: Solution, machine: Machine, point: FunctionalPoint,
+              measured: list[int], whole: bool) -> dict[str, Trim]:
+    """The tables of the line, held back where places would become worse; first on few places, then on all."""
+    for most in (FITTED_KNOTS, MOST_KNOTS):
+        points = _places(solution, machine, point, measured, whole, most)
+        before = predict(solution, machine, points, point.tool)
+        line = held_back(line, points, before.deviation_m, ROOM * K * before.size_sigma_m)
+        if len(points) <= FITTED_KNOTS**3:
+            break
+    return line
+
+
+def _with_reversal(taken: Mapping[str, Trim], lost: Mapping[str, tuple[float, float]]) -> dict[str, Trim]:
+    """Half the lost motion on either side: an axis comes to stand short of where it goes."""
+    result = dict(taken)
+    for axis, (value, _) in lost.items():
+        name = f'E{axis}{axis}'
+        if name in result:
+            trim = result[name]
+            result[name] = Trim(trim.position, trim.forward - 0.5 * value, trim.reverse + 0.5 * value)
+    return result
+
+
+def _written(control: Control, place: Place, wanted: Taken, held: Taken, measured: list[int]
+             ) -> tuple[dict[str, str], dict[str, Trim]]:
+    """Files with the sum of ``wanted`` and what is ``held``, and by how much more they take off, read from them."""
+    total = added(held, wanted)
+    axes = {AXES[axis] for axis in measured}
+    total = {name: trim for name, trim in total.items() if name[2] in axes or name in control.joined}
+    files = control.write(total, place)
+    if not files:
+        return {}, {}
+    again = control.read(files, place)
+    return files, difference(again, {name: trim for name, trim in held.items() if name in total})
+
+
+def _undo(control: Control, place: Place, wanted: Taken, files: Mapping[str, str], present: Mapping[str, str]
+          ) -> dict[str, str]:
+    """What puts the control back: the files that it holds, and tables of zeros for those that it does not."""
+    nothing = {name: Trim(t.position, 0.0 * t.forward, 0.0 * t.reverse) for name, t in wanted.items()}
+    zeros = control.write(nothing, place)
+    held = {name.split('/')[-1].lower() for name in present}
+    undo = {BEFORE + name.split('/')[-1]: text for name, text in present.items()}
+    undo |= {BEFORE + name: text for name, text in zeros.items() if name in files and name.lower() not in held}
+    return undo
+
+
+def _after(before: Prediction, errors: GeometricErrors, machine: Machine, point: FunctionalPoint, change: Taken
+           ) -> Prediction:
+    left = left_of(errors, change)
+    return Prediction(before.points, deviation(left, machine, before.points, point.tool), before.covariance_m2)
+
+
+def _harms(before: Prediction, after: Prediction) -> bool:
+    """Whether any place becomes worse beyond its U, or the largest deviation grows."""
+    return bool(np.any(worsened(before, after) > 0.0) or after.size_m.max() > before.size_m.max() + LEAST_GROWTH_M)
+
+
+def _repeats(solution: Solution) -> Solution:
+    """The solution with the covariance of its repeats alone, where it keeps that apart."""
+    return solution if solution.repeatability is None else replace(solution, covariance=solution.repeatability)
+
+
+def _harm(whole: Prediction, before: Prediction, after: Prediction, files: Mapping[str, str], exact: bool
+          ) -> list[str]:
+    """Reasons in the numbers themselves not to write tables; ``whole``: before, with the uncertainty of the budget."""
+    if not files:
+        return []
+    more = worsened(before, after)
+    row = int(np.argmax(more))
+    if more[row] > 0.0:
+        at = ', '.join(f'{1e3 * c:.0f}' for c in before.points[row])
+        spread = K * max(before.size_sigma_m[row], after.size_sigma_m[row])
+        return [f'the place ({at}) mm of the volume would become worse beyond its U, from '
+                f'{1e6 * before.size_m[row]:.1f} to {1e6 * after.size_m[row]:.1f} µm '
+                f'(U = {1e6 * spread:.1f} µm, k = 2, of the repeats), and {100.0 * np.mean(more > 0.0):.0f} % of '
+                'all places with it' + ('; without --exact the tables are held back' if exact else '')]
+    size, spread, _ = worst(whole)
+    if after.size_m.max() > size + LEAST_GROWTH_M:
+        return [f'the largest deviation would grow, from {1e6 * size:.1f} to {1e6 * after.size_m.max():.1f} µm'
+                + ('; without --exact the tables are held back' if exact else '')]
+    if spread > size:
+        return [f'the largest deviation, {1e6 * size:.1f} µm, is known to U = {1e6 * spread:.1f} µm (k = 2) only; '
+                'measure with more repeats']
+    if np.mean(after.size_m**2) > (1.0 - LEAST_GAIN) * np.mean(before.size_m**2):
+        return ['no table of this kind makes this machine better without making some place worse beyond its U']
+    return []
+
+
+def _not_carried(solution: Solution, machine: Machine, point: FunctionalPoint, control: Control,
+                 points: np.ndarray) -> dict[str, float]:
+    """Largest deviation [m] that each error alone keeps under the tables of its line."""
+    rest = {}
+    whole = solution.errors
+    for name in (*CURVES, *SQUARENESS):
+        if not solution.has(name):
+            continue
+        single = GeometricErrors({name: whole.curves[name]} if name in CURVES else {},
+                                 {name: whole.square[name]} if name in SQUARENESS else {})
+        if control.whole_model:
+            rest[name] = 0.0
+            continue
+        names = [n for n in control.carries if solution.has(n)]
+        taken = tables_of_line(single, machine, point, names, solution.positions)
+        curves = {n: Curve(t.position, t.mean) for n, t in taken.items()}
+        left = deviation(single, machine, points, point.tool) - \
+            deviation(GeometricErrors(curves, {}), machine, points, point.tool)
+        rest[name] = float(np.max(np.linalg.norm(left, axis=1)))
+    return rest

@@ -1,0 +1,9 @@
+"""The controls that tables can be written for, by name."""
+
+from collections.abc import Mapping
+
+from stepdiag_ros.compensate import etalon, heidenhain, isg, linuxcnc, sinumerik
+from stepdiag_ros.compensate.control import Control
+
+CONTROLS: Mapping[str, Control] = {module.CONTROL.name: module.CONTROL
+                                   for module in (linuxcnc, sinumerik, heidenhain, etalon, isg)}

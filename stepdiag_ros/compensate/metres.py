@@ -1,0 +1,21 @@
+"""Whether the lengths behind a solution are metres: nothing is compensated or verified with lengths that are not."""
+
+import numpy as np
+
+from stepdiag_ros.estimate.solution import Solution
+from stepdiag_ros.model.log import CalibrationLog
+
+NOT_METRES = ('the lengths are not corrected for air: neither the instrument nor the environment topics nor the cell '
+              'tell its index, which is worth some 270 µm a metre; log the environment, or give air: in the cell')
+
+
+def not_metres(solution: Solution, log: CalibrationLog) -> str:
+    """Why the solution's lengths are not metres, '' where they are.
+
+    Asked is the solution; one that carries nothing about it counts as corrected only where the instrument divided an
+    index of air out.
+    """
+    if solution.traceability is not None:
+        return '' if solution.traceable else NOT_METRES
+    vacuum = len(log.displacement) > 0 and bool(np.all(log.displacement.refractive_index == 1.0))
+    return NOT_METRES if vacuum else ''

@@ -1,0 +1,150 @@
+"""Lean patterns from physics that no effect of the vocabulary has.
+
+A shapeless pattern of many columns pays so much for what it could have fitted that a wrong name with
+few columns beats it.  What physics may do beside the vocabulary is therefore offered in few
+parameters too: readings bent at long range, the spot that leaks into the length, a head that is
+twisted by the direction of motion, a guideway that changes its shape with time, a detector that is sheared or has
+another gain on one side of its middle, a standoff that is not as described, readings that follow the light received
+(a beam cut by the mirror's edge).  None has a name here; which of them a log shows is said in its label.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from stepdiag_ros.effects.base import Effect, Form, StopView
+from stepdiag_ros.effects.timeforms import courses, drift_form
+from stepdiag_ros.gap.alternatives.unmodelled import NAME, pattern_form
+from stepdiag_ros.model.machine import AXES, CURVES
+
+KNEES = (0.2, 0.35, 0.5, 0.65, 0.8)
+"""Shares of the range of lengths beyond which a reading is bent."""
+SPOTS_M = (2.5e-4, 4e-4, 6.3e-4, 1e-3)
+"""Spots from which a leak saturates [m], so close that between two of them little is lost."""
+LEAST_MISSING = 0.01
+"""Standard deviation of the light that is missing, as a share of the most, from which readings may follow it."""
+BEARINGS = 8
+"""Directions in the detector's plane, evenly over half a turn."""
+
+
+class Beyond(Effect):
+    """All of these as one effect without a name, for those who ask what it would do in a further run."""
+
+    name = NAME
+    title = 'Something that no effect known here does.'
+
+    def appearance(self, view: StopView) -> list[Form]:
+        return [form for forms in beyond_families(view).values() for form in forms]
+
+
+def beyond_families(view: StopView) -> dict[str, list[Form]]:
+    """The forms by family; each counts as one effect does, however many forms it has."""
+    families = {'range': _at_long_range(view), 'leak': _leak(view), 'twist': _twist(view), 'bow': _bow(view),
+                'detector': _detector(view), 'standoff': _standoff(view), 'light': _light(view)}
+    forms = {family: list(found) for family, found in families.items()}
+    return {family: found for family, found in forms.items() if found}
+
+
+def _lengths(view: StopView, label: str, patterns: np.ndarray, scale: float) -> Form:
+    return pattern_form(view, label, patterns, slice(0, view.beams), scale)
+
+
+def _at_long_range(view: StopView) -> Iterator[Form]:
+    """Lengths compressed or stretched beyond a part of the range, straight on or as the square."""
+    far = view.distance / max(float(np.nanmax(np.abs(view.distance))), 1e-9)
+    for knee in KNEES:
+        excess = np.maximum(far - knee, 0.0) / (1.0 - knee)
+        yield _lengths(view, f'displacement: bent beyond {100 * knee:.0f} % of the range', excess[None]**2, 2e-6)
+    yield _lengths(view, 'displacement: bent over the range', np.stack([far**2, far**3]), 2e-6)
+
+
+def _leak(view: StopView) -> Iterator[Form]:
+    """The spot shows in the length: by its distance from the middle, or along one direction, saturating."""
+    spot = view.spot_model
+    radius = np.linalg.norm(spot, axis=1) / 1e-3
+    size = max(float(np.nanmax(radius)), 1e-3)
+    yield _lengths(view, "displacement: follows the spot's distance, squared", (radius / size)[None] ** 2, 1e-6)
+    yield _lengths(view, "displacement: follows the spot's distance, squared and cubed",
+                   np.stack([(radius / size) ** 2, (radius / size) ** 3]), 1e-6)
+    # Between two bearings to first order: half a mesh away a strong leak would fit no longer.
+    between = np.pi / BEARINGS / np.sqrt(12.0)
+    for angle in np.arange(BEARINGS) * np.pi / BEARINGS:
+        along, across = spot @ (np.cos(angle), np.sin(angle)), spot @ (-np.sin(angle), np.cos(angle))
+        for knee in SPOTS_M:
+            leak = np.tanh(along / knee)
+            yield _lengths(view, f'displacement: follows the spot at {np.degrees(angle):.0f}°, saturating at '
+                           f'{knee * 1e3:.1g} mm',
+                           np.stack([leak, between * (1.0 - leak**2) * across / knee]), 1e-6)
+
+
+def _twist(view: StopView) -> Iterator[Form]:
+    """The tool or the beam turns with the direction of an axis's motion, alike or more at one end."""
+    place = view.commanded / np.array(view.description.machine.volume)
+    for axis, letter in enumerate(AXES):
+        sign = view.approach[:, axis].astype(float)
+        turning = view.by_motion[6 * axis + 3:6 * axis + 6]
+        for what, derivative in (('tool', turning), ('beam', view.by_laser)):
+            for kind, course in (('', np.stack([sign])), (', by place', np.stack([sign * (0.5 + place[:, axis])]))):
+                columns = np.einsum('tn,anc->tanc', course, derivative).reshape(-1, *view.reading.shape)
+                yield Form(f'{what}: turned by the direction of {letter}{kind}', columns,
+                           tuple(str(i) for i in range(len(columns))), np.full(len(columns), 2e-6), 'rad')
+
+
+def _bow(view: StopView) -> Iterator[Form]:
+    """A guideway's straightness changes its shape with time: a bow or an S that follows a course."""
+    place = view.commanded / np.array(view.description.machine.volume)
+    pace = [c for c in courses(view.time, view.watches) if c.label != 'winding']
+    for axis, letter in enumerate(AXES):
+        for across in range(3):
+            if across == axis:
+                continue
+            motion = view.by_motion[CURVES.index(f'E{AXES[across]}{letter}')]
+            for waves, shape in ((1, 'bow'), (2, 'S')):
+                signature = (np.sin(np.pi * waves * place[:, axis])[:, None] * motion)[None]
+                for course in pace:
+                    yield drift_form(view, course, signature, ('0',), np.full(1, 2e-6),
+                                     f'E{AXES[across]}{letter} changes its shape, {shape}')
+
+
+def _detector(view: StopView) -> Iterator[Form]:
+    """The detector's axes are not square to each other, or its gain differs between the sides of its middle."""
+    spot, x = view.spot_model, view.beams
+    if not np.any(spot):
+        return
+    columns = view.zeros(1)
+    columns[0, :, x], columns[0, :, x + 1] = spot[:, 1], spot[:, 0]
+    yield Form('spot: the axes of the detector are not square', columns, ('shear',), np.full(1, 0.02), '1')
+    for along, across, name in ((0, 0, 'x'), (1, 1, 'y'), (0, 1, 'x'), (1, 0, 'y')):
+        columns = view.zeros(1)
+        columns[0, :, x + across] = np.abs(spot[:, along]) if along == across else \
+            np.where(spot[:, along] > 0.0, spot[:, across], 0.0)
+        yield Form(f'spot_{"xy"[across]}: another gain on one side of {name} = 0', columns, ('gain',),
+                   np.full(1, 0.02), '1')
+
+
+def _standoff(view: StopView) -> Iterator[Form]:
+    """A standoff other than the description says: the spot of a given tilt grows with the length of the path."""
+    columns = view.zeros(1)
+    columns[0, :, view.beams:] = view.spot_model / np.maximum(view.distance[:, :1], 1e-3)
+    if not np.any(columns):
+        return
+    yield Form('the description: the standoff of all setups is off', columns, ('standoff',), np.full(1, 1e-2))
+    for number in np.unique(view.setup):
+        yield Form(f'the description: the standoff of {view.setup_names[number]} is off',
+                   columns * (view.setup == number)[:, None], ('standoff',), np.full(1, 1e-2))
+
+
+def _light(view: StopView) -> Iterator[Form]:
+    """Lengths and spots follow the light that is received, as where the mirror's edge cuts the beam."""
+    for name, signal in (('intensity', view.intensity), ('signal quality', view.quality)):
+        level = np.nanmax(signal) if np.isfinite(signal).any() else 0.0
+        if level <= 0.0 or not np.isfinite(signal).all():
+            continue
+        missing = 1.0 - signal / level
+        if missing.std() < LEAST_MISSING:
+            continue
+        share = missing / missing.max()
+        columns = np.einsum('n,kc->knc', share, np.eye(view.beams + 2))
+        columns[:view.beams] = columns[:view.beams].sum(axis=0) / np.sqrt(view.beams)
+        own = np.concatenate([columns[:1], columns[view.beams:]])
+        yield Form(f'lengths and spots follow the {name}', own, ('length', 'spot_x', 'spot_y'), np.full(3, 3e-6))

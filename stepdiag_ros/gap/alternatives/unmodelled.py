@@ -1,0 +1,228 @@
+"""Structure of no known cause: what "something else" may look like.
+
+Broad, nameless patterns in the three channels.  They stand against the named effects with the
+same price of complexity, so that a name must foretell the log better than a shapeless pattern
+does, and what a name leaves behind is noticed although no name fits it.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from stepdiag_ros.effects.base import Form, StopView
+from stepdiag_ros.gap.preprocess.observe import channels
+
+NAME = 'unknown'
+LEAN = ('jumps', 'lengths')
+"""Families whose forms have one column each: they hold as exactly as a name's do, and are doubted less."""
+MOST_JUMPS = 500
+"""Places at which something may jump that are tried in a log; a longer log is tried at every second, third …"""
+
+
+def unknown_families(view: StopView) -> dict[str, list[Form]]:
+    """All nameless patterns of a log by family; families count alike, however many they are."""
+    return {'places': list(_static(view)), 'times': list(_in_time(view)),
+            'jumps': list(_jumps(view)), 'mirror': list(_mirror_jumps(view)),
+            'dwells': list(_inside(view)), 'lengths': list(_lengths(view)),
+            'channels': list(_between_channels(view))}
+
+
+def _channels(view: StopView) -> list[tuple[str, slice, float]]:
+    """Channel groups: name, columns, typical size [m]."""
+    return [(name, columns, 1e-6 if name == 'displacement' else 3e-6) for name, columns in channels(view.beams).items()]
+
+
+def pattern_form(view: StopView, label: str, patterns: np.ndarray, columns: slice, scale: float) -> Form:
+    """Patterns (k, n), or (k, n, c) of their own in each, put into c channels."""
+    full = view.zeros(len(patterns))
+    full[:, :, columns] = patterns if patterns.ndim == 3 else patterns[:, :, None]
+    return Form(label, full, tuple(str(i) for i in range(len(patterns))),
+                np.full(len(patterns), scale))
+
+
+def _static(view: StopView) -> Iterator[Form]:
+    """Errors that belong to a place: to a stop of a setup, alike or opposite in the two directions."""
+    place = view.setup * 100000 + view.index
+    for name, columns, scale in _channels(view):
+        for setup in range(len(view.setup_names)):
+            mine = view.setup == setup
+            if mine.sum() < 8:
+                continue
+            keys = np.unique(place[mine])
+            patterns = (place[None] == keys[:, None]).astype(float)
+            setup_name = view.setup_names[setup]
+            yield pattern_form(view, f'{name}: places in {setup_name}', patterns, columns, scale)
+            yield pattern_form(view, f'{name}: places by direction in {setup_name}',
+                               patterns * view.direction, columns, scale)
+        keys = np.unique(place)
+        patterns = (place[None] == keys[:, None]).astype(float)
+        yield pattern_form(view, f'{name}: places', patterns, columns, scale)
+        yield pattern_form(view, f'{name}: places by direction', patterns * view.direction, columns, scale)
+    # Few-parameter shapes along the travel, the same in all setups, by direction.
+    share = view.commanded.T / np.array(view.description.machine.volume)[:, None]
+    waves = np.concatenate([np.cos(np.pi * k * share) for k in (1, 2, 3)])
+    for name, columns, scale in _channels(view):
+        for setup in range(len(view.setup_names)):
+            mine = (view.setup == setup).astype(float)
+            if mine.sum() >= 8:
+                yield pattern_form(view, f'{name}: slow shape along {view.setup_names[setup]}',
+                                   waves[::3] * mine, columns, scale)
+        yield pattern_form(view, f'{name}: slow shape by direction', waves * view.direction, columns, scale)
+
+
+def _in_time(view: StopView) -> Iterator[Form]:
+    """Errors that belong to a time: inside a run, from run to run, over the whole log."""
+    runs = np.unique(view.run)
+    span = max(float(np.ptp(view.time)), 1e-9)
+    scaled = 2.0 * (view.time - view.time.min()) / span - 1.0
+    slow = np.stack([np.cos(np.pi * k * (scaled + 1.0) / 2.0) for k in range(1, 13)])
+    for name, columns, scale in _channels(view):
+        ramps = []
+        for run in runs:
+            mine = view.run == run
+            if mine.sum() < 5:
+                continue
+            time = view.run_time * mine
+            time = time / max(time.max(), 1e-9)
+            ramps += [time, np.where(mine, time**2, 0.0)]
+        if ramps:
+            yield pattern_form(view, f'{name}: drift inside the runs', np.array(ramps), columns, scale)
+            yield pattern_form(view, f'{name}: ramp inside the runs', np.array(ramps[::2]), columns, scale)
+        yield pattern_form(view, f'{name}: slow in time', slow, columns, scale)
+        for setup in range(len(view.setup_names)):
+            mine = (view.setup == setup).astype(float)
+            if mine.sum() < 8:
+                continue
+            start = view.mount_time * mine
+            start = start / max(start.max(), 1e-9)
+            yield pattern_form(view, f'{name}: slow in time in {view.setup_names[setup]}',
+                               np.stack([start, start**2, start**3]) * mine, columns, scale)
+    # What the beam's direction does in time has a name, whatever its profile.
+    for label, derivative, scale in (('tool point', view.by_shift, 1e-6), ('mirror', view.by_mirror, 1e-6)):
+        for run_wise in (False, True):
+            courses = ([(view.run == run).astype(float) * view.run_time / 30.0 for run in runs]
+                       if run_wise else list(slow))
+            courses = [c for c in courses if np.any(c)]
+            columns = np.einsum('tn,anc->tanc', np.array(courses), derivative)
+            columns = columns.reshape(-1, *view.reading.shape)
+            yield Form(f'{label}: wandering {"inside the runs" if run_wise else "in time"}', columns,
+                       tuple(str(i) for i in range(len(columns))), np.full(len(columns), scale))
+
+
+def _beginnings(view: StopView) -> np.ndarray:
+    """Stops, in order of time, at which a jump is tried."""
+    order = np.argsort(view.time, kind='stable')
+    return order[::max(1, -(-len(order) // MOST_JUMPS))]
+
+
+def _jumps(view: StopView) -> Iterator[Form]:
+    """One stop off, or a spot that jumps and stays for the rest of the setup."""
+    order = _beginnings(view)
+    for name, columns, scale in _channels(view):
+        for i in order:
+            single = np.zeros((1, len(view.time)))
+            single[0, i] = 1.0
+            yield pattern_form(view, f'{name}: one stop, {view.run_ids[view.run[i]]} stop {view.index[i]}',
+                               single, columns, scale)
+        if name == 'displacement':
+            continue
+        for i in order:
+            after = (view.setup == view.setup[i]) & (view.time >= view.time[i])
+            yield pattern_form(view, f'{name}: jump at {view.run_ids[view.run[i]]} stop {view.index[i]}',
+                               after[None].astype(float), columns, scale)
+
+
+def _mirror_jumps(view: StopView) -> Iterator[Form]:
+    """The mirror, the beam or the tool point jumps and stays for the rest of the setup."""
+    for i in _beginnings(view):
+        after = (view.setup == view.setup[i]) & (view.time >= view.time[i])
+        where = f'{view.run_ids[view.run[i]]} stop {view.index[i]}'
+        for label, derivative, scale in (('mirror', view.by_mirror, 1e-5),
+                                         ('tool point', view.by_shift, 1e-6)):
+            columns = derivative * after[None, :, None]
+            yield Form(f'{label}: jump at {where}', columns,
+                       tuple(str(k) for k in range(len(columns))), np.full(len(columns), scale))
+
+
+def _lengths(view: StopView) -> Iterator[Form]:
+    """The unit of length changes: at once from one stop on, or for one stretch of the log."""
+    b = view.beams
+    ordered = np.argsort(view.time, kind='stable')
+    for place in range(1, len(ordered)):
+        i, before = ordered[place], ordered[place - 1]
+        if view.run[i] == view.run[before] and place % 4:
+            continue
+        columns = view.zeros(1)
+        columns[0, :, :b] = np.where((view.time >= view.time[i])[:, None], view.distance, 0.0)
+        yield Form(f'length: another unit from {view.run_ids[view.run[i]]} stop {view.index[i]} on',
+                   columns, ('0',), np.full(1, 1e-6))
+    runs = np.unique(view.run)
+    columns = view.zeros(len(runs))
+    for k, run in enumerate(runs):
+        columns[k, :, :b] = np.where((view.run == run)[:, None], view.distance, 0.0)
+    yield Form('length: another unit in each run', columns, tuple(str(r) for r in runs),
+               np.full(len(runs), 3e-7))
+
+
+def _between_channels(view: StopView) -> Iterator[Form]:
+    """One channel shows in another: spot in displacement, distance in spot, linear or squared."""
+    b, spot = view.beams, view.model[:, view.beams:]
+    centred = spot - spot.mean(axis=0)
+    size = max(float(np.abs(centred).max()), 1e-9)
+    x, y = (centred / size).T
+    far = view.distance[:, 0] - view.distance[:, 0].mean()
+    far = far / max(float(np.abs(far).max()), 1e-9)
+    rate = np.where(view.axis < 3, 1.0, 0.0)
+    sources = {'spot': np.stack([x, y]), 'spot, squared': np.stack([x, y, x * x, x * y, y * y]),
+               'distance, squared': np.stack([far**2]), 'distance, cubed': np.stack([far**2, far**3]),
+               'axis that moved': np.stack([rate * (view.axis == a) for a in range(3)])}
+    for name, columns, scale in _channels(view):
+        for source, patterns in sources.items():
+            yield pattern_form(view, f'{name}: follows {source}', patterns, columns, scale)
+    for source, patterns in sources.items():
+        if not source.startswith('spot'):
+            full = view.zeros(2 * len(patterns))
+            full[:len(patterns), :, b] = full[len(patterns):, :, b + 1] = patterns
+            yield Form(f'spot: follows {source}', full, tuple(str(i) for i in range(len(full))),
+                       np.full(len(full), 3e-6))
+
+
+def _inside(view: StopView) -> Iterator[Form]:
+    """Something happens inside the dwells: alike in all, by direction, by axis, or setup by setup."""
+    n, b = view.bin_time.shape
+    pattern = np.eye(b) - 1.0 / b
+    signs = {'alike': np.ones(n), 'by direction': view.direction.astype(float)}
+    for axis, letter in enumerate('XYZ'):
+        signs[f'after moves of {letter}'] = (view.axis == axis) * view.approach[:, axis]
+    for name, columns, scale in _channels(view):
+        for what, sign in signs.items():
+            inside = np.zeros((b, n, b, view.reading.shape[1]))
+            inside[:, :, :, columns] = (sign[None, :, None] * pattern[:, None, :])[..., None]
+            yield Form(f'{name}: inside the dwells, {what}', view.zeros(b),
+                       tuple(str(i) for i in range(b)), np.full(b, scale), inside=inside)
+
+
+def inconsistent_forms(view: StopView, forms: list[Form]) -> Iterator[Form]:
+    """A named effect whose size is not the same everywhere: by setup, repeat, direction or half of the log.
+
+    A cause has one size in a log; what takes its name but differs from setup to setup is something else.
+    """
+    splits = {'setup': view.setup, 'repeat': view.repeat, 'direction': view.direction,
+              'half of the log': (view.time > np.median(view.time)).astype(int)}
+    for form in forms:
+        if len(form.columns) > 6:
+            continue
+        for what, groups in splits.items():
+            values = np.unique(groups)
+            masks = [groups == value for value in values if (groups == value).sum() >= 8]
+            # What lives in one group alone, a slip in its run, cannot differ from group to group.
+            masks = [mask for mask in masks if np.any(form.columns[:, mask])
+                     or (form.inside is not None and np.any(form.inside[:, mask]))]
+            if len(masks) < 2:
+                continue
+            columns = np.concatenate([form.columns * mask[None, :, None] for mask in masks[1:]])
+            inside = None if form.inside is None else np.concatenate(
+                [form.inside * mask[None, :, None, None] for mask in masks[1:]])
+            yield Form(f'{form.label}: not alike from {what} to {what}', columns,
+                       tuple(str(i) for i in range(len(columns))),
+                       np.tile(form.scale, len(masks) - 1), form.units, inside)

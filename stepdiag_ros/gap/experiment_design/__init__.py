@@ -1,0 +1,1 @@
+"""The further run that separates what a log leaves open."""

@@ -1,0 +1,1 @@
+"""Evidence for sets of effects in parity space, the search among them, and the joint fit."""

@@ -1,0 +1,417 @@
+"""All forms of all effects in one parity space, ready to be judged given a set.
+
+Forms are brought there once, all columns side by side; their products with each other's members, with the
+data and with what a set explains are then small matrices.  What was judged is remembered.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from stepdiag_ros.effects.base import Effect, Form
+from stepdiag_ros.estimate.eigen import eigen
+from stepdiag_ros.gap.constants import CONFUSED, DECOY_SHARE, DISCREPANCY_SHARE, MEMBER_ALARM
+from stepdiag_ros.gap.inference.discrepancy import LEAST
+from stepdiag_ros.gap.inference.discrepancy import columns as discrepancy_of
+from stepdiag_ros.gap.inference.evidence import SIZES, Judged, judge, log_evidence, log_mean, log_sum
+from stepdiag_ros.gap.inference.parity import Parity
+
+REMEMBERED = 32
+"""Discrepancies that are kept in mind, those last worked out: each is as long as the data."""
+LEAST_EXPLAINED = 0.02
+"""Directions of a set with less variance than this against the noise's are left out."""
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One form of one effect: ``family`` splits an effect's forms into groups of equal weight.
+
+    ``doubt``: log odds against the family where a name explains as much.  ``decoy``: a form that the effect
+    named in ``family`` cannot take.  ``own``: whether the family weighs as much as an effect does, instead of
+    sharing the weight of one with the others.
+    """
+
+    effect: str
+    family: str
+    form: Form
+    doubt: float = 0.0
+    decoy: bool = False
+    own: bool = False
+
+
+@dataclass(frozen=True)
+class Member:
+    """An effect in a set, in the form that suits best, and its evidence given those before it; ``size`` of
+    its coefficients, in the form's scales, that is allowed for; ``refused``: why it may not be claimed, else ''."""
+
+    effect: str
+    candidate: int
+    log_bayes: float
+    size: float = float(SIZES[-1])
+    doubt: float = 0.0
+    refused: str = ''
+
+
+def allowed(form: Form, judged: Judged) -> float:
+    """The size that a form's coefficients are allowed in a set: an unknown course the one that the log shows of it."""
+    return judged.size if form.process else float(SIZES[-1])
+
+
+@dataclass
+class Screen:
+    """All candidates of a log in one parity space, ready to be judged given a set.
+
+    ``repeatable``: effects that may enter a set more than once; ``modulations`` (m, n): those of
+    :mod:`~stepdiag_ros.gap.inference.discrepancy`, None where forms are taken to be exact; ``effects`` by name.
+    ``data`` (M,): those of the parity space, and below them those of what columns made of readings owe
+    (:meth:`Parity.own_rows`).
+    """
+
+    parity: Parity
+    candidates: Sequence[Candidate]
+    noise_dof: float
+    repeatable: frozenset = frozenset()
+    modulations: np.ndarray | None = None
+    effects: Mapping[str, Effect] = field(default_factory=dict)
+    data: np.ndarray = field(init=False)
+    _white: np.ndarray = field(init=False)
+    _below: list = field(init=False)
+    _along: np.ndarray = field(init=False)
+    _slices: list = field(init=False)
+    _ratios: list = field(init=False)
+    _alike: list = field(init=False)
+    _judged: dict = field(init=False, default_factory=dict)
+    _discrepancies: dict = field(init=False, default_factory=dict)
+
+    def __post_init__(self):
+        stops, data, forms = self.parity.stops, self.parity.data, [c.form for c in self.candidates]
+        first = _first_alike(forms)
+        owns = [number for number, other in enumerate(first) if other == number]
+        edges = np.concatenate([[0], np.cumsum([len(forms[i].columns) for i in owns])]).astype(int)
+        parts = {i: slice(a, b) for i, a, b in zip(owns, edges[:-1], edges[1:], strict=True)}
+        self._slices = [parts[i] for i in first]
+        self._ratios = [form.scale / forms[i].scale for form, i in zip(forms, first, strict=True)]
+        stacked = np.empty((edges[-1], *forms[0].columns.shape[1:]))
+        for i, part in parts.items():
+            np.multiply(forms[i].columns, forms[i].scale[:, None, None], out=stacked[part])
+        # The data are projected, so are products with them: the columns need not be, which would
+        # be the dearest step.  Their own products are put right by what the fit absorbs.
+        self._white = self.parity.white_part(stacked)
+        absorbed = self.parity.absorbed(self._white)
+        self._along = self._white.T @ data[:stops]
+        inside = {i: self.parity.bin_part(forms[i].inside) * forms[i].scale
+                  for i in owns if forms[i].inside is not None}
+        own = {i: self.parity.own_rows(forms[i]) for i in owns if forms[i].by_reading is not None}
+        self.data = np.concatenate([data, self.parity.own_data])
+        size, self._below = self.parity.size, []
+        for rows, blocks in ((slice(stops, size), inside), (slice(size, len(self.data)), own)):
+            below = _Below(rows, _indices([parts[i] for i in blocks]),
+                           np.concatenate([np.zeros((rows.stop - rows.start, 0)), *blocks.values()], axis=1))
+            self._along[below.places] += below.columns.T @ self.data[rows]
+            self._below.append(below)
+        grams = {}
+        for i, part in parts.items():
+            columns, lost = self._white[:, part], absorbed[:, part]
+            grams[i] = columns.T @ columns - lost.T @ lost
+            if i in inside:
+                grams[i] += inside[i].T @ inside[i]
+        owed = {i: block.T @ block for i, block in own.items()}
+        by_width: dict[int, list[int]] = {}
+        for number, part in enumerate(self._slices):
+            by_width.setdefault(part.stop - part.start, []).append(number)
+        self._alike = []
+        for numbers in by_width.values():
+            places = np.stack([_indices([self._slices[n]]) for n in numbers])
+            ratios = np.stack([self._ratios[n] for n in numbers])
+            both = ratios[:, :, None] * ratios[:, None, :]
+            gram = np.stack([grams[first[n]] for n in numbers]) * both
+            along = self._along[places] * ratios
+            mine = None
+            if any(first[n] in owed for n in numbers):
+                none = np.zeros(gram.shape[1:])
+                mine = np.stack([owed.get(first[n], none) for n in numbers]) * both
+                gram += mine
+            self._alike.append(_Alike(np.array(numbers), places, ratios, gram, along, mine))
+
+    def extended(self, more: Sequence[Candidate]) -> 'Screen':
+        """The screen with further candidates; what is known of those it has is not worked out again."""
+        other = Screen(self.parity, more, self.noise_dof, self.repeatable, self.modulations, self.effects)
+        count, width = len(self.candidates), self._white.shape[1]
+        self.candidates = [*self.candidates, *more]
+        self._white = np.concatenate([self._white.T, other._white.T]).T
+        self._below = [replace(mine, places=np.concatenate([mine.places, theirs.places + width]),
+                               columns=np.concatenate([mine.columns, theirs.columns], axis=1))
+                       for mine, theirs in zip(self._below, other._below, strict=True)]
+        self._along = np.concatenate([self._along, other._along])
+        self._ratios += other._ratios
+        self._slices += [slice(s.start + width, s.stop + width) for s in other._slices]
+        self._alike += [replace(alike, numbers=alike.numbers + count, places=alike.places + width)
+                        for alike in other._alike]
+        return self
+
+    def columns_of(self, number: int) -> np.ndarray:
+        """Columns (M, k) of one candidate, per unit of its scale."""
+        part = self._slices[number]
+        full = np.zeros((len(self.data), part.stop - part.start))
+        white = self._white[:, part]
+        full[:self.parity.stops] = white - self.parity._basis @ self.parity.absorbed(white)
+        for below in self._below:
+            mine = np.flatnonzero((below.places >= part.start) & (below.places < part.stop))
+            if len(mine):
+                full[below.rows] = below.columns[:, mine]
+        return full * self._ratios[number]
+
+    def basis(self, members: Sequence[Member]) -> np.ndarray:
+        """Directions ``B`` (M, r) that several members explain, the discrepancies of their forms included: given them,
+        products are taken with 1 − BBᵀ."""
+        if not members:
+            return np.zeros((len(self.data), 0))
+        columns = [self.columns_of(m.candidate) * m.size for m in members]
+        return _explained(np.concatenate([*columns, *self.discrepancies(members)], axis=1))
+
+    def discrepancies(self, members: Sequence[Member]) -> list[np.ndarray]:
+        """Columns (M, m) of the discrepancy of each member's form, at the coefficients that it has beside those before
+        it; none of a member whose discrepancy is below the noise."""
+        if self.modulations is None:
+            return []
+        found: list[np.ndarray] = []
+        for count in range(1, len(members) + 1):
+            key = tuple((m.candidate, m.size) for m in members[:count])
+            if key not in self._discrepancies:
+                while len(self._discrepancies) >= REMEMBERED:
+                    del self._discrepancies[next(iter(self._discrepancies))]
+                self._discrepancies[key] = self._discrepancy(members[:count], found)
+            if self._discrepancies[key] is not None:
+                found.append(self._discrepancies[key])
+        return found
+
+    def _discrepancy(self, members: Sequence[Member], before: Sequence[np.ndarray]) -> np.ndarray | None:
+        """That of the last of some members, given the discrepancies of those before it."""
+        columns = [self.columns_of(m.candidate) * m.size for m in members]
+        whole = np.concatenate([*columns, *before], axis=1)
+        values = np.linalg.solve(whole.T @ whole + np.eye(whole.shape[1]), whole.T @ self.data)
+        start = sum(c.shape[1] for c in columns[:-1])
+        mine = values[start:start + columns[-1].shape[1]] * members[-1].size
+        if DISCREPANCY_SHARE * np.linalg.norm(columns[-1] @ mine) / members[-1].size < LEAST:
+            return None
+        form = self.candidates[members[-1].candidate].form
+        sizes = mine * form.scale
+        result = np.zeros((len(self.data), len(self.modulations)))
+        result[:self.parity.stops] = self.parity.stop_part(
+            discrepancy_of(np.tensordot(sizes, form.columns, axes=1), self.modulations))
+        if form.inside is not None and self.parity.size > self.parity.stops:
+            result[self.parity.stops:self.parity.size] = self.parity.bin_part(
+                discrepancy_of(np.tensordot(sizes, form.inside, axes=1), self.modulations))
+        return result
+
+    def sizes(self, members: Sequence[Member]) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Coefficients (k,) of each member and their standard deviations, in its form's units."""
+        columns = [self.columns_of(m.candidate) * m.size for m in members]
+        whole = np.concatenate([*columns, *self.discrepancies(members)], axis=1)
+        covariance = np.linalg.inv(whole.T @ whole + np.eye(whole.shape[1]))
+        values, spread = covariance @ (whole.T @ self.data), np.sqrt(np.diag(covariance))
+        result, start = [], 0
+        for member, part in zip(members, columns, strict=True):
+            mine, unit = slice(start, start + part.shape[1]), self.candidates[member.candidate].form.scale * member.size
+            result.append((values[mine] * unit, spread[mine] * unit))
+            start = mine.stop
+        return result
+
+    def with_discrepancy(self, members: Sequence[Member]) -> Member:
+        """The last of some members, its evidence that of its form together with the discrepancy of that."""
+        without = len(self.discrepancies(members[:-1]))
+        own = self.discrepancies(members)[without:]
+        if not own:
+            return members[-1]
+        columns = [self.columns_of(m.candidate) * m.size for m in members]
+        basis = _explained(np.concatenate([*columns, *self.discrepancies(members[:-1])], axis=1))
+        taken = basis.T @ self.data
+        cross = basis.T @ own[0]
+        gain = log_evidence(own[0].T @ own[0] - cross.T @ cross, own[0].T @ self.data - cross.T @ taken,
+                            float(self.data @ self.data - taken @ taken),
+                            sum(self.parity.dof) - float(np.sum(basis[:self.parity.size]**2)), self.noise_dof)
+        return replace(members[-1], log_bayes=members[-1].log_bayes + gain)
+
+    def judge_all(self, members: Sequence[Member], wanted: Sequence[int]) -> dict[int, Judged]:
+        """The ``wanted`` candidates given the set ``members``; what was judged before is remembered."""
+        known = self._judged.setdefault(tuple((m.candidate, m.size) for m in members), {})
+        open_ = np.zeros(len(self.candidates), bool)
+        open_[[i for i in wanted if i not in known]] = True
+        if not open_.any():
+            return known
+        basis = self.basis(members)
+        taken = basis.T @ self.data
+        owed = _Owed.by(self._below[-1], basis, self.data, taken, self._white.shape[1])
+        total = float(self.data @ self.data - taken @ taken) - owed.total
+        dof = sum(self.parity.dof) - float(np.sum(basis[:self.parity.size]**2))
+        overlap = basis[:self.parity.stops].T @ self._white
+        for below in self._below:
+            overlap[:, below.places] += basis[below.rows].T @ below.columns
+        for alike in self._alike:
+            chosen = open_[alike.numbers]
+            cross = (overlap[:, alike.places[chosen]] * alike.ratios[chosen]).transpose(1, 2, 0)
+            gram = alike.grams[chosen] - cross @ cross.transpose(0, 2, 1)
+            along = alike.alongs[chosen] - cross @ taken
+            judged = judge(gram, along, total, dof, self.noise_dof, owed.of(alike, chosen, cross))
+            known.update(zip(alike.numbers[chosen].tolist(), judged, strict=True))
+        return known
+
+    def as_first(self, member: Member) -> Member:
+        """A member of a set in the same form as if it were the first: the evidence of that form alone, as one
+        of all that the effect has."""
+        number, form = member.candidate, self.candidates[member.candidate].form
+        forms = sum(candidate.effect == member.effect for candidate in self.candidates)
+        alone = self.judge_all((), [number])[number]
+        return replace(member, log_bayes=alone.log_bayes - float(np.log(forms)), size=allowed(form, alone))
+
+    def by_effect(self, members: Sequence[Member] = (),
+                  asked: Callable[[str], bool] = lambda effect: True) -> dict[str, Member]:
+        """The evidence of every effect ``asked`` for given ``members``, averaged over its forms; the best form,
+        doubts weighed."""
+        groups: dict[str, dict[str, list[int]]] = {}
+        present = {m.effect for m in members}
+        sources = {(m.effect, self.candidates[m.candidate].form.source) for m in members
+                   if self.candidates[m.candidate].form.source}
+        settled = {effect for effect, _ in sources}
+        decoys: dict[tuple[str, int], list[int]] = {}
+        for number, candidate in enumerate(self.candidates):
+            if candidate.decoy:
+                decoys.setdefault((candidate.family, len(candidate.form.columns)), []).append(number)
+            if not asked(candidate.effect):
+                continue
+            if candidate.decoy and candidate.family in present:
+                continue  # beside the name its decoys are no rivals
+            if (candidate.effect in settled and candidate.form.source
+                    and (candidate.effect, candidate.form.source) not in sources):
+                continue
+            groups.setdefault(candidate.effect, {}).setdefault(candidate.family, []).append(number)
+        judged = self.judge_all(members, [i for families in groups.values()
+                                          for numbers in families.values() for i in numbers])
+        result = {}
+        for effect, families in groups.items():
+            doubts = {family: self._doubt(numbers, judged) for family, numbers in families.items()}
+            shared = sum(not self.candidates[numbers[0]].own for numbers in families.values())
+            logs = {family: log_mean([judged[i].log_bayes for i in numbers]) - doubts[family]
+                    - (0.0 if self.candidates[numbers[0]].own else float(np.log(shared)))
+                    for family, numbers in families.items()}
+            # The doubt is that against the family which carries the sum: another's would be paid back unpaid.
+            family = max(logs, key=logs.__getitem__)
+            best = max(families[family], key=lambda i: judged[i].log_bayes)
+            member = Member(effect, best, log_sum(list(logs.values())) + doubts[family],
+                            allowed(self.candidates[best].form, judged[best]), doubts[family])
+            as_rich = decoys.get((effect, len(self.candidates[best].form.columns)))
+            result[effect] = self._beyond_decoys(members, member, as_rich) if as_rich else member
+        return result
+
+    def _beyond_decoys(self, members: Sequence[Member], member: Member, decoys: Sequence[int]) -> Member:
+        """A member; refused where negative controls, ``decoys`` as rich, show nearly as much beside it still.
+
+        What a name explains its decoys do not show any more.  What they show beside it is of another cause, and of
+        that the name's own forms, as rich, have shown as much; and once more what that is beyond chance,
+        for decoys are few.
+        """
+        if member.log_bayes < 0.0:
+            return member
+        judged = self.judge_all((*members, member), decoys)
+        shown = max(0.0, *(judged[i].log_bayes for i in decoys))
+        owed = shown + max(0.0, shown - CONFUSED)
+        if member.log_bayes - owed > MEMBER_ALARM:
+            return member
+        return replace(member, refused=f'{member.effect}: beside it its negative controls show {shown:.1f} in log '
+                                       f'evidence, it brings {member.log_bayes:.1f}')
+
+    def _doubt(self, numbers: Sequence[int], judged: Mapping[int, Judged]) -> float:
+        """Log odds against a family where a name explains as much.
+
+        What decoys explain, forms as rich would have explained whatever the cause: a name has earned
+        only what it explains beyond, and must beat its decoys by a share of what they have.
+        """
+        first = self.candidates[numbers[0]]
+        return -DECOY_SHARE * max(0.0, *(judged[i].log_bayes for i in numbers)) if first.decoy else first.doubt
+
+
+@dataclass(frozen=True)
+class _Below:
+    """``rows`` of the data that only some columns reach: ``places`` (k,) of these among all, and ``columns`` there."""
+
+    rows: slice
+    places: np.ndarray
+    columns: np.ndarray
+
+
+@dataclass(frozen=True)
+class _Alike:
+    """Candidates with k columns each: ``numbers`` (F,), ``places`` (F, k) of their columns among all and
+    ``ratios`` (F, k) of their scales to those of the columns there, products ``grams`` (F, k, k) with
+    themselves and ``alongs`` (F, k) with the data; ``owed`` (F, k, k): what of the first is in rows that columns made
+    of readings owe, None where there are none."""
+
+    numbers: np.ndarray
+    places: np.ndarray
+    ratios: np.ndarray
+    grams: np.ndarray
+    alongs: np.ndarray
+    owed: np.ndarray | None
+
+
+@dataclass(frozen=True)
+class _Owed:
+    """The rows that columns made of readings owe, given a set: what is left of them, squared, in ``total``; products of
+    the set's directions there with each other (r, r) and with what is left (r,), and of all columns with the
+    directions (K, r) and with what is left (K,)."""
+
+    total: float
+    among: np.ndarray
+    among_left: np.ndarray
+    with_basis: np.ndarray
+    with_left: np.ndarray
+
+    @classmethod
+    def by(cls, rows: '_Below', basis: np.ndarray, data: np.ndarray, taken: np.ndarray, columns: int) -> '_Owed':
+        mine = basis[rows.rows]
+        left = data[rows.rows] - mine @ taken
+        with_basis, with_left = np.zeros((columns, mine.shape[1])), np.zeros(columns)
+        with_basis[rows.places], with_left[rows.places] = rows.columns.T @ mine, rows.columns.T @ left
+        return cls(float(left @ left), mine.T @ mine, mine.T @ left, with_basis, with_left)
+
+    def of(self, alike: _Alike, chosen: np.ndarray, cross: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+        """Products of the ``chosen`` candidates with themselves and with what is left, ``cross`` (F, k, r) of what the
+        set explains taken off; None where neither they nor the set owe anything."""
+        if alike.owed is None and not np.any(self.among):
+            return None
+        places, ratios = alike.places[chosen], alike.ratios[chosen]
+        mixed = (self.with_basis[places] * ratios[:, :, None]) @ cross.transpose(0, 2, 1)
+        gram = cross @ self.among @ cross.transpose(0, 2, 1) - mixed - mixed.transpose(0, 2, 1)
+        if alike.owed is not None:
+            gram = gram + alike.owed[chosen]
+        return gram, self.with_left[places] * ratios - cross @ self.among_left
+
+
+def _explained(columns: np.ndarray) -> np.ndarray:
+    """Directions ``B`` (N, r), ``1 − BBᵀ = (1 + ZZᵀ)⁻¹``, for columns ``Z`` (N, k) in units of the sizes
+    that are allowed for: what is as large as allowed is taken away, what is far below the noise left."""
+    value, vector = eigen(columns.T @ columns)
+    keep = value > LEAST_EXPLAINED
+    return columns @ (vector[:, keep] / np.sqrt(1.0 + value[keep]))
+
+
+def _first_alike(forms: Sequence[Form]) -> list[int]:
+    """For each form the number of that whose columns it shares: its own, or that of the process before it
+    where the two differ in the sizes of their coefficients only (a winding and a smooth course)."""
+    first = list(range(len(forms)))
+    for number in range(1, len(forms)):
+        form, before = forms[number], forms[number - 1]
+        if form.process and before.process and _same(form.columns, before.columns) \
+                and _same(form.inside, before.inside):
+            first[number] = first[number - 1]
+    return first
+
+
+def _same(one: np.ndarray | None, other: np.ndarray | None) -> bool:
+    return one is other or (one is not None and other is not None and np.array_equal(one, other))
+
+
+def _indices(parts: Sequence[slice]) -> np.ndarray:
+    """All indices (k,) of some slices."""
+    return np.concatenate([np.arange(0), *(np.arange(p.start, p.stop) for p in parts)])

@@ -1,0 +1,63 @@
+"""The discrepancy of a form: what reality may do beside it, as columns of known size.
+
+No form is right to the last part.  What an effect truly does is taken to be what its form does, times one plus a
+random function g of standard deviation :data:`SHARE` (Kennedy and O'Hagan, Bayesian calibration of computer models,
+J. R. Stat. Soc. B 63, 2001, with a discrepancy in proportion to the effect).  g may differ from setup to setup, from
+run to run, with the direction, along each axis and slowly with time, each of these being as likely as the others.  With
+the contribution c of a form at its coefficients the readings' covariance grows by
+
+    SHARE² · P diag(c) K diag(c) Pᵀ = D Dᵀ,   K = Φᵀ Φ,
+
+Φ (m, n) being :func:`modulations`, P the way into parity space.  Of an effect near the noise D is nothing; of one of
+hundreds of standard deviations it is all that matters: by how much a wrong form falls behind saturates at what the
+share allows, however large the effect, and what a further effect explains must exceed what the first may leave over.
+"""
+
+import numpy as np
+
+from stepdiag_ros.effects.base import StopView
+from stepdiag_ros.gap.constants import DISCREPANCY_SHARE
+from stepdiag_ros.gap.inference.joint import Active, unexplained
+from stepdiag_ros.gap.inference.parity import Parity
+
+LEAST = 1.0
+"""A discrepancy of less than this many standard deviations in all is left out: it changes no evidence by a half."""
+WAVES_IN_TIME, WAVES_IN_PLACE = 6, 3
+
+
+def modulations(view: StopView) -> np.ndarray:
+    """Functions Φ (m, n) over the stops whose random sum has variance one on the average of the stops."""
+    place = view.commanded / np.array(view.description.machine.volume)
+    span = max(float(np.ptp(view.time)), 1e-9)
+    time = (view.time - view.time.min()) / span
+    families = [
+        np.stack([(view.setup == s).astype(float) for s in np.unique(view.setup)]),
+        np.stack([(view.run == r).astype(float) for r in np.unique(view.run)]),
+        view.direction[None].astype(float),
+        np.stack([np.cos(np.pi * k * place[:, a]) / k for a in range(3) for k in range(1, WAVES_IN_PLACE + 1)]),
+        np.stack([np.cos(np.pi * k * time) / k for k in range(1, WAVES_IN_TIME + 1)]),
+    ]
+    families = [f / np.sqrt(max(np.mean(np.sum(f**2, axis=0)), 1e-12)) for f in families]
+    return np.concatenate(families) / np.sqrt(len(families))
+
+
+def columns(contribution: np.ndarray, functions: np.ndarray, share: float = DISCREPANCY_SHARE) -> np.ndarray:
+    """The discrepancy of a contribution (n, c) or (n, b, c) [m]: (m, n, c) or (m, n, b, c) [m], each of size one."""
+    shape = (len(functions), len(contribution), *([1] * (contribution.ndim - 1)))
+    return share * functions.reshape(shape) * contribution
+
+
+def residual(space: Parity, active: tuple[Active, ...], view: StopView) -> np.ndarray:
+    """White residuals (N,) of a joint fit, freed of what the discrepancies of its forms are likeliest to do."""
+    rest = unexplained(space, active)
+    if not active:
+        return rest
+    functions, parts = modulations(view), []
+    for a in active:
+        part = np.zeros((space.size, len(functions)))
+        part[:space.stops] = space.stop_part(columns(a.contribution, functions))
+        if a.form.inside is not None and space.size > space.stops:
+            part[space.stops:] = space.bin_part(columns(np.asarray(a.inside), functions))
+        parts.append(part)
+    whole = np.concatenate(parts, axis=1)
+    return rest - whole @ np.linalg.solve(whole.T @ whole + np.eye(whole.shape[1]), whole.T @ rest)

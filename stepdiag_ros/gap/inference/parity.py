@@ -1,0 +1,297 @@
+"""Parity space: what the fitted model leaves free, in units of the noise.
+
+Readings are whitened with the noise of the log and everything that a change of the 21 errors, the
+misalignments or a reset can imitate, within the widths that the fit gives them, is projected out.
+What an effect adds to the log is seen here and only here; judged on plain residuals it would be
+mistaken for what the fit made of it.
+The bins of the dwells, which the rigid-body model does not touch, are appended as contrasts.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy import linalg
+
+from stepdiag_ros.effects.base import Form
+from stepdiag_ros.estimate.enhanced import Fit
+from stepdiag_ros.estimate.noise import NoiseModel, Whitener, whiteners
+from stepdiag_ros.gap.preprocess.observe import Observation
+from stepdiag_ros.model.log import STOOD
+
+DISCREPANCY = 0.3
+"""What happens inside the dwells is seen to nanometres; no form describes it to better than this share."""
+CLIP = 6.0
+"""Robust standard deviations to which contrasts of bins are held."""
+ALONE = 10.0
+"""A dwell whose contrasts exceed those of the dwells before and after it so many times, and what they are held to
+``BY_FAR`` times, is one in which something happened once: a slip, a knock."""
+BY_FAR = 3.0
+CALM = 2
+"""The first contrasts, slope and bend, are of what creeps; from this one on they tell the noise."""
+LOUDEST, MEDIAN_SQUARE = 16.0, 0.4549
+"""Squares are held to so many times the quiet majority's; the median of χ² of one degree of freedom."""
+LEAST_ALIKE = 3
+"""Fewest dwells of one kind from which a size typical of them is told: the median of three stands one that errs."""
+
+
+@dataclass(frozen=True)
+class Parity:
+    """The projection for one linearisation.
+
+    ``data`` (N,): white residuals, stops first (``stops`` of them, the unknowns' own departures from what they
+    are held to at the end), then bins.  ``dof``: of the stops'
+    part and of the bins' part.  ``channel`` (N,): channel of each row (0 … beams + 1), ``row`` (N,): its
+    stop.  ``bin_scale`` (c,): factor by which a channel's bins were found noisier than their samples.
+    """
+
+    data: np.ndarray
+    stops: int
+    dof: tuple[int, int]
+    channel: np.ndarray
+    row: np.ndarray
+    bin_scale: np.ndarray
+    _white: list
+    _basis: np.ndarray
+    _contrast: np.ndarray
+    _bin_sigma: np.ndarray
+    _bin_present: np.ndarray
+
+    @property
+    def size(self) -> int:
+        return len(self.data)
+
+    @property
+    def of_spot(self) -> np.ndarray:
+        """Which rows (N,) are of the spot, not of a length."""
+        return self.channel >= self._bin_present.shape[-1] - 2
+
+    def white_part(self, columns: np.ndarray) -> np.ndarray:
+        """White columns, not yet projected: (k, n, c) → (stops, k); nothing at the unknowns' own rows."""
+        flat, start = columns.reshape(len(columns), -1), 0
+        # Laid out column by column, as they come and as the triangular solver takes them.
+        result = np.zeros((self.stops, len(flat)), order='F')
+        for white in self._white:
+            part = white(flat.T)
+            result[start:start + len(part)] = part
+            start += len(part)
+        return result
+
+    def absorbed(self, white: np.ndarray) -> np.ndarray:
+        """Coordinates (r, k) of white columns in what the fit can imitate."""
+        return self._basis.T @ white
+
+    def stop_part(self, columns: np.ndarray) -> np.ndarray:
+        """White, projected columns: (k, n, c) → (stops, k)."""
+        white = self.white_part(columns)
+        return white - self._basis @ self.absorbed(white)
+
+    def bin_part(self, inside: np.ndarray) -> np.ndarray:
+        """White contrasts of bins: (k, n, b, c) → (N − stops, k)."""
+        contrasts = self._contrast @ inside
+        white = contrasts / (self.bin_scale * self._bin_sigma)
+        return white[:, self._bin_present].T
+
+    @cached_property
+    def own_share(self) -> np.ndarray:
+        """Share (n·c,) of each reading's own noise that is left here after the fit; 0 for what is absent.
+
+        Where beams side by side share their noise it is the diagonal of an oblique projection, which need be no share.
+        """
+        channels = self._bin_present.shape[2]
+        share, start = np.zeros(len(self._bin_present) * channels), 0
+        for white in self._white:
+            basis = self._basis[start:start + len(white.rows)]
+            start += len(white.rows)
+            back = linalg.solve_triangular(white.factor, basis, lower=True, trans='T', check_finite=False)
+            share[white.rows] = np.clip(1.0 - np.sum((white.factor @ basis) * back, axis=1), 0.0, 1.0)
+        return share
+
+    def own_rows(self, form: Form) -> np.ndarray:
+        """What columns made of readings owe to the readings' noise, as rows (m, k) beside those of the data, against
+        ``own_data`` (m,), per unit of the form's ``scale``.
+
+        Data z = r − model − a·c(r) have the density of the noise times |∂z/∂r| = Π(1 − a·c′(r)); the
+        logarithm of that, −Σ a·c′ − ½ Σ (a·c′)², is, but for a constant, −½ Σ (a·c′ + 1)²: as if each reading had been
+        read once more, as −1.  So two forms made of the same readings owe it once, not each for itself.  Against data
+        with less noise than was taken for granted (where air boils or a laser hops it is an upper bound) it
+        counts by that much less.
+        """
+        reading, root = self._own
+        slopes = form.by_reading.reshape(len(form.columns), -1)[:, reading] * form.scale[:, None]
+        return (slopes * root).T
+
+    @property
+    def own_data(self) -> np.ndarray:
+        """The data (m,) of :meth:`own_rows`."""
+        return -self._own[1]
+
+    @cached_property
+    def _own(self) -> tuple[np.ndarray, np.ndarray]:
+        """Readings (m,) of all n·c that are there, and the root of what their own noise counts (m,)."""
+        reading = np.flatnonzero(self.own_share > 0.0)
+        return reading, np.sqrt(self.level * self.own_share[reading])
+
+    @cached_property
+    def level(self) -> float:
+        """Mean square of the lengths' data where it is below what is expected of noise, as a share of that; else 1."""
+        mine = np.flatnonzero((self.channel >= 0)[:self.stops] & ~self.of_spot[:self.stops])
+        expected = len(mine) - float(np.sum(self._basis[mine]**2))
+        return min(1.0, float(np.sum(self.data[mine]**2)) / expected) if len(mine) else 1.0
+
+    def project(self, form: Form) -> np.ndarray:
+        """What a form looks like here, per unit of its ``scale``: (N, k)."""
+        result = np.zeros((self.size, len(form.columns)))
+        result[:self.stops] = self.stop_part(form.columns)
+        if form.inside is not None:
+            result[self.stops:] = self.bin_part(form.inside)
+        return result * form.scale
+
+
+def projection(observation: Observation, result: Fit, noise: NoiseModel,
+               readings: np.ndarray) -> tuple[list[Whitener], np.ndarray, np.ndarray, float]:
+    """Whiteners, one a run; orthonormal directions (N, r) that the fit can imitate; white data (N,) without them, the
+    unknowns' own departures last; logarithm of the volume that noise and unknowns leave, −½ ln|C| − ½ ln|JᵀC⁻¹J + P|."""
+    present = result.present
+    white = whiteners(observation.table, noise, result.arrival, present)
+    # The unknowns are held to their widths as in the fit: else errors of metres, along directions that the
+    # readings hardly tell, would imitate what no machine does.
+    held = np.linalg.cholesky(result.precision).T
+    dense = result.jacobian.toarray()
+    jacobian = np.concatenate([*(w(dense) for w in white), held])
+    size = np.linalg.norm(jacobian, axis=0)
+    basis, triangle = linalg.qr(jacobian / size, mode='economic', check_finite=False)
+    # What the fit has put into its residual is gone already; only the rest is left to look at.
+    residual = np.where(present, readings - result.model.predict(result.theta), 0.0).ravel()
+    data = np.concatenate([*(w(residual) for w in white), -held @ result.theta])
+    data = data - basis @ (basis.T @ data)
+    volume = -sum(float(np.sum(np.log(np.diag(w.factor)))) for w in white) \
+        - float(np.sum(np.log(size)) + np.sum(np.log(np.abs(np.diag(triangle)))))
+    return white, basis, data, volume
+
+
+def parity(observation: Observation, result: Fit, noise: NoiseModel,
+           readings: np.ndarray, freed: np.ndarray | None = None) -> Parity:
+    """Set up the projection at ``result`` with ``noise``; data are ``readings`` minus its prediction.
+
+    ``freed`` (n, b, c): the bins freed of effects, which say how noisy they are; else the bins themselves.
+    """
+    white, basis, data, _ = projection(observation, result, noise, readings)
+    own = len(data) - len(result.precision)
+
+    channels = observation.bins.shape[2]
+    contrast = _contrasts(observation.bins.shape[1])
+    values, rough, limit = _inside(observation, observation.bins, contrast)
+    calm, size, most = (values, rough, limit) if freed is None else _inside(observation, freed, contrast)
+    scale = _loudness(np.clip(calm, -most, most))
+    # One dwell in which something happened must not speak for all of its kind.
+    happened = _once(np.abs(values / limit).max(axis=1), observation.table.run)
+    values = np.where(happened[:, None, :], np.nan, np.clip(values, -limit, limit))
+    bin_present = np.isfinite(values)
+    inside = (values / scale)[bin_present]
+    rows = np.concatenate([w.rows for w in white])
+    stop, _, channel = np.nonzero(bin_present)
+    return Parity(np.concatenate([data, inside]), len(data),
+                  # Machines are far better than the widths: their own departures count for nothing.
+                  (round(own - float(np.sum(basis[:own]**2))), len(inside)),
+                  np.concatenate([rows % channels, np.full(len(data) - own, -1), channel]),
+                  np.concatenate([rows // channels, np.full(len(data) - own, -1), stop]), scale,
+                  white, basis, contrast,
+                  observation.bin_sigma[:, None, :] * rough, bin_present)
+
+
+def _inside(observation: Observation, bins: np.ndarray,
+            contrast: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Contrasts (n, h, c) of ``bins``, white but for a common factor; what they were divided by beside the samples'
+    noise; and what they are held to."""
+    values = np.einsum('hb,nbc->nhc', contrast, bins) / observation.bin_sigma[:, None, :]
+    rough = np.ones(values.shape[1:])
+    rough[0] = _roughness(values[:, 0], observation)
+    typical = _typical(values, observation)
+    rough = np.hypot(rough, DISCREPANCY * typical)
+    return values / rough, rough, CLIP * np.maximum(typical.max(axis=1, keepdims=True) / rough, 1.0)
+
+
+def _loudness(values: np.ndarray) -> np.ndarray:
+    """Factor (c,), at least one, by which contrasts (n, h, c) are larger than white samples of the log would make them.
+
+    Neighbouring samples may be alike, and their tails heavy.  What creeps shows in the first contrasts, so the level
+    is taken from the others; squares are held to ``LOUDEST`` times the quiet majority's.
+    """
+    result = np.ones(values.shape[2])
+    for c in range(len(result)):
+        square = values[:, CALM:, c]**2
+        square = square[np.isfinite(square)]
+        if len(square):
+            quiet = float(np.median(square)) / MEDIAN_SQUARE
+            result[c] = max(1.0, float(np.sqrt(np.mean(np.minimum(square, LOUDEST * quiet)))))
+    return result
+
+
+def _typical(values: np.ndarray, observation: Observation) -> np.ndarray:
+    """Sizes (n, h, c) typical of white contrasts in the dwells that one axis led to in one setup.
+
+    What settles does so after moves of its axis, and seen by a setup's beam: a size typical of all dwells
+    would say that it hardly happens.  The first piece of a watch is of the watch's kind: many times as long as a dwell
+    before a run, it shows as much more of a drift.
+    """
+    table, size = observation.table, np.abs(values) / 0.6745
+    kinds = table.axis.copy()
+    for watch in observation.view.watches:
+        kinds[watch] = STOOD
+    typical = np.empty_like(size)
+    for setup in np.unique(table.setup):
+        for kind in np.unique(kinds):
+            mine = (table.setup == setup) & (kinds == kind)
+            few = np.isfinite(size[mine]).any(axis=(1, 2)).sum() < LEAST_ALIKE
+            typical[mine] = _median(size if few else size[mine])
+    return typical
+
+
+def _once(excess: np.ndarray, run: np.ndarray) -> np.ndarray:
+    """Dwells (n, c) in which something happened that neither a drift nor what each move leaves can do: their contrasts,
+    ``excess`` (n, c) in units of what they are held to, stand alone among those of a ``run`` (n,)."""
+    size = np.nan_to_num(excess)
+    beside = np.zeros_like(size)
+    follows = (run[1:] == run[:-1])[:, None]
+    beside[1:] = np.where(follows, size[:-1], 0.0)
+    beside[:-1] = np.maximum(beside[:-1], np.where(follows, size[1:], 0.0))
+    return size > np.maximum(BY_FAR, ALONE * beside)
+
+
+def _median(values: np.ndarray) -> np.ndarray:
+    """Median over the first axis of what is there; 0 where nothing is (a channel that was not measured)."""
+    absent = np.isnan(values).all(axis=0)
+    return np.where(absent, 0.0, np.nanmedian(np.where(absent, 0.0, values), axis=0))
+
+
+def _contrasts(bins: int) -> np.ndarray:
+    """Orthonormal contrasts (b − 1, b) of a dwell's bins by rising degree: slope, bend, …"""
+    place = np.linspace(-1.0, 1.0, bins)
+    basis, _ = np.linalg.qr(np.vander(place, increasing=True))
+    return basis[:, 1:].T
+
+
+def _roughness(slope: np.ndarray, observation: Observation) -> np.ndarray:
+    """Factor (c,) by which the dwells' slopes (n, c) scatter above the sensors' noise.
+
+    A drift that wanders changes its rate from stop to stop: a form with a smooth course foretells the
+    slopes only so well, whatever the sensor could see.  Taken from second differences between stops
+    that the same axis led to, in which smooth courses and settling cancel.
+    """
+    table = observation.table
+    parts = []
+    for run in np.unique(table.run):
+        for axis in range(3):
+            mine = slope[(table.run == run) & (table.axis == axis)]
+            if len(mine) >= 4:
+                parts.append(np.diff(mine, n=2, axis=0) / np.sqrt(6.0))
+    if not parts:
+        return np.ones(slope.shape[1])
+    second = np.abs(np.concatenate(parts))
+    result = np.ones(slope.shape[1])
+    for c in range(slope.shape[1]):
+        own = second[np.isfinite(second[:, c]), c]
+        if len(own) > 8:
+            result[c] = max(1.0, float(np.median(own)) / 0.6745)
+    return result

@@ -1,0 +1,220 @@
+"""Which effects act: evidence for sets of effects, and probabilities from it.
+
+All forms of all effects are judged in one parity space (:mod:`inference.candidates`).  Sets grow by one effect at a
+time from the best of those found (a beam search); the evidence for a set is that of its first member plus that of
+each further one given those before, the largest over the orders.  A form's coefficients, once its effect is in the
+set, are free: what is left is what nothing in the set can explain.
+"""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from stepdiag_ros.gap.alternatives.unmodelled import NAME as UNKNOWN
+from stepdiag_ros.gap.constants import (
+    IMITATION_DOUBT,
+    LARGE_EVIDENCE,
+    MEMBER_ALARM,
+)
+from stepdiag_ros.gap.inference.candidates import Member, Screen
+
+NOTHING = 'nothing'
+"""What it is called that no effect acts."""
+BEAM = 4
+BEAM_OF_NAMELESS = 2
+LARGEST = 3
+PRIOR_NUMBER = (0.5, 0.32, 0.14, 0.04)
+"""Prior probability that none, one, two, three effects act."""
+FORMS_OF_ONE = 3
+MOST_REPEATS = 4
+MOST_FORMS = 6
+"""Most forms of one effect, of one that repeats, and of a set."""
+HOPELESS = 60.0
+"""Sets this far behind in log evidence, and by more than ``BEHIND`` of the best, are not carried on."""
+BEHIND = 0.1
+GAIN = 3.0
+"""Least growth of log evidence for which a set is carried on with a further member."""
+
+
+@dataclass(frozen=True)
+class EffectSet:
+    """A set of effects with ``log_bayes`` against nothing; ``refused``: why it may not be claimed, '' if it may."""
+
+    members: tuple[Member, ...]
+    log_bayes: float
+    refused: str = ''
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names in rising order, one for each form."""
+        return tuple(sorted(m.effect for m in self.members))
+
+    @property
+    def key(self) -> frozenset:
+        return frozenset(m.effect for m in self.members)
+
+
+def joined(screen: Screen, found: EffectSet, member: Member) -> EffectSet:
+    """``found`` and one member more, with the evidence that its form brings and, if that is worth a thought, the
+    discrepancy of it."""
+    member = member if member.log_bayes < GAIN else screen.with_discrepancy((*found.members, member))
+    return EffectSet((*found.members, member), found.log_bayes + member.log_bayes, found.refused or member.refused)
+
+
+def search(screen: Screen) -> list[EffectSet]:
+    """Sets of effects worth a thought: those that may be claimed first, the likeliest first; the empty set is among
+    them."""
+    first = screen.by_effect()
+    sets: dict[tuple, EffectSet] = {(): EffectSet((), 0.0)}
+    front = []
+    for member in first.values():
+        found = joined(screen, sets[()], member)
+        sets[found.names] = found
+        front.append(found)
+        for again in _repeated(screen, found):
+            sets[again.names] = again
+            front.append(again)
+    alone = max((s.log_bayes for s in front if UNKNOWN not in s.key), default=0.0)
+    while front:
+        # Nameless patterns, which fit anything, must not crowd out the names.
+        front = _leading([s for s in front if UNKNOWN not in s.key], BEAM) \
+            + _leading([s for s in front if UNKNOWN in s.key], BEAM_OF_NAMELESS)
+        grown = []
+        for found in front:
+            for member in screen.by_effect(found.members, partial(_may_join, screen, found)).values():
+                again = member.effect in found.names
+                if again and not _adds_a_form(found, member):
+                    continue
+                larger = joined(screen, found, member)
+                if larger.log_bayes > alone and len(larger.members) == 2 and not again and UNKNOWN not in larger.key:
+                    larger = _recomposed(screen, larger)
+                if larger.names not in sets or sets[larger.names].log_bayes < larger.log_bayes:
+                    sets[larger.names] = larger
+                    if larger.log_bayes > found.log_bayes + GAIN:
+                        grown.append(larger)
+        front = grown
+    found = _each_earned(_best_compositions(_with_imitations(screen, sets.values())))
+    return sorted(found, key=lambda s: (bool(s.refused), -(s.log_bayes + log_prior(s, len(first)))))
+
+
+def _with_imitations(screen: Screen, sets: Iterable[EffectSet]) -> Iterator[EffectSet]:
+    """The sets, the sizes that physics allows of their effects weighed, and besides them those in which what has no
+    name does what an effect does, of any size."""
+    for found in sets:
+        known = [screen.effects.get(m.effect) for m in found.members]
+        if not any(effect is not None and effect.imitated_by for effect in known):
+            yield found
+            continue
+        evidence = sum(effect.size_evidence(screen.candidates[m.candidate].form, *size)
+                       for effect, m, size in zip(known, found.members, screen.sizes(found.members), strict=True)
+                       if effect is not None)
+        yield replace(found, log_bayes=found.log_bayes + evidence)
+        if UNKNOWN not in found.key:
+            yield replace(found, members=tuple(
+                replace(m, effect=UNKNOWN, doubt=IMITATION_DOUBT) if effect is not None and effect.imitated_by else m
+                for effect, m in zip(known, found.members, strict=True)))
+
+
+def _repeated(screen: Screen, found: EffectSet) -> Iterator[EffectSet]:
+    """An effect twice and more often: one that repeats, or one of large evidence in further forms of its own.
+
+    What repeats explains one run each time: by the first alone it may look hopeless beside a rich form that explains
+    a part of all.  And of an effect of large evidence one form leaves so much that any other effect in its place looks
+    better than it alone: it is carried on with all its forms, or it would be laid aside before it has them.
+    """
+    effect = found.members[0].effect
+    if effect == UNKNOWN or found.log_bayes < (MEMBER_ALARM if effect in screen.repeatable else LARGE_EVIDENCE):
+        return
+    while _may_join(screen, found, effect):
+        member = screen.by_effect(found.members, lambda other: other == effect).get(effect)
+        if member is None or not _adds_a_form(found, member):
+            return
+        found = joined(screen, found, member)
+        yield found
+
+
+def _adds_a_form(found: EffectSet, member: Member) -> bool:
+    """Whether one more form of an effect of the set brings enough, and is not one that it has."""
+    return member.log_bayes >= MEMBER_ALARM and all(m.candidate != member.candidate for m in found.members)
+
+
+def _recomposed(screen: Screen, pair: EffectSet) -> EffectSet:
+    """The pair in other forms, where these together explain it better.
+
+    The form that suits the first effect alone may be a rich one that explains part of the second as well:
+    beside the second a leaner one may do.  So the first's form is chosen anew beside that of the second.
+    """
+    first, second = pair.members
+    kept = joined(screen, EffectSet((), 0.0), screen.as_first(second))
+    other = screen.by_effect(kept.members, lambda effect: effect == first.effect).get(first.effect)
+    if other is None:
+        return pair
+    found = joined(screen, kept, other)
+    return found if found.log_bayes > pair.log_bayes else pair
+
+
+def _each_earned(best: Mapping[frozenset, EffectSet]) -> list[EffectSet]:
+    """The sets; those are refused of which an effect brings less beside the others than a further effect must."""
+    result = []
+    for key, whole in best.items():
+        reason = whole.refused
+        for name in sorted(key):
+            less = best.get(key - {name})
+            if not reason and len(key) > 1 and less is not None and whole.log_bayes - less.log_bayes < MEMBER_ALARM:
+                reason = (f'{name}: brings {whole.log_bayes - less.log_bayes:.1f} in log evidence beside '
+                          f'{" and ".join(sorted(key - {name}))}; a further effect needs {MEMBER_ALARM:.0f}')
+        result.append(replace(whole, refused=reason))
+    return result
+
+
+def _best_compositions(sets: Iterable[EffectSet]) -> dict[frozenset, EffectSet]:
+    """One set of names counts once, in its best composition."""
+    best: dict[frozenset, EffectSet] = {}
+    for found in sets:
+        if found.key not in best or best[found.key].log_bayes < found.log_bayes:
+            best[found.key] = found
+    return best
+
+
+def _leading(sets: list[EffectSet], most: int) -> list[EffectSet]:
+    """The best sets, each set of names once: the further forms of one must not crowd out others."""
+    leading = sorted(_best_compositions(sets).values(), key=lambda s: -s.log_bayes)[:most]
+    behind = max(HOPELESS, BEHIND * leading[0].log_bayes) if leading else 0.0
+    return [s for s in leading if s.log_bayes > max(GAIN, leading[0].log_bayes - behind)]
+
+
+def _may_join(screen: Screen, found: EffectSet, effect: str) -> bool:
+    """Whether an effect may join a set, or add one more form to it: two time constants, a shape parameter
+    between two values of the list.  What only repeats (a slip) may do so more often."""
+    if UNKNOWN in found.names and effect != UNKNOWN:
+        return False  # names are sought first: what has none is what they leave
+    times = found.names.count(effect)
+    if not times:
+        return len(found.key) < LARGEST and len(found.members) <= MOST_FORMS
+    return times < (MOST_REPEATS if effect in {*screen.repeatable, UNKNOWN} else FORMS_OF_ONE)
+
+
+def log_prior(found: EffectSet, effects: int) -> float:
+    """Logarithm of the prior probability of a set among ``effects`` possible ones."""
+    number = len(found.key)
+    doubt = next((m.doubt for m in found.members if m.effect == UNKNOWN), 0.0)
+    ways = 1.0
+    for i in range(number):
+        ways *= (effects - i) / (i + 1)
+    return float(np.log(PRIOR_NUMBER[number]) - np.log(max(ways, 1.0)) - doubt)
+
+
+def probabilities(sets: Sequence[EffectSet], effects: int) -> tuple[Mapping[str, float], float, list[float]]:
+    """Probability of each effect, of nothing, and of each set; sets that may not be claimed have none."""
+    logs = np.array([s.log_bayes + log_prior(s, effects) for s in sets])
+    logs[[bool(s.refused) for s in sets]] = -np.inf
+    weights = np.exp(logs - logs.max())
+    weights /= weights.sum()
+    names: dict[str, float] = {}
+    for found, weight in zip(sets, weights, strict=True):
+        for name in found.key:
+            names[name] = names.get(name, 0.0) + float(weight)
+    nothing = float(sum(w for s, w in zip(sets, weights, strict=True) if not s.members))
+    return names, nothing, [float(w) for w in weights]

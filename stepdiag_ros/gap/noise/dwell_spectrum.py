@@ -1,0 +1,152 @@
+"""Unrest inside the dwells: a machine that shakes, air that boils, a detector into which the mains hum."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from stepdiag_ros.estimate.reduce import StopTable
+from stepdiag_ros.gap.constants import (
+    BACKGROUND_ALARM,
+    GROWS,
+    GROWTH_SIGMAS,
+    LEAST_GROWTH,
+    MISFIT,
+    STEADY_ALARM,
+    VIBRATION_ALARM,
+)
+from stepdiag_ros.gap.noise.coherent_lines import steady_lines
+from stepdiag_ros.gap.noise.incoherent_lines import Vibration, find_lines
+from stepdiag_ros.gap.preprocess.dwells import LEAST_DWELLS, Dwells, dwells_of
+from stepdiag_ros.model.log import CalibrationLog
+
+
+@dataclass(frozen=True)
+class Unrest:
+    """What the samples of the dwells show besides white noise.
+
+    ``displacement`` and ``spot``: lines of each, None where dwells are too short to tell; ``slow``: log
+    evidence for a smooth background in the displacement, ``slow_spot`` in the spot; ``growth``: exponent
+    with which the displacement's unrest grows with the path, and ``growth_sigma`` (infinite: not seen);
+    ``power`` (n,) [m²]: of that unrest at each stop, per e-fold of frequency; ``swings`` (n, 3) [m²]: what lines
+    that were seen add to displacement and spot in the dwells, beyond the noise on average.
+    """
+
+    displacement: Vibration | None
+    spot: Vibration | None
+    slow: float
+    slow_spot: float
+    growth: float
+    growth_sigma: float
+    power: np.ndarray
+    swings: np.ndarray
+
+    @property
+    def shakes(self) -> bool:
+        """Whether the tool point shakes: lines that no smooth spectrum explains, alike near and far."""
+        return _clear(self.displacement, self.slow) and not (self.boils or self.swells)
+
+    @property
+    def swells(self) -> bool:
+        """Whether lines of the displacement grow with the path, as those of air or of the laser do."""
+        return _clear(self.displacement, self.slow) and self.displacement.log_growth > GROWS and not self.boils
+
+    @property
+    def boils(self) -> bool:
+        """Whether slow noise grows with the path, as that of moving air does and shaking does not."""
+        return self.slow > BACKGROUND_ALARM and self.growth > LEAST_GROWTH \
+            and self.growth > GROWTH_SIGMAS * self.growth_sigma
+
+    @property
+    def hums(self) -> bool:
+        """Whether the spot alone swings: no motion that the displacement sees."""
+        return _clear(self.spot, self.slow_spot) and not self.shakes and not self.swells
+
+
+def unrest(log: CalibrationLog, table: StopTable, distance: np.ndarray) -> Unrest:
+    """What the samples inside the dwells show; ``distance`` (n,) [m] of the stops to the mirror."""
+    beams, *spots = dwells_by_channel(log, table)
+    found = [(None, 0.0) if dwells is None else _lines(dwells, table.run, distance) for dwells in (beams, *spots)]
+    growth, sigma, power = growth_with(beams, distance) if beams else (0.0, np.inf, np.zeros(len(table)))
+    swings = np.zeros((len(table), len(found)))
+    for channel, (dwells, (lines, slow)) in enumerate(zip((beams, *spots), found, strict=True)):
+        if _clear(lines, slow):
+            swings[dwells.rows, channel] = lines.by_dwell
+    (lines, slow), *others = found
+    spot, slow_spot = max(others, key=lambda s: _margin(*s))
+    return Unrest(lines, spot, slow, slow_spot, growth, sigma, power, swings)
+
+
+def dwells_by_channel(log: CalibrationLog, table: StopTable) -> list[Dwells | None]:
+    """The dwells' samples of displacement, spot x and spot y; None where they are too few or too short."""
+    kind = (table.setup * 256 + table.axis) * 3 + table.direction
+    return [dwells_of(values, samples.time_ns, rows, kind, table.dwell_ns)
+            for samples, rows, columns in ((log.displacement, table.displacement_rows,
+                                            [log.displacement.values.mean(axis=1)]),
+                                           (log.spot, table.spot_rows, log.spot.values.T)) for values in columns]
+
+
+def _lines(dwells: Dwells, run: np.ndarray, distance: np.ndarray) -> tuple[Vibration | None, float]:
+    """Lines in dwells, and the log evidence for a smooth background; ``run`` (stops,), ``distance`` (stops,) [m].
+
+    Where each dwell by itself shows none, those that keep their phase count, and so do those that grow with the
+    path: of which cause lines are, only they say.
+    """
+    lines, slow = find_lines(dwells)
+    steady = steady_lines(dwells, run[dwells.rows], distance[dwells.rows], STEADY_ALARM)
+    if _clear(steady, slow) and (not _clear(lines, slow) or steady.log_growth > GROWS):
+        return steady, slow
+    if _clear(steady, slow) and abs(steady.frequency - lines.frequency) < 1.0 / dwells.length:
+        lines = replace(lines, frequency=steady.frequency)  # of what a dwell tells to one over its length
+    return lines, slow
+
+
+def _clear(lines: Vibration | None, slow: float) -> bool:
+    return _margin(lines, slow) > 0.0
+
+
+def _margin(lines: Vibration | None, slow: float) -> float:
+    """Log evidence of lines above what is asked of them."""
+    if lines is None:
+        return -np.inf
+    if lines.steady:
+        return lines.log_bayes - STEADY_ALARM
+    # No smooth form holds to the last part: what it leaves of much noise is not yet a line.
+    return lines.log_bayes - VIBRATION_ALARM - MISFIT * slow
+
+
+def growth_with(dwells: Dwells, distance: np.ndarray) -> tuple[float, float, np.ndarray]:
+    """Exponent with which the dwells' unrest grows with ``distance`` (stops,), its σ, and the unrest's
+    power (stops,) per e-fold of frequency by that law.
+
+    The power of the slow half of the spectrum, above that of the fast half, is fitted as c dᵖ.  Of noise as 1/f the
+    k-th half wave has 1/k of what an e-fold has.
+    """
+    size = len(dwells.basis)
+    waves = np.arange(2, max(size // 4, 4))
+    slow = np.linalg.qr(dwells.basis.T @ np.cos(np.pi * np.outer(np.arange(size) + 0.5, waves) / size))[0]
+    power = np.sum((dwells.values @ slow) ** 2, axis=1)
+    rest = np.sum(dwells.values**2, axis=1) - power
+    white = np.median(rest) / max(dwells.basis.shape[1] - slow.shape[1], 1) * slow.shape[1]
+    far = distance[dwells.rows]
+    kept = np.isfinite(far) & (far > 0.0)
+    if kept.sum() < LEAST_DWELLS or np.ptp(np.log(far[kept])) < 0.3:
+        return 0.0, np.inf, np.zeros(len(distance))
+    order = np.argsort(far[kept])
+    place, excess = np.log(far[kept])[order], (power[kept] - white)[order]
+    parts = np.array_split(np.arange(len(order)), 6)
+    x = np.array([place[p].mean() for p in parts])
+    mean = np.array([excess[p].mean() for p in parts])
+    error = np.array([excess[p].std() / np.sqrt(len(p)) for p in parts])
+    if (mean > 0.0).sum() < 3 or mean.sum() < 6.0 * np.sqrt(np.sum(error**2)):
+        return 0.0, np.inf, np.zeros(len(distance))
+    mean = np.maximum(mean, error)
+    y, weight = np.log(mean), (mean / np.maximum(error, 1e-300)) ** 2
+    middle = float(np.sum(weight * x) / weight.sum())
+    x = x - middle
+    slope = float(np.sum(weight * x * y) / np.sum(weight * x * x))
+    level = float(np.sum(weight * y) / weight.sum())
+    misfit = y - level - slope * x
+    spread = max(float(np.sum(weight * misfit**2)) / (len(x) - 2), 1.0)
+    near = np.log(np.where(np.isfinite(distance) & (distance > 0.0), distance, np.exp(middle))) - middle
+    return slope, float(np.sqrt(spread / np.sum(weight * x * x))), \
+        np.exp(level + slope * near) / size / float(np.sum(1.0 / waves))

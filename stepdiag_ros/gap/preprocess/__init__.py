@@ -1,0 +1,1 @@
+"""A log made ready for inference: stamps put right, stops and dwells, the nominal fit."""

@@ -1,0 +1,52 @@
+"""What a cell file says that its log is to carry on: air, material of the scales, uncertainty budget."""
+
+from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.model.budget import Budget
+from stepdiag_ros.model.surroundings import LIMITS, QUANTITIES, UNSTATED_EXPANSION, AirValues, Expansion
+from stepdiag_ros.virtual.yamlreader import Reader
+
+BELIEVED = ('sigma', 'co2', 'wavelength')
+"""Keys of ``air`` that go into the log."""
+
+
+def believed_air(node: Reader | None) -> AirValues | None:
+    """Air as the log will state it: temperature, pressure and humidity only where ``sigma`` says how well they are
+    known; a virtual cell's weather alone is no knowledge."""
+    if node is None or node.is_null:
+        return None
+    keys = node.mapping()
+    said = {key: keys[key].number(minimum=LIMITS[key][0], maximum=LIMITS[key][1])
+            for key in ('co2', 'wavelength') if key in keys}
+    if 'sigma' in keys:
+        sigma = {key: child.number(minimum=0.0) for key, child in keys['sigma'].mapping(QUANTITIES).items()}
+        said |= {key: keys[key].number() for key in sigma if key in keys} | {'sigma': sigma}
+    return AirValues(**said) if said else None
+
+
+def scales(node: Reader | None) -> dict[str, Expansion]:
+    """``material.scales`` by axis letter."""
+    if node is None or node.is_null:
+        return {}
+    keys, found = node.mapping(('scales',)), {}
+    for axis, child in keys['scales'].mapping(('x', 'y', 'z')).items() if 'scales' in keys else ():
+        own = child.mapping(('expansion', 'sigma'))
+        if 'expansion' not in own:
+            raise child.fail("the key 'expansion' is missing; give the coefficient [1/K], e.g. 1.15e-5")
+        sigma = own['sigma'].number(minimum=0.0, unit='1/K') if 'sigma' in own else UNSTATED_EXPANSION
+        found[axis] = Expansion(own['expansion'].number(minimum=0.0, maximum=1e-3, unit='1/K'), sigma)
+    return found
+
+
+def budget(node: Reader | None) -> Budget | None:
+    """``budget``: the cell's own contributors, a list as in a budget file."""
+    if node is None or node.is_null:
+        return None
+    entries = node.items()
+    if not entries:
+        raise node.fail('is empty; list contributors or leave it away')
+
+    def wrong(number: int, key: str, text: str) -> StepdiagError:
+        entry = entries[number]
+        own = entry.mapping() if key != 'contributors' else {}
+        return own.get(key, entry).fail(text if key in own else f'{key}: {text}')
+    return Budget.from_list([entry.plain() for entry in entries], wrong, node.source)

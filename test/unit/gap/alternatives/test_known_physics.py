@@ -1,0 +1,165 @@
+"""What no effect of the vocabulary does is not given the name of one, and what one does keeps its name."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from stepdiag_ros.effects import effect_class
+from stepdiag_ros.effects.base import Effect
+from stepdiag_ros.effects.cyclic_nonlinearity import DECOYS, WAVELENGTHS
+from stepdiag_ros.gap.alternatives.known_physics import BEARINGS, beyond_families
+from stepdiag_ros.gap.alternatives.unmodelled import inconsistent_forms
+from stepdiag_ros.gap.constants import SCATTER_ALARM
+from stepdiag_ros.gap.summary.cross_validation import Closing, excess_forecast
+
+
+class Leak(Effect):
+    """The spot leaks into the length and saturates."""
+
+    name = 'leak'
+
+    def after_light(self, moment):
+        moment.length = moment.length + 4e-5 * np.tanh(moment.spot[:, :1] / 5e-4)
+
+
+class Twist(Effect):
+    """The head turns with the direction of Z."""
+
+    name = 'twist'
+
+    def before_pose(self, moment):
+        moment.turn = moment.turn + 4e-6 * moment.approach[:, [2]] * np.array([1.0, 0.5, 0.0])
+
+
+class Bow(Effect):
+    """Y's guideway bends into an S in the course of the log."""
+
+    name = 'bow'
+
+    def before_pose(self, moment):
+        place = moment.commanded[:, 1] / 0.4
+        size = 6e-6 * (1.0 - np.exp(-moment.seconds / 400.0)) * np.sin(2.0 * np.pi * place)
+        moment.shift = moment.shift + size[:, None] * np.eye(3)[2]
+
+
+@pytest.mark.parametrize(('kind', 'words'), [(Leak, 'follows the spot'), (Twist, 'turned by the direction of Z'),
+                                             (Bow, 'changes its shape')])
+def test_physics_of_no_name_is_not_named(case, kind, words):
+    found = case.diagnose(kind())
+    assert not found.effects, [(e.name, e.probability) for e in found.effects]
+    assert found.verdict == 'unexplained'
+    assert words in found.leftover
+
+
+def test_a_fringe_keeps_its_name(case):
+    given = effect_class('cyclic_nonlinearity')(amp=1.2e-7, amp2=0.0, phase=0.4, wavelength=1.53e-6)
+    found = case.diagnose(given)
+    assert [e.name for e in found.effects] == ['cyclic_nonlinearity']
+    assert found.verdict == 'explained'
+
+
+def test_what_lives_in_one_group_cannot_differ_between_groups(case):
+    view = case.observe().view
+    slip = effect_class('count_slip')().appearance(view)[0]
+    assert not list(inconsistent_forms(view, [slip]))
+    everywhere = effect_class('psd_rotation')().appearance(view)[0]
+    assert {'setup', 'repeat'} <= {form.label.split()[-1] for form in inconsistent_forms(view, [everywhere])}
+
+
+def test_a_bad_forecast_is_seen_beyond_its_scatter():
+    def gain(ratio, count=530):
+        return excess_forecast(Closing(ratio, ratio, count, 530.0, 'repeat 1', 0.0, 0.0, 0.0))[0]
+    assert gain(0.8) == 0.0
+    assert gain(1.0 + 3.0 * np.sqrt(2.0 / 530)) < SCATTER_ALARM < gain(1.8)
+    assert gain(1.6, 20) < SCATTER_ALARM
+
+
+def test_decoys_are_of_no_laser():
+    """Neither a wavelength nor its half or double: those a real swing shows at too."""
+    for wavelength in WAVELENGTHS:
+        for factor in (0.5, 1.0, 2.0):
+            assert min(abs(d / (factor * wavelength) - 1.0) for d in DECOYS) > 0.02
+
+
+def test_columns_fit_their_log(case):
+    view = case.observe().view
+    for family, forms in beyond_families(view).items():
+        for form in forms:
+            assert form.columns.shape[1:] == view.reading.shape, family
+            assert np.all(np.isfinite(form.columns)) and np.any(form.columns), form.label
+
+
+def test_a_leak_between_two_bearings_is_followed(case):
+    """The net of bearings is coarse; half a mesh away hardly anything of a leak must be left."""
+    view = case.observe().view
+    across = np.stack([np.linspace(-8e-4, 8e-4, len(view.time)), 4e-4 * np.sin(np.arange(len(view.time)))], axis=1)
+    reading = view.model.copy()
+    reading[:, view.beams:] = across
+    angle = 0.5 * np.pi / BEARINGS
+    leak = np.tanh(across @ (np.cos(angle), np.sin(angle)) / 1e-3)
+    left = []
+    for form in beyond_families(replace(view, model=reading))['leak']:
+        columns = form.columns[:, :, 0].T
+        left.append(np.linalg.norm(leak - columns @ np.linalg.lstsq(columns, leak, rcond=None)[0]))
+    assert min(left) < 0.01 * np.linalg.norm(leak)
+
+
+class Shear(Effect):
+    """The detector's axes are not square to each other."""
+
+    name = 'shear'
+
+    def after_light(self, moment):
+        moment.spot = moment.spot + 0.03 * moment.spot[:, ::-1]
+
+
+class HalfPlane(Effect):
+    """The detector's gain along x is another on one side of its middle."""
+
+    name = 'half_plane'
+
+    def after_light(self, moment):
+        x = moment.spot[:, 0]
+        moment.spot = np.column_stack([np.where(x > 0.0, 1.05 * x, x), moment.spot[:, 1]])
+
+
+class CutBeam(Effect):
+    """Towards one end of Z's travel the mirror's edge cuts the beam: light is lost, and the spot's middle moves."""
+
+    name = 'cut_beam'
+
+    def after_light(self, moment):
+        cut = 0.3 * np.clip(moment.commanded[:, 2] / 0.3 - 0.5, 0.0, None) ** 2
+        moment.intensity = moment.intensity * (1.0 - cut)
+        moment.spot = moment.spot + cut[:, None] * np.array([3e-4, -1e-4])
+
+
+@pytest.mark.parametrize(('kind', 'words'), [(Shear, 'not square'), (HalfPlane, 'one side'), (CutBeam, 'follow the')])
+def test_a_detector_that_no_effect_describes_is_not_named(case, kind, words):
+    found = case.diagnose(kind())
+    assert not [e.name for e in found.effects if e.probability > 0.85], [(e.name, e.probability) for e in found.effects]
+    assert words in found.leftover or found.verdict != 'explained'
+
+
+def test_a_standoff_off_is_what_a_fit_of_the_wrong_description_leaves(case):
+    """The form against the difference of two worlds, one with another standoff: an independent way to its column."""
+    import yaml
+
+    from stepdiag_ros.virtual.cell import parse_cell
+    from stepdiag_ros.virtual.offline import simulate_log
+    quiet = case.text.replace('noise: {displacement: 5.0e-9, spot: 2.0e-7, position_repeatability: 3.0e-7, '
+                              'angle_repeatability: 2.0e-7}',
+                              'noise: {displacement: 0.0, spot: 0.0, position_repeatability: 0.0, '
+                              'angle_repeatability: 0.0}')
+    body = yaml.safe_load(quiet)
+    body['setups']['npp']['standoff'] += 1e-3
+    here, there = (simulate_log(parse_cell(text)) for text in (quiet, yaml.safe_dump(body, sort_keys=False)))
+    from stepdiag_ros.gap.preprocess.observe import observe
+    view = observe(here).view
+    moved = observe(there).view.reading - view.reading
+    forms = {f.label: f for f in beyond_families(view)['standoff']}
+    form = forms['the description: the standoff of npp is off']
+    mine = view.setup == view.setup_names.index('npp')
+    expected = form.columns[0][mine][:, -2:] * 1e-3
+    np.testing.assert_allclose(moved[mine][:, -2:], expected, atol=0.02 * np.abs(expected).max())

@@ -1,0 +1,87 @@
+"""The 21 errors beside the effects: averaged over forms, with what forms leave uncertain."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from stepdiag_ros.effects import effect_class
+from stepdiag_ros.estimate.evaluate import solution_of
+from stepdiag_ros.estimate.standing import with_standing
+from stepdiag_ros.gap.alternatives.unmodelled import NAME as UNKNOWN
+from stepdiag_ros.gap.inference.averaged import WITHIN, averaged_solution, compositions
+from stepdiag_ros.gap.inference.candidates import Candidate, Screen
+from stepdiag_ros.model.machine import CURVES
+
+
+@pytest.fixture(scope='module')
+def found(case):
+    return case.diagnose(effect_class('backlash')(B=[4e-6, 0.0, 3e-6]))
+
+
+def test_without_an_effect_the_errors_are_those_of_the_fit(case):
+    null = case.diagnose()
+    fit, table = null.joint.fit, null.joint.observation.table
+    plain = with_standing(solution_of(fit, table), fit, table)
+    assert np.array_equal(null.solution.value, plain.value)
+    assert np.array_equal(null.solution.covariance, plain.covariance)
+
+
+def test_the_form_that_was_chosen_is_among_the_compositions(found):
+    chosen = {m.candidate for m in found.raw[0].members}
+    assert any({m.candidate for m in c.members} == chosen for c in compositions(found.screen, found.raw[0]))
+
+
+def test_a_form_that_explains_part_of_two_effects_does_not_drive_out_the_set(case):
+    """Forms are exchanged beside the others, not gathered from none: alone a free course may explain more."""
+    both = case.diagnose(effect_class('non_rigid_coupling')(motion='EYY', by='Z', amp=8e-5),
+                         effect_class('backlash')(B=[1e-6, 1e-6, 2e-6]))
+    assert {m.effect for m in both.raw[0].members} == {'non_rigid_coupling', 'backlash'}
+    found = compositions(both.screen, both.raw[0])
+    assert {m.candidate for m in both.raw[0].members} in [{m.candidate for m in c.members} for c in found]
+    assert all(c.log_bayes > both.raw[0].log_bayes - WITHIN for c in found)
+
+
+def test_what_has_no_name_is_weighed_against_the_names_that_may_stand_for_it(found):
+    best, screen = found.raw[0], found.screen
+    member = best.members[0]
+    same = screen.candidates[member.candidate]
+    screen = screen.extended([replace(same, effect=UNKNOWN, family='like it')])
+    nameless = replace(member, effect=UNKNOWN, candidate=len(screen.candidates) - 1, doubt=0.0)
+    names = {m.effect for c in compositions(screen, replace(best, members=(nameless,))) for m in c.members}
+    assert names == {UNKNOWN, member.effect}
+
+
+def test_beside_a_motion_that_bends_others_may_bend_unseen(case):
+    """A coupling that a log sees says that there may be others, as large, that it does not see."""
+    bent = case.diagnose(effect_class('non_rigid_coupling')(motion='EZX', by='Y', amp=1.5e-5))
+    (active,) = bent.joint.active
+    assert active.effect.name == 'non_rigid_coupling' and active.form.beside is not None
+    alone = replace(bent.joint, active=(replace(active, form=replace(active.form, beside=None)),))
+    rigid = [replace(c, form=replace(c.form, beside=None)) for c in bent.screen.candidates]
+    bare = Screen(bent.screen.parity, rigid, bent.screen.noise_dof, bent.screen.repeatable, bent.screen.in_dwells)
+    more, less = bent.solution.sigma, averaged_solution(alone, bare, bent.raw[0]).sigma
+    assert np.linalg.norm(more) > np.linalg.norm(less) and np.any(more > 1.5 * less)
+
+
+def test_a_form_that_the_log_cannot_tell_from_the_chosen_one_counts(found):
+    """The same form, but for something that the fit would take for an error of the machine."""
+    joint, (active,) = found.joint, found.joint.active
+    place = joint.fit.parameters.slice('EAX').start
+    absorbed = joint.fit.jacobian.toarray()[:, place].reshape(active.form.columns.shape[1:])
+    much = 1e-5 / np.abs(active.coefficients).max()
+    other = replace(active.form, label='other', columns=active.form.columns + much * absorbed)
+    alone = averaged_solution(joint, found.screen, found.raw[0])
+    both = averaged_solution(joint, found.screen.extended([Candidate(active.effect.name, '', other)]), found.raw[0])
+    row = both.names.index(('EAX', 1))
+    gap = abs(both.value[row] - alone.value[row])
+    assert 'EAX' in CURVES and gap > 1e-6
+    assert both.sigma[row] > 0.5 * gap > 5.0 * alone.sigma[row]
+
+
+def test_of_a_correction_the_share_stays_uncertain_that_the_log_would_let_pass(found):
+    """A hundredfold gap leaves a form less room to be wrong unseen."""
+    large = found.solution
+    true_fit = solution_of(found.joint.fit, found.joint.observation.table)
+    assert np.all(large.sigma >= 0.999 * true_fit.sigma)
+    assert large.sigma.max() < 0.5 * np.abs(large.value).max()

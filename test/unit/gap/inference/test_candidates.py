@@ -1,0 +1,79 @@
+"""What columns made of readings owe to the readings' noise, against the same worked out whole."""
+
+import numpy as np
+import pytest
+
+from stepdiag_ros.effects.base import Form
+from stepdiag_ros.gap.inference.candidates import Candidate, Member, Screen
+from stepdiag_ros.gap.inference.evidence import SIZES, log_mean
+from stepdiag_ros.gap.inference.parity import Parity
+
+N = 60
+
+
+class White:
+    """Readings that are white as they come."""
+
+    rows, factor = np.arange(N), np.eye(N)
+
+    def __call__(self, flat: np.ndarray) -> np.ndarray:
+        return flat
+
+
+@pytest.fixture
+def forms() -> list[Form]:
+    """Two forms made of readings and one that is not."""
+    rng = np.random.default_rng(5)
+
+    def form(label: str, count: int, owes: bool) -> Form:
+        slopes = np.zeros((count, N, 3))
+        slopes.reshape(count, -1)[:, :N] = rng.normal(size=(count, N))
+        return Form(label, rng.normal(size=(count, N, 1)), tuple('abc'[:count]), np.array([0.5, 0.2, 0.3])[:count],
+                    by_reading=slopes if owes else None)
+
+    return [form('one', 2, True), form('two', 3, True), form('plain', 2, False)]
+
+
+def _screen(forms: list[Form], data: np.ndarray, noise_dof: float) -> Screen:
+    nothing = np.zeros((1, 1))
+    space = Parity(data, N, (N, 0), np.zeros(N, int), np.arange(N), 1.0, [White()], np.zeros((N, 1)), nothing, nothing,
+                   np.zeros((N, 1, 3)))
+    return Screen(space, [Candidate(form.label, '', form) for form in forms], noise_dof)
+
+
+def _parts(screen: Screen, forms: list[Form], sizes: list[np.ndarray]) -> tuple[float, float, float, np.ndarray]:
+    """Log determinant, what is left of the data with the price of the coefficients, what is left of what is owed, and
+    the share of the data's rows that is taken."""
+    space = screen.parity
+    seen = [np.concatenate([space.project(form), space.own_rows(form) if form.by_reading is not None
+                            else np.zeros((len(space.own_data), len(form.columns)))]) for form in forms]
+    z, data = np.concatenate([np.zeros((len(screen.data), 0)), *seen], axis=1), screen.data
+    size = np.concatenate([np.zeros(0), *sizes])
+    normal = z.T @ z + np.diag(size**-2.0)
+    a = np.linalg.solve(normal, z.T @ data)
+    left = data - z @ a
+    taken = z @ np.linalg.solve(normal, z.T)
+    return (float(np.linalg.slogdet(np.diag(size) @ normal @ np.diag(size))[1]),
+            float(left[:N] @ left[:N] + np.sum((a / size)**2)), float(left[N:] @ left[N:]), np.diag(taken)[:N])
+
+
+@pytest.mark.parametrize('noise_dof', [0.0, 40.0, 1e9])
+@pytest.mark.parametrize('given', [(), (0,), (2,), (0, 2)])
+def test_evidence_is_that_worked_out_whole(forms, noise_dof, given):
+    """In sizes small enough that no direction of the set is left out, whatever is known of the noise."""
+    rng = np.random.default_rng(6)
+    data = np.tensordot([0.8, -0.6], forms[0].columns[:, :, 0], axes=1) + rng.normal(size=N)
+    screen = _screen(forms, data, noise_dof)
+    members = [Member(forms[i].label, i, 0.0, 2.0) for i in given]
+    judged = screen.judge_all(members, range(3))
+    held = [np.full(len(forms[i].columns), 2.0) for i in given]
+    before = _parts(screen, [forms[i] for i in given], held)
+    dof = N - float(np.sum(before[3]))
+    for number in range(3):
+        logs = []
+        for size in SIZES:
+            after = _parts(screen, [forms[i] for i in (*given, number)],
+                           [*held, np.full(len(forms[number].columns), size)])
+            logs.append(-0.5 * (after[0] - before[0]) + 0.5 * (before[2] - after[2])
+                        - 0.5 * (dof + noise_dof) * np.log1p((after[1] - before[1]) / (noise_dof + before[1])))
+        assert judged[number].log_bayes == pytest.approx(log_mean(logs), abs=2e-3)

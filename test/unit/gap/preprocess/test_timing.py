@@ -1,0 +1,133 @@
+"""What single samples show of clocks that disagree, and readings in steps."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from stepdiag_ros.estimate.reduce import reduce_log
+from stepdiag_ros.gap.preprocess.clocks import late_clocks
+from stepdiag_ros.gap.preprocess.timing import _rest, apart, step_noise, steps, timing
+from stepdiag_ros.model.log import Samples
+
+
+def _seen(log):
+    table = reduce_log(log)
+    return timing(log.displacement, table, table.displacement, table.displacement_rows)
+
+
+def _stamped(samples, offset_s, drift_s=0.0):
+    """Samples whose stamps are late by an offset that grows by a drift in the course of the log."""
+    place = (samples.time_ns - samples.time_ns[0]) / np.ptp(samples.time_ns)
+    late = np.rint(1e9 * (offset_s + drift_s * place)).astype(np.int64)
+    return replace(samples, time_ns=samples.time_ns + late)
+
+
+def _clocks(log):
+    table = reduce_log(log)
+    return {'interferometer': timing(log.displacement, table, table.displacement, table.displacement_rows),
+            'psd': timing(log.spot, table, table.spot, table.spot_rows)}, apart(log, table)
+
+
+def test_a_quiet_log_shows_nothing(case):
+    clock = _seen(case.log())
+    # The control reports in position only after the axis has settled: the middle is seen early, never before
+    # the command.
+    assert abs(clock.offset) < 0.05 and clock.before == 0.0 and clock.after == 0.0
+    assert clock.sooner == 0.0 and abs(clock.drift) < 5.0 * clock.drift_sigma
+    assert late_clocks(*_clocks(case.log())) == {}
+
+
+def test_both_sensors_early_show_motion_before_the_command(case):
+    log = case.log()
+    early = replace(log, displacement=_stamped(log.displacement, -0.03),
+                    spot=_stamped(log.spot, -0.03))
+    seen = late_clocks(*_clocks(early))
+    assert seen['interferometer'].offset == pytest.approx(-0.03, abs=8e-3)
+
+
+def test_a_clock_that_runs_wrong_shows_although_late_alone_would_not(case):
+    log = case.log()
+    late = replace(log, displacement=_stamped(log.displacement, 0.01),
+                   spot=_stamped(log.spot, 0.01))
+    assert late_clocks(*_clocks(late)) == {}  # a control that begins late looks the same
+    wrong = replace(log, displacement=_stamped(log.displacement, 0.01, 2e-3),
+                    spot=_stamped(log.spot, 0.01, 2e-3))
+    assert late_clocks(*_clocks(wrong))['interferometer'].drift == pytest.approx(2e-3, rel=0.3)
+
+
+def test_the_sensor_that_is_off_is_named(case):
+    log = case.log()
+    for sensor, channel in (('interferometer', 'displacement'), ('psd', 'spot')):
+        late = replace(log, **{channel: _stamped(getattr(log, channel), 0.06)})
+        seen = late_clocks(*_clocks(late))
+        assert list(seen) == [sensor]
+        assert seen[sensor].offset == pytest.approx(0.06, abs=0.01)
+
+
+def test_moves_to_and_fro_tell_a_delay_from_a_bend(case):
+    """Spots with noise of a micrometre tell a delay of 5 ms to a tenth of it, all moves together."""
+    log = case.log()
+    noise = 1e-6 * np.random.default_rng(4).standard_normal(log.spot.values.shape)
+    spot = replace(_stamped(log.spot, -5e-3), values=log.spot.values + noise)
+    delay, sigma = apart(replace(log, spot=spot), reduce_log(log))
+    assert abs(delay + 5e-3) < 4.0 * sigma
+    assert sigma < 5e-4
+
+
+def test_moves_of_which_none_stands_out_tell_a_delay_together(case):
+    """A spot whose noise is a tenth to a half of its moves."""
+    log = case.log()
+    table = reduce_log(log)
+    rng, step = np.random.default_rng(4), float(np.nanmedian(np.abs(np.diff(table.spot, axis=0))))
+    for delay in (0.0, 0.04):
+        noise = 0.3 * step * rng.standard_normal(log.spot.values.shape)
+        loud = replace(log, spot=replace(_stamped(log.spot, delay), values=log.spot.values + noise))
+        seen, sigma = apart(loud, reduce_log(loud))
+        assert abs(seen - delay) < 4.0 * sigma
+        assert sigma < 6e-3
+
+
+@pytest.mark.parametrize('offset', [-0.08, 0.05])
+def test_stamps_that_are_off_are_measured(case, offset):
+    log = case.log()
+    late = replace(log.displacement, time_ns=log.displacement.time_ns + round(offset * 1e9))
+    clock, plain = _seen(replace(log, displacement=late)), _seen(log)
+    assert clock.offset - plain.offset == pytest.approx(offset, abs=3e-3)
+
+
+def test_readings_in_steps(case):
+    log = case.log()
+    table = reduce_log(log)
+    assert np.all(steps(log.spot, table.spot_rows) == 0.0)
+    coarse = replace(log.spot, values=np.round(log.spot.values / 2e-6) * 2e-6)
+    table = reduce_log(replace(log, spot=coarse))
+    assert steps(coarse, table.spot_rows) == pytest.approx([2e-6, 2e-6], rel=1e-6)
+
+
+def test_a_reading_in_coarse_steps_is_known_no_better_than_the_step(case):
+    log = case.log()
+    table = reduce_log(log)
+    width = 20.0 * log.description.noise.spot
+    coarse = replace(log.spot, values=np.rint(log.spot.values / width) * width)
+    found = steps(coarse, table.spot_rows)
+    assert found == pytest.approx(width, rel=1e-6)
+    _, noise = _rest(coarse, table, found, 5, 0)
+    assert noise > width / 4.0
+
+
+@pytest.mark.parametrize('sigma', [0.0, 0.1, 0.25])
+def test_what_is_rounded_off_by_drawing(sigma):
+    """Means of 400 samples at 4000 levels, rounded to steps of 2 µm, with noise of so many steps."""
+    rng, width = np.random.default_rng(3), 2e-6
+    level = 1e-4 * rng.random(4000)
+    samples = level[:, None] + sigma * width * rng.standard_normal((4000, 400))
+    rounded = width * np.rint(samples / width)
+    off = rounded.mean(axis=1) - samples.mean(axis=1)
+    white = np.mean(rounded.var(axis=1) + samples.var(axis=1)) / 400  # what averages out is counted elsewhere
+    rows = 400 * np.arange(4000)[:, None] + [0, 400]
+    flat, ones = rounded.reshape(-1, 1), np.ones(rounded.size)
+    log = Samples(np.arange(rounded.size), flat, ones, ones, ('ppp',), np.zeros(rounded.size, int), ones)
+    found = step_noise(log, rows, np.array([width]))[0]
+    assert found == pytest.approx(float(np.mean(off**2)), rel=0.1, abs=1.2 * white)
+    assert sigma or found == pytest.approx(width**2 / 12.0, rel=0.05)
