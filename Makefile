@@ -4,7 +4,8 @@
 VENV ?= .venv
 WORKERS ?= 2
 BIN := $(VENV)/bin
-SETUP = python=$$(PYTHON="$(PYTHON)" sh tools/find_python.sh) && "$$python" tools/setup_env.py --venv "$(VENV)"
+HASHES ?=
+SETUP = python=$$(PYTHON="$(PYTHON)" sh tools/find_python.sh) && "$$python" tools/setup_env.py --venv "$(VENV)" $(if $(HASHES),--hashes)
 
 .PHONY: setup setup-tests demo test test-floor lint bench blind fuzz linuxcnc-test browser-test ros-workspace sbom lock clean
 
@@ -48,6 +49,13 @@ blind: setup
 TIME ?= 600
 fuzz: setup-tests
 	nice -n 10 $(BIN)/python test/fuzz/fuzz.py --seconds $(TIME)
+
+# A bill of materials of the environment (CycloneDX), and the hashes of all that is installed.
+sbom: setup
+	@$(BIN)/python tools/supply.py sbom
+
+lock: setup
+	@$(BIN)/python tools/supply.py lock
 
 # Both packages side by side in a ROS workspace, for colcon, rosdep and bloom: WS=/path/to/ws [COPY=1].
 ros-workspace:

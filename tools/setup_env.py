@@ -91,8 +91,9 @@ def check_machine() -> None:
 class Environment:
     """The virtual environment at `place`."""
 
-    def __init__(self, place: Path) -> None:
+    def __init__(self, place: Path, hashes: bool = False) -> None:
         self.place = place
+        self.hashes = hashes
         self.python = place / 'bin' / 'python'
         self.stamps = place / '.stamps'
 
@@ -117,8 +118,12 @@ class Environment:
         run([sys.executable, '-m', 'venv', str(self.place)], 'making the virtual environment')
 
     def install(self, names: Iterable[str]) -> None:
-        """The pinned packages of some requirement files."""
+        """The pinned packages of some requirement files; with hashes all of them, and nothing that has another."""
         command = [str(self.python), '-m', 'pip', 'install', '--disable-pip-version-check', '--no-input']
+        if self.hashes:
+            command += ['--require-hashes', '--no-deps', '-r', str(REQUIREMENTS / 'locked.txt')]
+            run(command, 'installing the locked packages')
+            return
         command += ['-c', str(REQUIREMENTS / 'constraints.txt')]
         for name in names:
             command += ['-r', str(REQUIREMENTS / f'{name}.txt')]
@@ -187,7 +192,7 @@ class Environment:
         done = self.stage('venv', venv_key, f'Python {platform.python_version()} in {self.place}', self.create)
 
         files = {name: REQUIREMENTS / f'{name}.txt' for name in ('build', 'run', 'test', 'constraints')}
-        run_key = digest([files['build'], files['run'], files['constraints']], venv_key)
+        run_key = digest([files['build'], files['run'], files['constraints']], venv_key, str(self.hashes))
         done |= self.stage(
             'pip', run_key, 'installing the pinned packages', lambda: self.install(('build', 'run'))
         )
@@ -218,6 +223,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description='Make the environment of stepdiag_ros.')
     parser.add_argument('--venv', type=Path, default=ROOT / '.venv', help='where (default: .venv)')
     parser.add_argument('--tests', action='store_true', help='with what the tests need')
+    parser.add_argument('--hashes', action='store_true', help='only files with the hashes of requirements/locked.txt')
     parser.add_argument('--floor', action='store_true', help='with the oldest versions that work')
     arguments = parser.parse_args()
 
@@ -228,7 +234,7 @@ def main() -> int:
     place.parent.mkdir(parents=True, exist_ok=True)
     with open(place.with_name(place.name + '.lock'), 'w') as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        if Environment(place).make(arguments.tests, arguments.floor):
+        if Environment(place, arguments.hashes).make(arguments.tests, arguments.floor):
             print(f'setup: done; {place / "bin" / "stepdiag"} is ready')
     return 0
 

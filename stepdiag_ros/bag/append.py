@@ -10,14 +10,13 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
-import yaml
-
 from stepdiag_ros.bag.recover import recover
 from stepdiag_ros.bag.scan import MAGIC
 from stepdiag_ros.bag.source import open_bag
 from stepdiag_ros.bag.tables import collect
 from stepdiag_ros.bag.writer import BagWriter, Earlier, EarlierTopic
 from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.guard import strict_yaml
 
 
 @dataclass(frozen=True)
@@ -52,7 +51,7 @@ def go_on(path: Path, compression: str = 'zstd') -> Continued:
         for name, table in tables.topics.items():
             before = topics.get(name)
             topics[name] = EarlierTopic(
-                table.type, yaml.safe_load(table.metadata.get('offered_qos_profiles', '') or '[]') or [],
+                table.type, strict_yaml.load(table.metadata.get('offered_qos_profiles', '') or '[]', table.topic) or [],
                 table.metadata.get('topic_type_hash', ''), table.count + (before.count if before else 0))
     number = 1 + max((int(f.stem.rsplit('_', 1)[-1]) for f in files if f.stem.rsplit('_', 1)[-1].isdigit()), default=0)
     writer = BagWriter(path, compression=compression, earlier=Earlier(number, tuple(spans), topics))

@@ -191,7 +191,8 @@ def build(table: Table, letter: str, name: str, cadence_s: float, notes: list[st
     description = Description(
         Machine(stem, 'FXYZ', (length, length, length), (0.0, 0.0, 0.0)),
         Plan(len(grid) - 1, 'XYZ', repeats),
-        {setup: Setup(setup, 0.0, (0.0, 0.0), ((0.0, 0.0),), length, len(grid))}, noise, table.time is not None)
+        {setup: Setup(setup, 0.0, (0.0, 0.0), ((0.0, 0.0),), length, len(grid))}, noise,
+        timed=table.time is not None)
     notes.append(f'the CSV says nothing of the machine: volume {length * 1e3:.6g} mm in each axis, '
                  'tool and standoff 0')
     commanded = np.zeros((len(index), 3))

@@ -12,7 +12,6 @@ like and which files it would write, and writes nothing before you agree (or --y
 """
 
 import argparse
-import json
 import os
 import sys
 import time
@@ -23,6 +22,9 @@ from typing import TYPE_CHECKING, Any
 
 from stepdiag_ros.cli.progress import Bar
 from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.guard import limits, strict_yaml
+from stepdiag_ros.guard.files import read_text
+from stepdiag_ros.guard.jsontext import to_json
 
 if TYPE_CHECKING:
     from stepdiag_ros.improve.levels import Change
@@ -129,8 +131,8 @@ def _improve(loop: _Loop, cell: Any, folder: Path) -> int:
     found = outcome(wanted, first, present.volume, evaluate(under), under)
     document = {'level': args.level, 'configuration': str(folder), 'backup': str(kept),
                 'seconds': round(time.monotonic() - began, 1), **found.to_json_dict()}
-    (loop.out / 'improve.json').write_text(json.dumps(document, indent=1) + '\n', encoding='utf-8')
-    print(json.dumps(document, indent=1) if args.json else _result(found, args, loop.out))
+    (loop.out / 'improve.json').write_text(to_json(document) + '\n', encoding='utf-8')
+    print(to_json(document) if args.json else _result(found, args, loop.out))
     return 0 if found.as_predicted and found.better else 1
 
 
@@ -165,7 +167,7 @@ def _calibrated(loop: _Loop, cell_file: Path, name: str) -> Any:
 def _fresh_noise(path: Path, cell: Any, out: Path) -> Path:
     """The same virtual machine on another day: what is drawn as its errors stays, noise is drawn anew."""
     import yaml
-    text = yaml.safe_load(path.read_text(encoding='utf-8'))
+    text = strict_yaml.load(read_text(path, limits.YAML_BYTES, 'cell file'), str(path))
     for key in ('geometry', 'misalignments'):
         text[key] = {'seed': cell.seed, **(text.get(key) or {})}
     text['seed'] = cell.seed + 1

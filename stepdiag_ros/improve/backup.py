@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.guard.jsontext import to_json
 from stepdiag_ros.linuxcnc.configuration import FOLDER
 
 BACKUPS = Path(FOLDER) / 'backup'
@@ -32,8 +33,7 @@ def keep(folder: Path, names: Iterable[str]) -> Path:
                 absent.append(name)
         target.mkdir(parents=True, exist_ok=True)
         # The note comes last: a copy without it is not whole and does not count.
-        noted = json.dumps({'there': there, 'absent': absent}, indent=1) + '\n'
-        (target / MANIFEST).write_text(noted, encoding='utf-8')
+        (target / MANIFEST).write_text(to_json({'there': there, 'absent': absent}) + '\n', encoding='utf-8')
     except OSError as error:
         raise StepdiagError(f'{target}: cannot be written: {error.strerror or error}') from None
     return target

@@ -108,7 +108,7 @@ class StepdiagNode(LifecycleNode):
     def __init__(self, name: str, **kwargs):
         super().__init__(name, **kwargs)
         self.state = 'unconfigured'
-        self._fault = ''
+        self._fault, self._own_start = '', False
         autostart = self.text('autostart', False, 'configure and activate without being asked')
         self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
         self._diagnostics_timer = self.every(1.0, self.publish_diagnostics)
@@ -222,9 +222,12 @@ class StepdiagNode(LifecycleNode):
 
     def _start_by_itself(self) -> None:
         if self.state == 'unconfigured':
+            self._own_start = True
             self.trigger_configure()
-        if self.state == 'inactive':
+        if self.state == 'inactive' and self._own_start:
             self.trigger_activate()
+        elif self.state == 'inactive':
+            self._autostart_timer.cancel()   # somebody else has taken over and knows what he waits for
         if self.state == 'active':
             self._autostart_timer.cancel()
 

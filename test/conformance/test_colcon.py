@@ -82,7 +82,8 @@ def test_ros_s_crawlers_find_both_packages_in_a_workspace(tmp_path: Path, option
     assert {package.name for package in find_packages(str(ROOT)).values()} == {'stepdiag_ros'}
     source = laid_out(tmp_path / 'ws', *options)
     assert {package.name for package in find_packages(str(source)).values()} == {'stepdiag_ros', 'stepdiag_msgs'}
-    assert laid_out(tmp_path / 'ws') == source or options   # again does no harm
+    if not options:
+        assert laid_out(tmp_path / 'ws') == source   # again does no harm
 
 
 def test_a_checkout_that_stands_in_the_workspace_is_not_laid_there_twice(tmp_path: Path) -> None:
