@@ -6,7 +6,7 @@ WORKERS ?= 2
 BIN := $(VENV)/bin
 SETUP = python=$$(PYTHON="$(PYTHON)" sh tools/find_python.sh) && "$$python" tools/setup_env.py --venv "$(VENV)"
 
-.PHONY: setup setup-tests demo test test-floor lint bench blind linuxcnc-test browser-test clean
+.PHONY: setup setup-tests demo test test-floor lint bench blind fuzz linuxcnc-test browser-test ros-workspace sbom lock clean
 
 setup:
 	@$(SETUP)
@@ -32,6 +32,7 @@ test-floor:
 lint: setup-tests
 	$(BIN)/ruff check .
 	$(BIN)/lint-imports
+	$(BIN)/mypy
 
 bench: setup-tests
 	@for bench in bench/bench_*.py; do echo "== $$bench"; $(BIN)/python $$bench || exit 1; done
@@ -43,6 +44,16 @@ blind: setup
 	$(BIN)/stepdiag blind answer build/blind-$(SEED)
 	$(BIN)/stepdiag blind open --floor --apart --settle build/blind-$(SEED)
 
+# Hostile inputs, drawn for TIME seconds; what is found stands in build/fuzz.
+TIME ?= 600
+fuzz: setup-tests
+	nice -n 10 $(BIN)/python test/fuzz/fuzz.py --seconds $(TIME)
+
+# Both packages side by side in a ROS workspace, for colcon, rosdep and bloom: WS=/path/to/ws [COPY=1].
+ros-workspace:
+	@test -n "$(WS)" || { echo "ros-workspace: name the workspace: make ros-workspace WS=/path/to/ws" >&2; exit 2; }
+	@python3 tools/ros_workspace.py $(if $(COPY),--copy) "$(WS)"
+
 # The optional parts.  What they need besides: sudo apt-get install linuxcnc-uspace / chromium
 linuxcnc-test: setup-tests
 	$(BIN)/python -m pytest -rs -m linuxcnc $(ARGS)
@@ -51,6 +62,6 @@ browser-test: setup-tests
 	$(BIN)/python -m pytest -rs -m browser $(ARGS)
 
 clean:
-	rm -rf "$(VENV)" "$(VENV).lock" build install log .pytest_cache .ruff_cache .import_linter_cache
+	rm -rf "$(VENV)" "$(VENV).lock" build install log .pytest_cache .ruff_cache .mypy_cache .import_linter_cache
 	find . -name __pycache__ -prune -exec rm -rf {} +
 	rm -rf *.egg-info

@@ -26,12 +26,10 @@ REQUIRES = (
     'numpy>=1.26.4,<3',
     'scipy>=1.11.4,<2',
     'PyYAML>=6.0.1,<7',
-    'matplotlib>=3.6.3,<4',
     'mcap>=1.5.0,<2',
-    'zstandard>=0.22.0,<1',
-    'lz4>=4.0.2,<5',
-    'pymodbus>=3.6.3,<3.17',
 )
+EXTRAS = {'pictures': ['matplotlib>=3.6.3,<4'], 'compression': ['zstandard>=0.22.0,<1', 'lz4>=4.0.2,<5'],
+          'instruments': ['pymodbus>=3.6.3,<3.17']}
 
 manifest = ElementTree.parse(Path(__file__).with_name('package.xml')).getroot()
 
@@ -43,9 +41,12 @@ setup(
     maintainer=manifest.findtext('maintainer'),
     maintainer_email=manifest.find('maintainer').get('email'),
     packages=find_packages(include=[NAME, f'{NAME}.*']),
-    package_data={NAME: [f'**/*.{kind}' for kind in ('yaml', 'html', 'css', 'js', 'svg', 'xml', 'c', 'h', 'hal')]},
+    package_data={NAME: ['py.typed', *(f'**/*.{kind}' for kind in ('yaml', 'html', 'css', 'js', 'svg', 'xml', 'c', 'h',
+                                                                   'hal'))]},
     python_requires='>=3.11',
-    install_requires=['setuptools', *REQUIRES],
+    # ROS 2 itself and stepdiag_msgs come with colcon or by `make setup`; reading and evaluating needs neither.
+    install_requires=list(REQUIRES),
+    extras_require=EXTRAS | {'all': sorted({name for names in EXTRAS.values() for name in names})},
     zip_safe=False,
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
@@ -56,7 +57,7 @@ setup(
     entry_points={
         'console_scripts': [
             f'stepdiag = {NAME}.cli.main:main',
-            *(f'{node} = {NAME}.nodes.{node}:main' for node in NODES),
+            *(f'{node} = {NAME}.start:{node}' for node in NODES),
         ],
     },
 )

@@ -172,8 +172,8 @@ def _assemble(table: TopicTable, parts: list[_Part], setup_names: tuple[str, ...
         for rows, at in _runs(starts[begin:begin + len(part.stamp)], count):
             _put(time, at, part.stamp[rows, None] + (offset if len(offset) == 1 else offset[rows]))
             _put(health, at, part.health[rows])
-            for number, column in enumerate(part.columns):
-                _put(values[:, number], at, column[rows])
+            for beam, column in enumerate(part.columns):
+                _put(values[:, beam], at, column[rows])
             values[at, beams:] = np.nan
         begin += len(part.stamp)
     index = np.repeat(np.concatenate([p.index for p, _ in kept])[order], sizes[order])

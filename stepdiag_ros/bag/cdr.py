@@ -70,7 +70,7 @@ def _decode_rows(matrix: np.ndarray, rows: np.ndarray, fields: tuple[Field, ...]
     """Walk the fields for ``rows``; a stack holds the groups still to be finished."""
     length = matrix.shape[1]
     whole = len(rows) == len(matrix)
-    stack = [(rows, ENCAPSULATION, 0, {})]
+    stack: list[tuple[np.ndarray, int, int, dict[str, np.ndarray]]] = [(rows, ENCAPSULATION, 0, {})]
     while stack:
         rows, position, start, values = stack.pop()
         body = matrix if whole and len(rows) == len(matrix) else matrix[rows]

@@ -1,5 +1,6 @@
 """Is the log whole?  Lost messages, stops planned and seen, dwells and their samples."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -91,7 +92,7 @@ def samples_in_dwells(steps: StepEvents, samples: Samples) -> np.ndarray:
                      for a, b, s in zip(begin, end, setup, strict=True)], np.int64)
 
 
-def listed(numbers: tuple[int, ...] | list[int], most: int = 6) -> str:
+def listed(numbers: Sequence[object], most: int = 6) -> str:
     """``1, 2, 3`` with the tail cut."""
     shown = ', '.join(str(n) for n in numbers[:most])
     return shown + (f' and {len(numbers) - most} more' if len(numbers) > most else '')
@@ -130,7 +131,7 @@ def stop_warnings(description: Description, steps: StepEvents, displacement: Sam
             empty = int((counts == 0).sum())
             if empty:
                 spans = dwell_spans(steps)[counts == 0, 0]
-                where = [f'{steps.run_ids[steps.run[e]]} stop {steps.index[e]}' for e in spans]
+                places = [f'{steps.run_ids[steps.run[e]]} stop {steps.index[e]}' for e in spans]
                 warnings.append(f'{empty} of {len(counts)} dwells hold no {label} sample: '
-                                f'{listed(where, 3)}')
+                                f'{listed(places, 3)}')
     return warnings

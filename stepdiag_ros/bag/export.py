@@ -117,7 +117,7 @@ def _uniform(time: np.ndarray, begin: int, end: int, most: int | None) -> Iterat
             steps = np.diff(time[begin:stop])
             stop = begin + 1 + int(np.argmax(steps != steps[0])) if steps[0] > 0 else begin + 1
             period = _period(time[begin:stop])
-        yield begin, stop, period
+        yield begin, stop, 1.0 if period is None else period
         begin = stop
 
 

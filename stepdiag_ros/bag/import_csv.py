@@ -63,8 +63,8 @@ def import_csv(path: str | Path, axis: str | None = None, cadence_s: float = CAD
     table = read_table(path)
     notes: list[str] = []
     letter = _axis(path, axis, notes)
-    if not cadence_s > 0:
-        raise StepdiagError(f'--cadence is {cadence_s:g} s; give a number above 0')
+    if not 0.0 < cadence_s <= limits.LOG_S:
+        raise StepdiagError(f'--cadence is {cadence_s:g} s; give a number above 0 and of at most {limits.LOG_S:g}')
     return build(table, letter, path.name, cadence_s, notes)
 
 
@@ -91,6 +91,11 @@ def read_table(path: Path) -> Table:
         raise StepdiagError(f'{path}: has {len(rows)} measurement(s); at least 2 are needed')
     data = np.array(rows)
     pick = {kind: data[:, index] * scale for kind, (index, scale) in columns.items()}
+    for kind, most, unit in (('target', limits.LENGTH_M, 'm'), ('measured', limits.LENGTH_M, 'm'),
+                             ('deviation', limits.LENGTH_M, 'm'), ('time', limits.LOG_S, 's')):
+        if kind in pick and not np.abs(pick[kind]).max() <= most:
+            worst = lines[1 + int(np.abs(pick[kind]).argmax())][0]
+            raise StepdiagError(f'{path}: line {worst}: {kind} is beyond {most:g} {unit}; check its unit')
     index, scale = columns['measured' if 'measured' in columns else 'deviation']
     digits = max((len(c.split('.')[1]) if '.' in c else 0 for c in
                   (next(csv.reader([line], delimiter=delimiter))[index].strip().lower().split('e')[0]
@@ -98,8 +103,8 @@ def read_table(path: Path) -> Table:
     measured = pick['measured'] if 'measured' in pick else pick['target'] + pick['deviation']
     direction = pick.get('direction')
     if direction is not None and not np.isin(direction, (-1, 1)).all():
-        line = lines[1 + int(np.flatnonzero(~np.isin(direction, (-1, 1)))[0])][0]
-        raise StepdiagError(f'{path}: line {line}: direction must be +1 or -1')
+        worst = lines[1 + int(np.flatnonzero(~np.isin(direction, (-1, 1)))[0])][0]
+        raise StepdiagError(f'{path}: line {worst}: direction must be +1 or -1')
     return Table(pick['target'], measured, pick.get('cycle'), direction, pick.get('time'),
                  scale * 10.0 ** -digits)
 
@@ -186,7 +191,7 @@ def build(table: Table, letter: str, name: str, cadence_s: float, notes: list[st
     description = Description(
         Machine(stem, 'FXYZ', (length, length, length), (0.0, 0.0, 0.0)),
         Plan(len(grid) - 1, 'XYZ', repeats),
-        {setup: Setup(setup, 0.0, (0.0, 0.0), ((0.0, 0.0),), length, len(grid))}, noise)
+        {setup: Setup(setup, 0.0, (0.0, 0.0), ((0.0, 0.0),), length, len(grid))}, noise, table.time is not None)
     notes.append(f'the CSV says nothing of the machine: volume {length * 1e3:.6g} mm in each axis, '
                  'tool and standoff 0')
     commanded = np.zeros((len(index), 3))

@@ -1,5 +1,7 @@
 """QoS profiles as rosbag2 stores them (metadata version 9: names, not numbers)."""
 
+from typing import Any
+
 import yaml
 
 from stepdiag_ros.errors import StepdiagError
@@ -33,7 +35,10 @@ def parse_qos(text: str, topic: str) -> list[dict]:
     return profiles
 
 
-class PlainDumper(getattr(yaml, 'CSafeDumper', yaml.SafeDumper)):
+_Dumper: Any = getattr(yaml, 'CSafeDumper', yaml.SafeDumper)
+
+
+class PlainDumper(_Dumper):
     """YAML without anchors (yaml-cpp reads them, people do not), by libyaml where it is there."""
 
     def ignore_aliases(self, data):

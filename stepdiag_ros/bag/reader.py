@@ -103,26 +103,30 @@ def build_log(source: BagSource, tables: Tables, namespace: str | None = None,
         warnings.append('the file carries no CRCs: a changed byte in it would not be noticed')
     if description is None:
         description = _description(source.path, name, mine[DESCRIPTION])
+    tables_of: dict[str, TopicTable] = {}
     for relative in (STEP, DISPLACEMENT):
-        if mine[relative] is None or not mine[relative].count:
+        table = mine[relative]
+        if table is None or not table.count:
             raise StepdiagError(f'{source.path}: topic {name}/{relative} '
                                 f'({TOPICS[relative]}) is missing or has no message; '
                                 'without it nothing can be evaluated')
+        tables_of[relative] = table
     setup_names = tuple(description.setups)
-    steps, notes = _steps(mine[STEP], setup_names)
+    steps, notes = _steps(tables_of[STEP], setup_names)
     warnings += notes
-    displacement, notes = displacement_samples(mine[DISPLACEMENT], setup_names, mine[DISPLACEMENT_TIMING])
+    displacement, notes = displacement_samples(tables_of[DISPLACEMENT], setup_names, mine[DISPLACEMENT_TIMING])
     warnings += notes
     for found, relative in ((steps, STEP), (displacement, DISPLACEMENT)):
         if not len(found):
             raise StepdiagError(f'{source.path}: topic {name}/{relative} holds nothing that can be '
                                 f'used: {notes_of(warnings, relative)}')
     spot = Samples.empty(2)
-    if mine[SPOT] is None or not mine[SPOT].count:
+    spots = mine[SPOT]
+    if spots is None or not spots.count:
         warnings.append(f'{name}/{SPOT} is missing: no angle is measured, '
                         'the evaluation rests on distances alone')
     else:
-        spot, notes = spot_samples(mine[SPOT], setup_names, mine[SPOT_TIMING])
+        spot, notes = spot_samples(spots, setup_names, mine[SPOT_TIMING])
         warnings += notes
     environment: dict[str, ScalarSeries] = {}
     for relative, table in mine.items():
@@ -131,8 +135,7 @@ def build_log(source: BagSource, tables: Tables, namespace: str | None = None,
             environment |= series
             warnings += notes
     for table in mine.values():
-        lost = lost_messages(table) if table is not None else None
-        if lost:
+        if table is not None and (lost := lost_messages(table)):
             warnings.append(f'{table.topic}: {lost} message(s) were lost before the recorder '
                             '(gaps in the sequence numbers)')
     warnings += stop_warnings(description, steps, displacement, spot)
@@ -245,11 +248,10 @@ def _steps(table: TopicTable, setup_names: tuple[str, ...]) -> tuple[StepEvents,
     present = [int(k) for k in np.argsort(first, kind='stable') if first[k] < len(run)]
     renumber = np.full(len(run_names), -1, np.intp)
     renumber[present] = np.arange(len(present))
+    numbers = {key: columns[key][good].astype(np.int64) for key in ('repeat', 'direction', 'index', 'axis', 'phase')}
     events = StepEvents(
-        stamp[good], tuple(run_names[k] for k in present), renumber[run][good], setup_names,
-        setup[good], *(columns[key][good].astype(np.int64)
-                       for key in ('repeat', 'direction', 'index', 'axis')),
-        commanded[good], columns['phase'][good].astype(np.int64))
+        time_ns=stamp[good], run_ids=tuple(run_names[k] for k in present), run=renumber[run][good],
+        setup_names=setup_names, setup=setup[good], commanded=commanded[good], **numbers)
     if len(np.unique(np.stack([events.run, events.setup, events.repeat, events.direction]), axis=1).T) > limits.RUNS:
         raise StepdiagError(f'{table.topic}: holds more than {limits.RUNS} traverses; no calibration has so many')
     far = ~(np.abs(events.commanded) <= limits.LENGTH_M)

@@ -69,9 +69,10 @@ def gather(buffer: np.ndarray, offsets: np.ndarray, length: int) -> np.ndarray:
 
 
 class Room:
-    """How much the files of a bag, of ``size`` bytes together, may still unpack to."""
+    """How much the files of a bag, of ``size`` bytes together, may still unpack to; -1: it is not known yet."""
 
     def __init__(self, size: int):
+        self.size = size
         self.most = self.left = limits.unpacked_most(size)
 
     def take(self, size: int) -> bool:
@@ -106,7 +107,7 @@ class McapFile:
     complete: bool = False
     checked: bool = True
     lost: Counter = field(default_factory=Counter)
-    room: 'Room | None' = None
+    room: 'Room' = field(default_factory=lambda: Room(-1))
     _described: int = 0
     _guarded: bool = False
 
@@ -115,7 +116,7 @@ class McapFile:
         try:
             with open_regular(self.path) as stream:
                 size = os.fstat(stream.fileno()).st_size
-                if self.room is None:
+                if self.room.size < 0:
                     self.room = Room(size)
                 yield from self._read(stream, size)
         except OSError as error:
@@ -368,9 +369,9 @@ class McapFile:
     def _small(self, opcode: int, body: bytes, begin: int) -> None:
         """Records that describe; indexes and what we do not know are passed over."""
         self._described += 1
-        if self._described > limits.DESCRIBING_RECORDS:
+        if self._described > limits.DESCRIBING_RECORDS or len(self.channels) > limits.CHANNELS:
             raise StepdiagError(f'{self.path}: holds more than {limits.DESCRIBING_RECORDS} records that are no '
-                                'messages: no recorder writes so')
+                                f'messages, or more than {limits.CHANNELS} channels: no recorder writes so')
         try:
             stream = _stream(body)
             if opcode == Opcode.SCHEMA:
@@ -444,6 +445,7 @@ def _join(messages: list[bytes]) -> Segment:
 
 def _decompress(name: str, data: memoryview, size: int) -> bytes | memoryview:
     """Bytes of a chunk; ``ValueError`` says what is wrong."""
+    result: bytes | memoryview
     if name == '':
         result = data
     elif name == 'zstd':

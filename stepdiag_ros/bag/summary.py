@@ -53,8 +53,8 @@ def _topic(tables: Tables, name: str) -> dict[str, Any]:
 
 
 def _machine(source, tables: Tables, name: str) -> dict[str, Any]:
-    there = {split_topic(t)[1] for t in tables.topics
-             if split_topic(t) is not None and split_topic(t)[0] == name and tables.topics[t].count}
+    there = {split[1] for t, table in tables.topics.items()
+             if (split := split_topic(t)) is not None and split[0] == name and table.count}
     absent = [topic for topic in TOPICS if topic not in there and topic != CLOCK_STEP]
     result: dict[str, Any] = {'namespace': name, 'absent_topics': absent}
     try:

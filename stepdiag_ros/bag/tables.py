@@ -142,10 +142,10 @@ class _Batch:
             table.count += len(mine)
             table.log_times.append(log_time[mine].astype(np.int64))
             table.sequences.append(sequence[mine].copy())
-            fields = self._layout(int(channel), table)
-            if fields is None:
+            fields, split = self._layout(int(channel), table), split_topic(table.topic)
+            if fields is None or split is None:
                 continue
-            names = frozenset(WANTED[TOPICS[split_topic(table.topic)[1]]])
+            names = frozenset(WANTED[TOPICS[split[1]]])
             lengths = segment.lengths[mine]
             for length, which in alike(lengths):
                 rows = mine[which]

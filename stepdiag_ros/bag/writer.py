@@ -118,6 +118,11 @@ class BagWriter:
         self.close()
 
     @property
+    def number(self) -> int:
+        """Number of the file in the bag, from 0."""
+        return self._earlier.number
+
+    @property
     def counts(self) -> dict[str, int]:
         """Messages written so far by topic."""
         with self._lock:

@@ -69,6 +69,8 @@ def run(args: argparse.Namespace) -> int:
         if document is not None:
             print(summary(document))
             print(f'details: stepdiag evaluate {recorded}')
+    if outcome.how == 'succeeded' and document is not None and document['status'] != 'ok':
+        return 1
     return {'succeeded': 0, 'canceled': 130}.get(outcome.how, 1)
 
 
@@ -117,6 +119,7 @@ def summary(document: dict[str, Any]) -> str:
     lines = [f'status {document["status"]}, reduced chi2 {document["reduced_chi2"]:.3g} '
              f'with {document["dof"]} degrees of freedom',
              f'{"":6}{"range":>10}{"± (k=2)":>10}']
+    lines[1:1] = [f'not sane: {finding["found"]}: {finding["change"]}' for finding in document.get('sanity', ())]
     for name, error in document['errors'].items():
         unit = 'µm' if name[1] in 'XYZ' and name[2] in 'XYZ' else 'µrad'
         if isinstance(error['value'], list):

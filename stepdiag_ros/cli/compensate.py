@@ -19,11 +19,12 @@ from pathlib import Path
 import numpy as np
 
 from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.guard import limits
+from stepdiag_ros.guard.files import read_text
 from stepdiag_ros.guard.jsontext import to_json
 
 NAME = 'compensate'
 HELP = 'compensation tables for a control'
-K = 2.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -37,6 +38,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--line', metavar='X,Y,Z', help='machine coordinates [m] through which the lines go along '
                                                         'which tables of single axes are right (default: middle)')
     parser.add_argument('--workpiece', metavar='X,Y,Z', help="the same, named by where the tool's tip works")
+    parser.add_argument('--volume', action='store_true', help='tables of single axes that serve the whole volume best '
+                                                              'instead of a line')
     parser.add_argument('--present', metavar='FILE', type=Path, nargs='+', default=[],
                         help='what the control holds now, files or folders; the sum is written')
     parser.add_argument('--partial', action='store_true', help='leave out what the log leaves open')
@@ -47,30 +50,30 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     from stepdiag_ros.bag.reader import read_log
-    from stepdiag_ros.compensate.compensation import compensation
+    from stepdiag_ros.cli.known import known_errors
+    from stepdiag_ros.compensate.compensation import compensation, place_of
     from stepdiag_ros.compensate.controls import CONTROLS
     from stepdiag_ros.compensate.document import NAME as PREDICTION
     from stepdiag_ros.compensate.document import document
     from stepdiag_ros.compensate.metres import not_metres
-    from stepdiag_ros.estimate import evaluate
     from stepdiag_ros.report.compensation_figure import draw_compensation
     from stepdiag_ros.report.compensation_words import readme, summary
 
     origin, tool, line, workpiece = (vector(text, f'--{name}') for name, text in (
         ('origin', args.origin), ('tool', args.tool), ('line', args.line), ('workpiece', args.workpiece)))
+    if args.volume and (line is not None or workpiece is not None):
+        raise StepdiagError('--volume serves no line; leave --line and --workpiece away')
     if line is not None and workpiece is not None:
         raise StepdiagError('--line and --workpiece both name the lines; give one of them')
-    present = _present(args.present, args.out)
-    _must_be_ours(args.out, PREDICTION)
+    present = _present(args.present)
+    _must_be_new(args.out)
     log = read_log(args.bag, args.namespace)
     machine = log.description.machine
-    if origin is None and machine.origin is not None:
-        origin = np.array(machine.origin)
+    origin = place_of(machine, origin).origin
     point = _point(machine, origin, tool, line, workpiece)
-    solution = evaluate(log)
-    reversal, notes = _reversal(log, args.bag)
-    found = compensation(solution, machine, CONTROLS[args.format], origin, point, present, args.partial, args.exact,
-                         not_metres(solution, log), reversal)
+    known = known_errors(log, args.bag)
+    found = compensation(known.solution, machine, CONTROLS[args.format], origin, point, present, args.partial,
+                         args.exact, not_metres(known.solution, log), args.volume, known.reversal)
     if args.json:
         print(to_json(document(found, args.bag)))
     elif found.refusals:
@@ -91,7 +94,7 @@ def run(args: argparse.Namespace) -> int:
         for file in (*found.files, 'prediction.png', PREDICTION, 'README.txt'):
             print(args.out / file)
         print(f'the way back: {args.out / "before"}')
-        for note in notes:
+        for note in known.notes:
             print(f'note: {note}')
     return 0
 
@@ -115,55 +118,27 @@ def _point(machine, origin, tool, line, workpiece):
 
     if tool is None and line is None and workpiece is None:
         return None
-    if origin is None and (line is not None or workpiece is not None):
-        raise StepdiagError('--line and --workpiece are machine coordinates, and where the volume lies in them is not '
-                            'known; give --origin X,Y,Z too')
     return functional_point(machine, tool, None if line is None else line - origin,
                             None if workpiece is None else workpiece - origin)
 
 
-def _present(paths: list[Path], out: Path) -> dict[str, str]:
+def _present(paths: list[Path]) -> dict[str, str]:
     """Texts of what the control holds, by name; folders give all their files."""
     files: dict[str, str] = {}
     found = [file for path in paths for file in
              (sorted(p for p in path.iterdir() if p.is_file()) if path.is_dir() else [path])]
     for path in found:
-        if out.exists() and path.resolve().parent == out.resolve():
-            raise StepdiagError(f'--present {path} lies in --out {out} and would be overwritten; name another folder')
         if path.name in ('prediction.json', 'prediction.png', 'README.txt'):
             continue
         if path.name in files:
             raise StepdiagError(f'--present: two files are called {path.name}; give those that the control holds')
-        try:
-            files[path.name] = path.read_text(encoding='utf-8')
-        except (OSError, UnicodeDecodeError) as error:
-            reason = error.strerror if isinstance(error, OSError) else 'it is not UTF-8 text'
-            raise StepdiagError(f'--present {path}: cannot be read: {reason}') from None
+        files[path.name] = read_text(path, limits.TEXT_BYTES, 'table that the control holds (--present)')
     return files
 
 
-def _must_be_ours(out: Path, prediction: str) -> None:
-    """A folder with something else in it is left alone."""
+def _must_be_new(out: Path) -> None:
+    """A folder with something in it is left alone: tables of another day beside these would be loaded with them."""
     if out.is_file():
         raise StepdiagError(f'{out}: is a file; name a folder with --out')
-    if out.is_dir() and any(out.iterdir()) and not (out / prediction).is_file():
+    if out.is_dir() and any(out.iterdir()):
         raise StepdiagError(f'{out}: holds other files; name a new folder with --out, so that nothing is overwritten')
-
-
-def _reversal(log, bag: str) -> tuple[dict[str, tuple[float, float]], list[str]]:
-    """Lost motion of each axis with U [m] as the diagnosis finds it, and what else it finds, in words."""
-    from stepdiag_ros.effects import all_effects
-    from stepdiag_ros.gap.diagnose import diagnose
-
-    diagnosis = diagnose(log, [kind() for kind in all_effects([]).values()])
-    reversal: dict[str, tuple[float, float]] = {}
-    others = [found.name for found in diagnosis.effects if found.name != 'backlash']
-    for found in diagnosis.effects:
-        if found.name == 'backlash':
-            reversal = {axis: (found.parameters[axis], K * found.sigma[axis]) for axis in 'XYZ'
-                        if axis in found.parameters}
-    notes = []
-    if others or diagnosis.leftover:
-        what = ', '.join(others) or 'something that no known cause explains'
-        notes.append(f'the log shows {what}: read `stepdiag gap {bag}` before you load these')
-    return reversal, notes

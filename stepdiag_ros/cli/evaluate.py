@@ -6,15 +6,22 @@ holds enough for.
   stepdiag evaluate bags/demo
   stepdiag evaluate log.mcap --json > errors.json
   stepdiag evaluate bags/demo --method step_diagonal
+
+Ends with status 1 where the answer is not ok: the log shows a mistake of commissioning, the residuals are larger
+than noise, or nothing checks the model.  The answer is printed all the same, with the reason.
 """
 
 import argparse
+
+import numpy as np
 
 from stepdiag_ros.bag.reader import read_log
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate.gauge import STRAIGHTNESS
 from stepdiag_ros.estimate.methods import METHODS, run_method
 from stepdiag_ros.estimate.solution import Solution
+from stepdiag_ros.estimate.status import OK
+from stepdiag_ros.estimate.traceability import WORDS
 from stepdiag_ros.guard.jsontext import to_json
 from stepdiag_ros.model.machine import CURVES, SQUARENESS
 
@@ -53,19 +60,31 @@ def run(args: argparse.Namespace) -> int:
                   else f'{bag}: {result.text()}')
     if failed:
         raise StepdiagError('; '.join(failed))
-    return 0
+    return 0 if all(getattr(result, 'status', OK) == OK for result in answers.values()) else 1
+
+
+def tied_lines(solution: Solution) -> list[str]:
+    """How the result is tied to the metre and to 20 °C, a line each; none where that was not looked at."""
+    tied = solution.traceability
+    if tied is None:
+        return []
+    return [f'lengths: {WORDS[tied.air]}; U of the unit of length {2e6 * tied.index_sigma:.2g} µm/m (k=2)',
+            f'positioning errors: {tied.temperature_words}',
+            f'uncertainty: {"the budget of the cell" if tied.budget == "cell" else "the standard budget"}']
 
 
 def text(bag: str, solution: Solution) -> str:
     """The answer for people: each curve's range and uncertainty, squareness, what is not known."""
     lines = [f'{bag}: {solution.method}, {solution.status}']
+    lines += [f'Not sane: {finding}.' for finding in solution.sanity]
     if solution.reduced_chi2 is not None:
         lines.append(f'reduced χ² {solution.reduced_chi2:.3f} with {solution.dof} degrees of freedom')
     if solution.noise:
         lines.append('noise from {source}: position {p:.3f} µm, angle {a:.3f} µrad (1σ an arrival)'.format(
             source=solution.noise['source'], p=1e6 * solution.noise['position_repeatability_m'],
             a=1e6 * solution.noise['angle_repeatability_rad']))
-    lines += ['', f'{"error":6} {"least":>9} {"greatest":>9} {"U (k=2)":>9}']
+    lines += tied_lines(solution)
+    lines += ['', f'{"error":6} {"least":>9} {"greatest":>9} {"U (k=2)":>9} {"repeats":>9}']
     blind = {entry.names[0] for entry in solution.unidentifiable if len(entry.names) == 1}
     unseen = [name for name in CURVES + SQUARENESS
               if name in blind or name not in STRAIGHTNESS and f'{name} slope' in blind]
@@ -74,11 +93,18 @@ def text(bag: str, solution: Solution) -> str:
             _, value, sigma = solution.curve(name)
             unit = 'µm' if name[1] in 'XYZ' else 'µrad'
             lines.append(f'{name:6} {1e6 * value.min():9.3f} {1e6 * value.max():9.3f} '
-                         f'{2e6 * sigma.max():9.3f} {unit}')
+                         f'{2e6 * sigma.max():9.3f} {2e6 * solution.curve_repeatability(name).max():9.3f} {unit}')
     for name in SQUARENESS:
         if solution.has(name) and name not in unseen:
             value, sigma = solution.squareness(name)
-            lines.append(f'{name:6} {1e6 * value:9.3f} {"":9} {2e6 * sigma:9.3f} µrad')
+            lines.append(f'{name:6} {1e6 * value:9.3f} {"":9} {2e6 * sigma:9.3f} '
+                         f'{2e6 * solution.curve_repeatability(name)[0]:9.3f} µrad')
+    if solution.traceability is not None:
+        lines += ['', 'U: whole budget; repeats: what repeats, or the noise that the cell declares, give of it; both '
+                  'k = 2.']
+        shown = {name: values for name, values in solution.traceability.correction_m.items() if np.any(values)}
+        lines += [f'Referred to 20 °C: {name} corrected by {1e6 * values[-1]:+.3f} µm at its end.'
+                  for name, values in shown.items()]
     if solution.gauge:
         lines += ['', f'Counted as: {solution.gauge}.']
     if unseen:
@@ -91,6 +117,6 @@ def text(bag: str, solution: Solution) -> str:
         lines += ['', 'Not to be told from this log:']
         lines += [f'  {"; ".join(names)}: {why}' for why, names in reasons.items()]
     lines += [f'warning: {warning}' for warning in solution.warnings]
-    if solution.method == 'enhanced' and (solution.reduced_chi2 or 0.0) > FAR_FROM_MODEL:
+    if solution.method == 'enhanced' and not solution.sanity and (solution.reduced_chi2 or 0.0) > FAR_FROM_MODEL:
         lines.append(f'The rigid-body model does not describe this log: stepdiag gap {bag} says why.')
     return '\n'.join(lines)

@@ -2,7 +2,8 @@
 
 Diagnoses each bag and writes DIR/<bag name>/gap.json and index.html, a page that says what is
 wrong with the machine.  Several bags are done one after the other, or --jobs at a time; one that
-cannot be read costs one line and status 2, the others are still done.
+cannot be read costs one line and status 2, the others are still done.  A log that shows a mistake of commissioning
+(a sign, a unit, exchanged axes) is not diagnosed: the answer names the mistake.
 
   stepdiag gap bags/demo
   stepdiag gap logs/* --out diagnoses --jobs 2
@@ -37,7 +38,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--out', metavar='DIR', type=Path, default=Path('gap'),
                         help='folder for the answers and pages (default: ./gap)')
     parser.add_argument('--effect', metavar='FILE.py', action='append', default=[],
-                        help='file with an effect of your own; may be given several times')
+                        help='Python file with an effect of your own; it is run, so give only files that you '
+                             'trust; may be given several times')
     parser.add_argument('--further', metavar='BAG', action='append', default=[],
                         help='what was measured on the same machine afterwards, as the page recommends: '
                              'diagnosed as one log (one bag only; may be given several times)')
@@ -158,7 +160,9 @@ def _diagnose_bag(job: Job) -> Outcome:
     from stepdiag_ros.report.gap_page import gap_page
     from stepdiag_ros.report.gap_words import summary
     from stepdiag_ros.report.series import replayed
+    from stepdiag_ros.virtual.acting import allow_effect_files
 
+    allow_effect_files(job.effects)
     logs, known = [], ()
     for bag in (job.bag, *job.further):
         log = read_log(bag, job.namespace)
@@ -167,6 +171,9 @@ def _diagnose_bag(job: Job) -> Outcome:
             log, known = without_known(log, job.cell, logs[0] if logs else None)
         logs.append(log)
     log = reduce(joined, logs)
+    insane = _insane(job, log)
+    if insane is not None:
+        return insane
     diagnosis = diagnose(log, [kind() for kind in all_effects(job.effects).values()])
     notes: tuple[str, ...] = known
     again = None
@@ -175,17 +182,44 @@ def _diagnose_bag(job: Job) -> Outcome:
         notes += (f'cell written to {job.adopt}', *adopted.notes)
         again = replayed(diagnosis, adopted.made, adopted.left)
     document = diagnosis.to_json_dict()
-    try:
-        job.out.mkdir(parents=True, exist_ok=True)
-        (job.out / 'gap.json').write_text(to_json(document), encoding='utf-8')
-        (job.out / 'index.html').write_text(gap_page(diagnosis, job.name, notes, again), encoding='utf-8')
-    except OSError as error:
-        raise StepdiagError(f'{job.out}: cannot be written: {error.strerror or error}; '
-                            'name another folder with --out') from None
+    _write(job, document, gap_page(diagnosis, job.name, notes, again))
     text = summary(diagnosis, job.name, notes) + f'\n  page: {job.out / "index.html"}'
     if job.explain:
         text += f'\n\n{table(diagnosis.weighed)}'
     return Outcome(job.name, document, text)
+
+
+def _insane(job: Job, log) -> Outcome | None:
+    """What there is to say of a log that shows a mistake of commissioning, in place of a diagnosis; None of others."""
+    from html import escape
+
+    from stepdiag_ros.estimate.metres import in_metres
+    from stepdiag_ros.estimate.sanity_fit import check
+    from stepdiag_ros.report.page import page
+
+    found = check(log.description, in_metres(log).table)
+    if not found:
+        return None
+    document = {'verdict': 'unexplained', 'gap': None, 'where': [], 'effects': [], 'indistinguishable': [],
+                'next_measurement': None, 'sanity': [finding.to_json_dict() for finding in found]}
+    title = f'{job.name}: the log is not sane'
+    body = f'<h1>{escape(title)}</h1><p>Nothing is diagnosed before this is put right.</p><ul>'
+    body += ''.join(f'<li>{escape(str(finding))}.</li>' for finding in found) + '</ul>'
+    _write(job, document, page(title, body))
+    text = '\n'.join([f'{title}; nothing is diagnosed before this is put right', *(f'  {f}' for f in found),
+                      f'  page: {job.out / "index.html"}'])
+    return Outcome(job.name, document, text)
+
+
+def _write(job: Job, document: dict, whole_page: str) -> None:
+    """gap.json and the page of one bag."""
+    try:
+        job.out.mkdir(parents=True, exist_ok=True)
+        (job.out / 'gap.json').write_text(to_json(document), encoding='utf-8')
+        (job.out / 'index.html').write_text(whole_page, encoding='utf-8')
+    except OSError as error:
+        raise StepdiagError(f'{job.out}: cannot be written: {error.strerror or error}; '
+                            'name another folder with --out') from None
 
 
 def _adopt(job: Job, diagnosis):

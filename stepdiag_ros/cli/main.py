@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import TextIO, cast
 
 from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.guard.missing import missing
 from stepdiag_ros.guard.show import SafeStream
 
 #: Command, its module, and what the general help says of it, in the order of the help.
@@ -33,18 +34,16 @@ COMMANDS: tuple[tuple[str, str, str], ...] = (
     ('gap', 'gap', 'where log and simulator disagree, why, and how far it closes'),
     ('blind', 'blind', 'seal, answer and open the blind check of the diagnosis'),
     ('report', 'report', 'figures, sheets and pages of an evaluation'),
-    ('compensate', 'compensate', 'compensation tables for a control'),
+    ('compensate', 'compensate', 'compensation tables for a control that cannot harm'),
+    ('verify', 'verify', 'decide by a log before and one after whether a machine conforms'),
+    ('improve', 'improve', 'calibrate, compensate LinuxCNC, calibrate again, and say what it brought'),
+    ('linuxcnc', 'linuxcnc', 'install the components for LinuxCNC, add the watchdog to a configuration'),
     ('replay', 'replay', "send a log through the solver node's own function, or onto topics"),
     ('info', 'info', 'what a bag holds and what is missing'),
     ('recover', 'recover', 'mend a torn bag and say what is lost'),
     ('import', 'import_', 'bring a table of measurements (CSV) in as a bag'),
     ('scene', 'scene', 'draw the beams, the mirror and the course of a cell'),
 )
-
-#: Modules that come with ROS 2, and the extra of the wheel that brings each other one.
-ROS = ('rclpy', 'rcl_interfaces', 'diagnostic_msgs', 'lifecycle_msgs', 'action_msgs', 'std_msgs', 'std_srvs',
-       'sensor_msgs', 'geometry_msgs', 'rosgraph_msgs', 'builtin_interfaces', 'ament_index_python')
-EXTRAS = {'matplotlib': 'pictures', 'zstandard': 'compression', 'lz4': 'compression', 'pymodbus': 'instruments'}
 
 DESCRIPTION = """\
 In-machine calibration of three-axis machine tools by the enhanced laser step diagonal method.
@@ -53,7 +52,7 @@ In-machine calibration of three-axis machine tools by the enhanced laser step di
 EPILOG = """\
 Start with `stepdiag demo`.  `stepdiag COMMAND --help` explains a command.
 Exit status: 0 done, 1 a check was not passed, 2 bad input (one line says what), 3 a fault of the program
-itself (one line says which; STEPDIAG_TRACEBACK=1 shows where), 130 interrupted.
+itself (one line says which; STEPDIAG_TRACEBACK=1 shows where), 4 a check is undecided, 130 interrupted.
 """
 
 
@@ -132,18 +131,6 @@ def _fault(asked: str | None, error: Exception) -> int:
 def one_line(text: str) -> str:
     """``text`` with its line breaks made spaces."""
     return ' '.join(text.split('\n'))
-
-
-def missing(module: str) -> str:
-    """What is not installed, and how to get it."""
-    top = module.split('.')[0]
-    if top == 'stepdiag_msgs':
-        return ('the messages package stepdiag_msgs, which is not installed: in a ROS workspace lay both packages '
-                'side by side with `make ros-workspace WS=/path/to/ws` and build it with colcon')
-    if top in ROS:
-        return (f'ROS 2 Jazzy ({top} is not installed): source its setup file, or in a checkout run `make setup`, '
-                'which installs it from wheels')
-    return f'the package {top}, which is not installed: pip install "stepdiag_ros[{EXTRAS.get(top, "all")}]"'
 
 
 def _version() -> str:

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
+from stepdiag_ros.cli.evaluate import tied_lines
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate.methods import run_method
 from stepdiag_ros.estimate.prediction import Prediction, compensated_command, predict, volumetric_map
@@ -58,7 +59,10 @@ def run(args: argparse.Namespace) -> int:
         raise StepdiagError(f'--method {args.method}: gives no errors to predict with; take enhanced')
     chart = None if points is not None else volumetric_map(solution, machine, args.grid, tool)
     prediction = chart.prediction if chart is not None else predict(solution, machine, points, tool)
-    command = compensated_command(solution.errors, machine, prediction.points, tool)
+    try:
+        command = compensated_command(solution.errors, machine, prediction.points, tool)
+    except ValueError as error:
+        raise StepdiagError(f'{args.bag}: {error}; its measured errors cannot be a machine\'s') from None
     try:
         if args.csv is not None:
             _write_table(args.csv, prediction, command)
@@ -68,12 +72,16 @@ def run(args: argparse.Namespace) -> int:
             draw_map(chart, machine, args.out, f'{machine.name}: predicted volumetric error')
     except OSError as error:
         raise StepdiagError(f'{error.filename}: cannot be written: {error.strerror}') from None
+    tied = solution.traceability
     if args.json:
         answer = {'position_m': prediction.points.tolist(), 'deviation_m': prediction.deviation_m.tolist(),
-                  'sigma_m': prediction.sigma_m.tolist(), 'command_m': command.tolist(), 'status': solution.status}
+                  'sigma_m': prediction.sigma_m.tolist(), 'command_m': command.tolist(), 'status': solution.status,
+                  'reference_temperature': tied.reference_temperature if tied else None,
+                  'traceability': tied.to_json_dict() if tied else None}
         print(to_json(answer | (dict(chart.to_json_dict()) if chart is not None else {})))
         return 0
     _print(prediction, command, machine, chart is not None)
+    print('\n'.join((*tied_lines(solution), *(f'warning: {remark}' for remark in (tied.remarks if tied else ())))))
     for path, what in ((args.csv, 'table'), (args.out, 'picture')):
         if path is not None:
             print(f'{what}: {path}')

@@ -46,7 +46,7 @@ def run(args: argparse.Namespace) -> int:
     bar.close()
     document = evaluate(assembler.build()).to_json_dict()
     print(to_json(document) if args.json else summary(document))
-    return 0
+    return 0 if document['status'] == 'ok' else 1
 
 
 def _live(args: argparse.Namespace) -> int:

@@ -16,6 +16,7 @@ from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.model.machine import tool_pose
 from stepdiag_ros.model.path import stops
 from stepdiag_ros.report.scene_figure import SetupScene, draw_scene
+from stepdiag_ros.virtual.acting import allow_effect_files
 from stepdiag_ros.virtual.cell import Cell, load_cell
 from stepdiag_ros.virtual.scene import SensorScene
 
@@ -28,10 +29,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('cell', metavar='CELL.yaml', help='a cell file such as cells/demo.yaml')
     parser.add_argument('--out', metavar='FILE', type=Path, required=True,
                         help=f'picture to write ({", ".join(FORMATS)})')
+    parser.add_argument('--effect', metavar='FILE.py', action='append', default=[],
+                        help='let the cell file name this Python file with an effect of your own; it is run, so '
+                             'give only files that you trust')
     parser.add_argument('--setup', metavar='NAME', help="a setup of the cell, or 'all' (default: the first)")
 
 
 def run(args: argparse.Namespace) -> int:
+    allow_effect_files(args.effect)
     cell = load_cell(args.cell)
     if args.out.suffix.lower() not in FORMATS:
         raise StepdiagError(f'--out {args.out}: unknown kind of picture; end the name in {" or ".join(FORMATS)}')

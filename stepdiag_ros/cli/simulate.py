@@ -30,16 +30,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help="another draw of noise and arrivals; the machine stays the file's")
     parser.add_argument('--rate', type=float, metavar='HZ', help='sample rate of both sensors')
     parser.add_argument('--dwell-only', action='store_true', help='sample at rest only, not in motion')
+    parser.add_argument('--effect', metavar='FILE.py', action='append', default=[],
+                        help='let the cell file name this Python file with an effect of your own; it is run, so '
+                             'give only files that you trust')
     parser.add_argument('--force', action='store_true', help='replace a bag that is there already')
     parser.add_argument('--json', action='store_true', help='print what was written as JSON')
 
 
 def run(args: argparse.Namespace) -> int:
     from stepdiag_ros.bag.export import write_log
+    from stepdiag_ros.virtual.acting import allow_effect_files
     from stepdiag_ros.virtual.cell import load_cell
     from stepdiag_ros.virtual.offline import simulate_log
     from stepdiag_ros.virtual.truth import truth
 
+    allow_effect_files(args.effect)
     cell = load_cell(args.cell)
     unknown = [name for name in args.setups or () if name not in cell.setup_names]
     if unknown:

@@ -8,13 +8,15 @@ reads it.  Tables are made only of what the log tells (:mod:`open_directions`), 
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from stepdiag_ros.compensate.control import Control, Place
 from stepdiag_ros.compensate.functional import FunctionalPoint, functional_point, tables_of_line
-from stepdiag_ros.compensate.harmless import held_back
+from stepdiag_ros.compensate.harmless import best_of_volume, held_back
+from stepdiag_ros.compensate.largest import largest
 from stepdiag_ros.compensate.open_directions import openness, without
 from stepdiag_ros.compensate.taken import Taken, Trim, added, as_measured, difference, left_of
 from stepdiag_ros.errors import StepdiagError
@@ -29,6 +31,8 @@ ROOM = 0.5
 """Share of a place's U by which tables may let it become worse while they are made; a whole U refuses them."""
 LEAST_GAIN = 0.01
 """Share by which the mean square of the deviations must fall, or the tables are not worth a change."""
+LEAST_GROWTH_M = 5e-9
+"""What rounding in the files may add to the largest deviation."""
 MOST_KNOTS = 21
 """Positions an axis at most on which places are judged."""
 FITTED_KNOTS = 11
@@ -65,14 +69,28 @@ class Compensation:
     reversal: Mapping[str, tuple[float, float]]
     refusals: tuple[str, ...] = ()
 
-    @property
+    @cached_property
     def worst_before(self) -> tuple[float, float, np.ndarray]:
-        """Largest deviation, its U (k = 2) and its place, all [m]."""
-        return worst(self.before)
+        """Largest deviation, its U (95 %) and its place, all [m]."""
+        return self.worst(self.before)
+
+    @cached_property
+    def worst_after(self) -> tuple[float, float, np.ndarray]:
+        """The same with the tables in force."""
+        return self.worst(self.after)
+
+    def worst(self, field: Prediction) -> tuple[float, float, np.ndarray]:
+        """The same of any field at these points."""
+        return largest(self.solution, self.place.machine, self.point.tool, field)
 
     @property
-    def worst_after(self) -> tuple[float, float, np.ndarray]:
-        return worst(self.after)
+    def as_measured(self) -> Prediction:
+        """What a measurement afterwards will show at the same points: the same machine from its own reference lines.
+
+        ``after`` counts from the lines of the measurement before; tables across axes turn those lines.
+        """
+        shown = deviation(self.predicted, self.place.machine, self.after.points, self.point.tool)
+        return Prediction(self.after.points, shown, self.after.covariance_m2)
 
     def checked(self) -> 'Compensation':
         """This, or :class:`StepdiagError` with every reason why nothing may be written."""
@@ -82,19 +100,28 @@ class Compensation:
 
 
 def worst(prediction: Prediction) -> tuple[float, float, np.ndarray]:
-    """Largest deviation of a prediction, its U (k = 2), its place, all [m]."""
+    """Largest deviation of a prediction, U (k = 2) at its place, and that place, all [m]."""
     row = int(np.argmax(prediction.size_m))
     return float(prediction.size_m[row]), K * float(prediction.size_sigma_m[row]), prediction.points[row]
 
 
 def worsened(before: Prediction, after: Prediction) -> np.ndarray:
     """By how much each place becomes worse beyond its U (n,) [m]; negative or zero: it does not."""
-    return after.size_m - before.size_m - K * after.size_sigma_m
+    return after.size_m - before.size_m - K * np.maximum(before.size_sigma_m, after.size_sigma_m)
+
+
+def place_of(machine: Machine, origin: np.ndarray | None) -> Place:
+    """Where tables count from: ``origin`` (3,) [m], else the machine's own; :class:`StepdiagError` where neither is."""
+    origin = machine.origin if origin is None else origin
+    if origin is None:
+        raise StepdiagError('where the volume lies in machine coordinates is not known; give the machine coordinates '
+                            'of its lower corner with --origin X,Y,Z, or machine.origin in the cell')
+    return Place(machine, np.asarray(origin, float))
 
 
 def compensation(solution: Solution, machine: Machine, control: Control, origin: np.ndarray | None = None,
                  point: FunctionalPoint | None = None, present: Mapping[str, str] | None = None,
-                 partial: bool = False, exact: bool = False, air: str = '',
+                 partial: bool = False, exact: bool = False, air: str = '', volume: bool = False,
                  reversal: Mapping[str, tuple[float, float]] | None = None) -> Compensation:
     """Tables for ``control`` from ``solution``, or in ``refusals`` why there are none.
 
@@ -102,16 +129,15 @@ def compensation(solution: Solution, machine: Machine, control: Control, origin:
     :class:`StepdiagError`).  ``point``: the functional point (default: the log's tool, lines through the middle of the
     volume).  ``present``: texts of the files that the control holds, by name.  ``partial`` leaves out what the log
     leaves open instead of refusing.  ``exact`` asks for the tables of the line even where they would have to be held
-    back, which refuses them.  ``air``: why lengths are not known to be metres, '' where they are.  ``reversal``:
-    lost motion of an axis and its U [m], by its letter, as the effect ``backlash`` counts it.
+    back, which refuses them.  ``volume`` asks for tables by single axes that leave the least mean square in the whole
+    volume, instead of those of a line.  ``air``: why lengths are not known to be metres, '' where they are.
+    ``reversal``: lost motion of an axis and its U [m], by its letter, as the effect ``backlash`` counts it.
     """
-    origin = machine.origin if origin is None else origin
-    if origin is None:
-        raise StepdiagError('where the volume lies in machine coordinates is not known; give the machine coordinates '
-                            'of its lower corner with --origin X,Y,Z, or machine.origin in the cell')
-    place = Place(machine, np.asarray(origin, float))
+    place = place_of(machine, origin)
     known = openness(solution)
     refusals = [air] if air else []
+    if 'not converged' in solution.status:
+        refusals.append(f'the evaluation is {solution.status}')
     touched = _used(control, known.open, solution, known.unmeasured)
     if touched and not partial:
         refusals.append(f'the log leaves {", ".join(touched)} open ({"; ".join(known.runs)}); '
@@ -130,13 +156,17 @@ def compensation(solution: Solution, machine: Machine, control: Control, origin:
     points = _places(kept, machine, point, measured, whole, MOST_KNOTS)
     before = predict(kept, machine, points, point.tool)
     line = _of_line(kept, machine, point, control)
+    if volume and not control.whole_model:
+        line = best_of_volume(line, points, before.deviation_m)
+    # Judged by what repeats leave open: a scale or a tool that is off is off before and after alike.
+    repeated = predict(_repeats(kept), machine, points, point.tool)
     plain, alone = line, _after(before, errors, machine, point, line)
-    if not control.whole_model and not exact and np.any(worsened(before, alone) > 0.0):
-        plain = _harmless(line, kept, machine, point, measured, whole)
+    if not control.whole_model and not exact and _harms(repeated, _after(repeated, errors, machine, point, line)):
+        plain = _harmless(line, _repeats(kept), machine, point, measured, whole)
     wanted = _with_reversal(plain, lost)
     files, change = _written(control, place, wanted, held, measured)
     after = _after(before, errors, machine, point, change)
-    refusals += _harm(before, after, files, exact)
+    refusals += _harm(before, repeated, _after(repeated, errors, machine, point, change), files, exact)
     undo = _undo(control, place, wanted, files, present or {})
     return Compensation(
         control, place, point, {} if refusals else files, {} if refusals else undo, change, before, after,
@@ -264,19 +294,34 @@ def _after(before: Prediction, errors: GeometricErrors, machine: Machine, point:
     return Prediction(before.points, deviation(left, machine, before.points, point.tool), before.covariance_m2)
 
 
-def _harm(before: Prediction, after: Prediction, files: Mapping[str, str], exact: bool) -> list[str]:
-    """Reasons in the numbers themselves not to write tables."""
+def _harms(before: Prediction, after: Prediction) -> bool:
+    """Whether any place becomes worse beyond its U, or the largest deviation grows."""
+    return bool(np.any(worsened(before, after) > 0.0) or after.size_m.max() > before.size_m.max() + LEAST_GROWTH_M)
+
+
+def _repeats(solution: Solution) -> Solution:
+    """The solution with the covariance of its repeats alone, where it keeps that apart."""
+    return solution if solution.repeatability is None else replace(solution, covariance=solution.repeatability)
+
+
+def _harm(whole: Prediction, before: Prediction, after: Prediction, files: Mapping[str, str], exact: bool
+          ) -> list[str]:
+    """Reasons in the numbers themselves not to write tables; ``whole``: before, with the uncertainty of the budget."""
     if not files:
         return []
-    size, spread, _ = worst(before)
     more = worsened(before, after)
     row = int(np.argmax(more))
     if more[row] > 0.0:
         at = ', '.join(f'{1e3 * c:.0f}' for c in before.points[row])
+        spread = K * max(before.size_sigma_m[row], after.size_sigma_m[row])
         return [f'the place ({at}) mm of the volume would become worse beyond its U, from '
                 f'{1e6 * before.size_m[row]:.1f} to {1e6 * after.size_m[row]:.1f} µm '
-                f'(U = {1e6 * K * after.size_sigma_m[row]:.1f} µm, k = 2), and {100.0 * np.mean(more > 0.0):.0f} % of '
+                f'(U = {1e6 * spread:.1f} µm, k = 2, of the repeats), and {100.0 * np.mean(more > 0.0):.0f} % of '
                 'all places with it' + ('; without --exact the tables are held back' if exact else '')]
+    size, spread, _ = worst(whole)
+    if after.size_m.max() > size + LEAST_GROWTH_M:
+        return [f'the largest deviation would grow, from {1e6 * size:.1f} to {1e6 * after.size_m.max():.1f} µm'
+                + ('; without --exact the tables are held back' if exact else '')]
     if spread > size:
         return [f'the largest deviation, {1e6 * size:.1f} µm, is known to U = {1e6 * spread:.1f} µm (k = 2) only; '
                 'measure with more repeats']

@@ -17,6 +17,8 @@ from stepdiag_ros.model.machine import AXES, CURVES
 
 MILLI = 1e3
 NUMBER = '{:.6f}'
+MOST_READ = 10_000
+"""Rows that a table may have: more than any control takes."""
 OWN = tuple(f'E{a}{a}' for a in AXES)
 TRANSLATIONS = tuple(name for name in CURVES if name[1] in AXES)
 
@@ -50,7 +52,7 @@ class Control:
     open_question: str
     load: str
     undo: str
-    most_rows: int = 10_000
+    most_rows: int = MOST_READ
     reverses: bool = True
     joined: tuple[str, ...] = ()
 
@@ -81,8 +83,8 @@ def numbers(text: str, count: int, where: str) -> list[float]:
 
 def trim_of(position: np.ndarray, forward: np.ndarray, reverse: np.ndarray, where: str) -> Trim:
     """A checked curve from a file: positions must rise."""
-    if not len(position):
-        raise StepdiagError(f'{where}: holds no row; give the table as the control holds it')
+    if not 0 < len(position) <= MOST_READ:
+        raise StepdiagError(f'{where}: holds {len(position)} rows; a table has 1 to {MOST_READ}')
     if np.any(np.diff(position) <= 0.0):
         raise StepdiagError(f'{where}: the positions do not rise; give the table as the control holds it')
     return Trim(np.asarray(position, float), np.asarray(forward, float), np.asarray(reverse, float))

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from stepdiag_ros.compensate.compensation import Compensation, K, worst
+from stepdiag_ros.compensate.compensation import Compensation, K
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate.prediction import Prediction
 from stepdiag_ros.model.machine import CURVES, SQUARENESS, Curve, GeometricErrors
@@ -32,19 +32,21 @@ def document(found: Compensation, log: str) -> dict[str, Any]:
         'written': not found.refusals, 'refused': list(found.refusals),
         'origin_m': _list(found.place.origin), 'tool_m': _list(found.point.tool),
         'line_m': _list(found.point.line), 'whole_volume': found.whole_volume,
-        'before': _volumetric(found.before), 'after': _volumetric(found.after),
-        'line_alone': _volumetric(found.line_alone) if found.line_alone else None,
+        'before': _volumetric(found, found.before), 'after': _volumetric(found, found.after),
+        'after_as_measured': _volumetric(found, found.as_measured),
+        'line_alone': _volumetric(found, found.line_alone) if found.line_alone else None,
         'not_carried_m': {name: value for name, value in found.not_carried.items() if value > 1e-9},
         'left_out': list(found.left_out), 'not_measured': list(found.unmeasured),
         'reversal_m': {axis: {'value': value, 'U': spread} for axis, (value, spread) in found.reversal.items()},
+        'traceability': solution.traceability.to_json_dict() if solution.traceability else None,
         'signs_follow': found.control.source, 'open_question': found.control.open_question or None,
         'errors_after': errors,
         'files': {name: hashlib.sha256(text.encode()).hexdigest() for name, text in found.files.items()}}
 
 
-def _volumetric(prediction: Prediction) -> dict[str, Any]:
-    size, spread, place = worst(prediction)
-    return {'largest_m': size, 'U_m': spread, 'at_m': _list(place),
+def _volumetric(found: Compensation, prediction: Prediction) -> dict[str, Any]:
+    size, spread, place = found.worst(prediction)
+    return {'largest_m': size, 'U_m': spread, 'coverage': 0.95, 'at_m': _list(place),
             'mean_m': float(np.mean(prediction.size_m)), 'places': len(prediction.points)}
 
 
@@ -78,8 +80,16 @@ def predicted_of(text: str, source: str) -> Predicted:
                   for n in CURVES if n in told}
         square = {n: float(told[n]['value']) for n in SQUARENESS if n in told}
         sigma = {n: np.atleast_1d(np.array(told[n]['sigma'], float)) for n in told}
-        return Predicted(data['format'], np.array(data['tool_m'], float), GeometricErrors(curves, square), sigma,
-                         float(data['after']['largest_m']), float(data['after']['U_m']), bool(data['whole_volume']))
-    except (ValueError, KeyError, TypeError) as error:
+        tool = np.array(data['tool_m'], float)
+        numbers = [*(v for c in curves.values() for v in (c.position, c.value)), *sigma.values(), tool,
+                   np.array([*square.values(), data['after_as_measured']['largest_m']], float)]
+        lengths = [len(c.position) == len(c.value) == len(sigma[n]) > 0 and c.position.ndim == 1
+                   for n, c in curves.items()]
+        if not all(lengths) or tool.shape != (3,) or not all(np.all(np.isfinite(v)) for v in numbers):
+            raise ValueError('a number is missing or not finite')
+        return Predicted(str(data['format']), tool, GeometricErrors(curves, square), sigma,
+                         float(data['after_as_measured']['largest_m']),
+                         float(data['after_as_measured']['U_m']), bool(data['whole_volume']))
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise StepdiagError(f'{source}: is not a {NAME} as `stepdiag compensate` writes it '
                             f'({type(error).__name__}: {str(error)[:60]})') from None

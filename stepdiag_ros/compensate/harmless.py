@@ -20,8 +20,8 @@ from stepdiag_ros.compensate.taken import Trim
 from stepdiag_ros.model.machine import AXES
 
 STEPS = 1500
-SETTLED = 1e-10
-"""Iteration ends where places hold to this [m]: a tenth of a nanometre."""
+SETTLED, STILL = 1e-10, 1e-12
+"""Iteration ends where places hold to this and a step moves the tables by less than this [m]."""
 PENALTY = 5.0
 HALVINGS = 40
 
@@ -36,10 +36,25 @@ def held_back(tables: Mapping[str, Trim], points: np.ndarray, deviation: np.ndar
     names = [name for name in tables if len(tables[name].position) > 1]
     if not names:
         return dict(tables)
-    design = np.concatenate([_columns(name, tables[name].position, points) for name in names], axis=2)
+    design = _design(names, tables, points)
     wanted = np.concatenate([tables[name].mean[1:] for name in names])
-    limit = np.linalg.norm(deviation, axis=1) + room
-    found = _nearest(design, deviation, limit, wanted)
+    size = np.linalg.norm(deviation, axis=1)
+    # The largest of all gets no room: it must not grow.
+    return _with_values(tables, names, _nearest(design, deviation, np.minimum(size + room, size.max()), wanted))
+
+
+def best_of_volume(tables: Mapping[str, Trim], points: np.ndarray, deviation: np.ndarray) -> dict[str, Trim]:
+    """Tables at the positions of ``tables`` that leave the least mean square over ``points`` (n, 3) [m]."""
+    names = [name for name in tables if len(tables[name].position) > 1]
+    if not names:
+        return dict(tables)
+    design = _design(names, tables, points)
+    found, *_ = np.linalg.lstsq(design.reshape(-1, design.shape[2]), deviation.ravel(), rcond=None)
+    return _with_values(tables, names, found)
+
+
+def _with_values(tables: Mapping[str, Trim], names: list[str], found: np.ndarray) -> dict[str, Trim]:
+    """The tables with other means: ``found`` holds the values after the first of all ``names``."""
     result, first = dict(tables), 0
     for name in names:
         trim = tables[name]
@@ -48,6 +63,11 @@ def held_back(tables: Mapping[str, Trim], points: np.ndarray, deviation: np.ndar
         result[name] = Trim(trim.position, trim.forward + change, trim.reverse + change)
         first += count
     return result
+
+
+def _design(names: list[str], tables: Mapping[str, Trim], points: np.ndarray) -> np.ndarray:
+    """What all values of the tables after their first do at the points (n, 3, k)."""
+    return np.concatenate([_columns(name, tables[name].position, points) for name in names], axis=2)
 
 
 def _columns(name: str, position: np.ndarray, points: np.ndarray) -> np.ndarray:
@@ -69,7 +89,7 @@ def _nearest(design: np.ndarray, deviation: np.ndarray, limit: np.ndarray, wante
     if over(values) > SETTLED:
         weight = PENALTY * design.shape[2] / np.sum(flat**2)
         system = np.linalg.inv(np.eye(design.shape[2]) + weight * flat.T @ flat)
-        split, dual = design @ wanted, np.zeros_like(deviation)
+        split, dual, last = design @ wanted, np.zeros_like(deviation), wanted
         for _ in range(STEPS):
             values = system @ (wanted + weight * flat.T @ (split - dual).ravel())
             reached = design @ values
@@ -77,7 +97,9 @@ def _nearest(design: np.ndarray, deviation: np.ndarray, limit: np.ndarray, wante
             length = np.linalg.norm(off, axis=1)
             split = deviation + off * np.minimum(1.0, limit / np.maximum(length, 1e-30))[:, None]
             dual = dual + reached - split
-            if over(values) <= SETTLED:
+            moved = np.max(np.abs(values - last))
+            last = values
+            if moved < STILL and over(values) <= SETTLED:
                 break
     if over(values) <= SETTLED:
         return values

@@ -126,6 +126,7 @@ CONTROL = Control(
     'LinuxCNC source: trim = nominal - actual, added to the motor position (motion/control.c), units of the INI file',
     '',
     f'Copy the .comp files beside the INI file, put the lines of {INI} into its sections, restart LinuxCNC, home. '
-    'The INI file must have LINEAR_UNITS = mm. A BACKLASH of these joints no longer acts.',
+    'The INI file must have LINEAR_UNITS = mm; joints 0, 1, 2 are taken to be X, Y, Z. A BACKLASH of these joints no '
+    'longer acts.',
     'Put the files of before/ back (or remove the COMP_FILE lines where there was none), restart LinuxCNC, home.',
     most_rows=MOST_ROWS)

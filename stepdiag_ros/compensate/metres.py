@@ -15,8 +15,7 @@ def not_metres(solution: Solution, log: CalibrationLog) -> str:
     Asked is the solution; one that carries nothing about it counts as corrected only where the instrument divided an
     index of air out.
     """
-    tied = getattr(solution, 'traceability', None)
-    if tied is not None:
-        return '' if tied.traceable else NOT_METRES
+    if solution.traceability is not None:
+        return '' if solution.traceable else NOT_METRES
     vacuum = len(log.displacement) > 0 and bool(np.all(log.displacement.refractive_index == 1.0))
     return NOT_METRES if vacuum else ''

@@ -85,6 +85,8 @@ def _settling(name: str) -> str:
 def without(solution: Solution, names: tuple[str, ...]) -> Solution:
     """The solution as if it had never held the errors ``names``."""
     kept = [i for i, (name, _) in enumerate(solution.names) if name not in names]
+    repeats = solution.repeatability
     return replace(solution, names=tuple(solution.names[i] for i in kept), value=solution.value[kept],
                    covariance=solution.covariance[np.ix_(kept, kept)],
+                   repeatability=None if repeats is None else repeats[np.ix_(kept, kept)],
                    positions={name: p for name, p in solution.positions.items() if name not in names})

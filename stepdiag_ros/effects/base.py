@@ -215,6 +215,8 @@ class Effect:
     """What looks alike, and what tells them apart."""
     needs_dwells: bool = False
     """Whether only what happens inside the dwells tells it from its neighbours: without samples, no claim."""
+    needs_times: bool = False
+    """Whether its course in time is what it is known by: of a log whose times were made up, no claim."""
     file: str = ''
     """The Python file of the user's own that holds it; empty: it is one of the vocabulary."""
     repeatable: bool = False

@@ -17,6 +17,7 @@ FASTEST_S = 20.0
 
 class BeamPointingDrift(Effect):
     name = 'beam_pointing_drift'
+    needs_times = True
     title = 'The laser beam slowly changes its direction.'
     parameters = (Parameter('amp', 'rad', -1e-4, 1e-4, 2, 'turn about u, v reached in the end'),
                   Parameter('tau', 's', 100.0, 5000.0, meaning='time constant'))

@@ -32,6 +32,7 @@ LETS_GO = 1.8
 
 class MirrorMountCreep(Effect):
     name = 'mirror_mount_creep'
+    needs_times = True
     title = "The mirror's mount gives way slowly after mounting."
     parameters = (Parameter('amp', 'rad', -1e-4, 1e-4, 2, 'turn about u, v reached in the end'),
                   Parameter('tau', 's', FASTEST_S, 2000.0, meaning='time constant'),

@@ -14,6 +14,7 @@ from stepdiag_ros.model.machine import CURVES, SQUARENESS, SQUARENESS_SHIFT
 
 class SquarenessDrift(Effect):
     name = 'squareness_drift'
+    needs_times = True
     title = 'The angle between two axes changes while the log is taken.'
     parameters = (Parameter('amp', 'rad', -5e-5, 5e-5, 3, 'change of EC0Y, EB0Z, EA0Z reached in the end'),
                   Parameter('tau', 's', 100.0, 5000.0, meaning='time constant'))

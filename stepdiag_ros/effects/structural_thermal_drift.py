@@ -13,6 +13,7 @@ from stepdiag_ros.effects.timeforms import courses
 
 class StructuralThermalDrift(Effect):
     name = 'structural_thermal_drift'
+    needs_times = True
     title = 'The tool point drifts against the workpiece as the machine structure changes temperature.'
     parameters = (Parameter('amp', 'm', -6e-5, 6e-5, 3, 'shift along X, Y, Z reached in the end'),
                   Parameter('tau', 's', 100.0, 5000.0, meaning='time constant'))

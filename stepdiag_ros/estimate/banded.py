@@ -19,6 +19,9 @@ from scipy.sparse import csgraph
 from stepdiag_ros.estimate.noise import NoiseModel, arrivals
 from stepdiag_ros.estimate.reduce import StopTable
 
+USUAL_BAND = 120
+"""Columns of the band, as counted for its cost."""
+
 
 class BandedNormal:
     """Normal equations of one log, set up once for all iterations.
@@ -33,6 +36,8 @@ class BandedNormal:
         n, channels = present.shape
         self.size, self.border = len(width), border
         self.frame, self.frame_width = frame, frame_width
+        # What correlates from arrival to arrival is left to the dense equations, which have the last word.
+        arrival = noise.spread_of(arrival)
         self._whitener = _stop_whitener(noise, arrival, present)
         numbers, first = arrivals(table), 0
         rows, columns, values = [], [], []
@@ -49,6 +54,9 @@ class BandedNormal:
             (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), shape)
         self._prior = np.concatenate([width[:border]**-2.0, np.ones(first)])
         self._border_prior = width[border:]**-2.0
+        # Factor, edge and corner; the band itself is known only once it is made, and is much alike in all logs.
+        inside, edge = len(self._prior), self.size - border + len(frame)
+        self.operations = float(inside * (USUAL_BAND**2 + 4.0 * USUAL_BAND * edge + 2.0 * edge**2))
         self._order: np.ndarray | None = None
         # Diagonals run up and down: folded in the middle of each axis they all pass the same levels together.
         travel = np.ptp(table.commanded, axis=0)

@@ -36,6 +36,15 @@ def normal_equations(jacobian: sparse.csr_array, white: list[Whitener]) -> np.nd
     return normal
 
 
+def dense_operations(jacobian: sparse.csr_array, white: list[Whitener]) -> float:
+    """How many multiplications :func:`normal_equations` and :func:`factored` take."""
+    total = jacobian.shape[1]**3 / 3.0
+    for whitener in white:
+        rows, columns = len(whitener.rows), len(np.unique(jacobian[whitener.rows].indices))
+        total += rows**2 * columns + rows * columns**2
+    return float(total)
+
+
 def factored(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Cholesky factor of the matrix scaled to a unit diagonal (units differ by many decades)."""
     scale = 1.0 / np.sqrt(np.diag(matrix))

@@ -7,7 +7,8 @@ Minimises, over the unknowns θ of :mod:`stepdiag_ros.estimate.parameters`,
 with the full kinematic model f (:mod:`stepdiag_ros.estimate.forward`), the noise W of the
 log itself (:mod:`stepdiag_ros.estimate.noise`), and widths s so wide (a millimetre, a
 milliradian and more) that they only decide what the data leave open.  Gauss–Newton steps
-solve the normal equations by Cholesky, as a band (:mod:`stepdiag_ros.estimate.banded`): they
+solve the normal equations by Cholesky, as a band (:mod:`stepdiag_ros.estimate.banded`) where that is cheaper than
+one dense matrix, as for many steps but not for many repeats: they
 lose digits of a step, not of the answer, for each residual is computed from the full model.
 The last step and the covariance come from the dense equations.  Steps go on until they no
 longer matter against the standard deviations.
@@ -27,7 +28,7 @@ from scipy import linalg, sparse
 
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate.banded import BandedNormal
-from stepdiag_ros.estimate.dense import factored, inverse, normal_equations, solved, weighted
+from stepdiag_ros.estimate.dense import dense_operations, factored, inverse, normal_equations, solved, weighted
 from stepdiag_ros.estimate.forward import ForwardModel
 from stepdiag_ros.estimate.gauge import slope_weights
 from stepdiag_ros.estimate.noise import NoiseModel, Whitener, estimate_noise, whiteners
@@ -53,6 +54,8 @@ MOST_DAMPING = 1e12
 """… or where no step narrowed down to this makes it fall: rounding is reached."""
 GOOD, POOR = 0.75, 0.25
 """Share of the promised fall above which widths are given back, and below which they are narrowed …"""
+BLOCKED = 2.0
+"""How many times as many operations a second the dense equations do as the band, whose columns come one by one."""
 NARROWER, WIDER = 4.0, 5.0
 """… by these factors."""
 
@@ -166,6 +169,8 @@ def fit(description: Description, table: StopTable, noise: NoiseModel | None = N
     banded = BandedNormal(table, noise, arrival, present, widths(parameters, linear_laser), frame_rows(parameters),
                           WIDTH_FRAME_RAD, min(parameters.setup_first.values()))
     steps = _Steps(banded, white, precision)
+    if dense_operations(jacobian, white) < BLOCKED * banded.operations:
+        steps.without_band()
     value = objective(theta, predicted)
     converged, iterations, course, damping = False, 0, [value], 0.0
     while iterations < MAX_ITERATIONS:

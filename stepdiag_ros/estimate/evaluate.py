@@ -4,13 +4,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate.enhanced import WIDTH_LASER_RAD, Fit, fit
 from stepdiag_ros.estimate.gauge import GAUGE, reporting_matrix
 from stepdiag_ros.estimate.identifiability import unidentifiable
 from stepdiag_ros.estimate.metres import Metres, in_metres
 from stepdiag_ros.estimate.propagate import Setting, Uncertainty, index_sigma, propagate, with_budget
 from stepdiag_ros.estimate.reduce import StopTable
+from stepdiag_ros.estimate.sanity import check_readings
+from stepdiag_ros.estimate.sanity_fit import check_fit
 from stepdiag_ros.estimate.solution import Residuals, Solution
+from stepdiag_ros.estimate.status import reasons, status_of
 from stepdiag_ros.model.budget import MEASURED, Budget
 from stepdiag_ros.model.description import Description
 from stepdiag_ros.model.log import CalibrationLog
@@ -47,8 +51,9 @@ def budget_of(description: Description) -> Budget:
 def evaluate(log: CalibrationLog) -> Solution:
     """All errors and misalignments of a log by the enhanced step diagonal method, with the whole budget.
 
-    Pure: the same log gives the same bits.  Raises
-    :class:`~stepdiag_ros.errors.StepdiagError` where the log holds nothing to solve.
+    Pure: the same log gives the same bits.  The solution's ``sanity`` names mistakes of commissioning that the log
+    shows; with any the status is not ok.  Raises :class:`~stepdiag_ros.errors.StepdiagError` where the log holds
+    nothing to solve.
     """
     return evaluate_in_full(log).solution
 
@@ -61,14 +66,22 @@ def evaluate_in_full(log: CalibrationLog, budget: Budget | None = None) -> Evalu
     # How well the beams of the linear setups are known to lie along their axes is in the budget.
     cosine = max((c.standard for c in budget.contributors if c.kind == 'cosine' and c.standard),
                  default=WIDTH_LASER_RAD)
-    result = fit(log.description, table, linear_laser=cosine)
+    insane = check_readings(log.description, table)
+    try:
+        result = fit(log.description, table, linear_laser=cosine)
+    except StepdiagError as error:
+        raise StepdiagError(f'{log.source}: {"; ".join(map(str, insane))}') from None if insane else error
     if any(c.kind in MEASURED and c.standard is not None for c in budget.contributors):
         noise = with_budget(result.noise, budget, table, log.description)
         result = fit(log.description, table, noise, linear_laser=cosine)
     solution = solution_of(result, table, log.warnings + table.warnings)
+    insane = insane or check_fit(log.description, table, result)
+    if insane:
+        status = status_of([*(finding.found for finding in insane), *reasons(result, table)])
+        solution = replace(solution, status=status, sanity=tuple(insane))
     setting = Setting.of_fit(log.description, table, result, metres.conditions)
     # Residuals larger than the noise says: whatever it is, repeats alone do not show how uncertain the errors are.
-    found = propagate(budget, setting, result, solution, np.sqrt(max(solution.reduced_chi2, 1.0)))
+    found = propagate(budget, setting, result, solution, np.sqrt(max(solution.reduced_chi2, 1.0)), weighed=True)
     whose = 'cell' if own and log.description.budget is not None else 'standard' if own else 'given'
     unit_sigma = index_sigma(budget, metres.conditions)
     return Evaluation(metres, result, setting, replace(found, solution=tied(
@@ -105,7 +118,7 @@ def solution_of(result: Fit, table: StopTable, warnings: tuple[str, ...] = ()) -
     return Solution(
         'enhanced', parameters.knots, tuple(names), reporting @ result.theta,
         reporting @ result.covariance @ reporting.T,
-        status='ok' if result.converged else 'not converged: the model does not describe this log',
+        status=status_of(reasons(result, table)),
         reduced_chi2=result.chi2 / max(result.dof, 1), dof=result.dof,
         unidentifiable=open_directions, gauge=GAUGE, misalignments=misalignments, noise=noise,
         residuals=_residuals(result, table), warnings=warnings,

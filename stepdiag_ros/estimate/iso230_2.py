@@ -170,7 +170,8 @@ class LinearTest:
                          + f'   {axis.runs}')
             if self.sigma_m:
                 sigma = [self.sigma_m.get(f'{f} {name}') for f in figures]
-                lines.append('U, k=2 ' + ' '.join(f'{"–" if s is None else f"{2e6 * s:.3f}":>9}' for s in sigma))
+                cells = ' '.join(f'{"–" if s is None else f"{2e6 * s:.3f}":>9}' for s in sigma)
+                lines.append(f'U, k=2 {cells}   –')
         return '\n'.join(lines)
 
     def to_json_dict(self) -> dict[str, Any]:

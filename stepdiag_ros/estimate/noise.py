@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import linalg
 
+from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate.reduce import StopTable
 from stepdiag_ros.model.description import Noise
 from stepdiag_ros.model.log import NONE, STOOD
@@ -43,12 +44,28 @@ LEAST_SHARE = 0.02
 
 
 @dataclass(frozen=True)
+class Law:
+    """How errors of arrivals are distributed: Student's t with ``dof`` degrees of freedom (infinite: normal), each with
+    the ``correlation`` to the one before it, as of an AR(1) process."""
+
+    dof: float = np.inf
+    correlation: float = 0.0
+
+    @property
+    def tidy(self) -> bool:
+        """Whether they are normal and independent."""
+        return np.isinf(self.dof) and not self.correlation
+
+
+@dataclass(frozen=True)
 class NoiseModel:
     """Noise of the stops of one table.
 
     ``position`` [m], ``angle`` [rad]: arrival errors.  ``sensor`` (n, beams + 2) [m]: standard
     deviation of a dwell's mean by sensor noise alone.  ``source`` is ``repeats`` or ``belief``;
-    ``dof`` (2,): degrees of freedom behind position and angle.
+    ``dof`` (2,): degrees of freedom behind position and angle.  ``position_law``, ``angle_law``: how arrival errors
+    are distributed; of Student's t, ``position`` and ``angle`` are the scale, and ``spread`` (5, n) is by how much each
+    stop's turns about u, v and errors of X, Y, Z are wider than that (None: by nothing).
     """
 
     position: float
@@ -56,6 +73,22 @@ class NoiseModel:
     sensor: np.ndarray
     source: str
     dof: tuple[int, int] = (0, 0)
+    position_law: Law = Law()
+    angle_law: Law = Law()
+    spread: np.ndarray | None = None
+
+    @property
+    def tidy(self) -> bool:
+        """Whether all arrival errors are normal and independent."""
+        return self.position_law.tidy and self.angle_law.tidy
+
+    def spread_of(self, arrival: np.ndarray) -> np.ndarray:
+        """Derivatives ``arrival`` (5, n, c) by arrival errors, each times what it is wider by."""
+        return arrival if self.spread is None else arrival * self.spread[:, :, None]
+
+    def of_any_stops(self) -> 'NoiseModel':
+        """The same without what single stops are wider by."""
+        return replace(self, spread=None)
 
     def scaled(self, factor: float) -> 'NoiseModel':
         """All of it ``factor`` times as large."""
@@ -155,23 +188,32 @@ def as_noise(table: StopTable) -> np.ndarray | None:
     return result
 
 
-def run_covariance(rows: np.ndarray, position: float, angle: float, sensor: np.ndarray,
-                   arrival: np.ndarray, numbers: np.ndarray) -> np.ndarray:
-    """Covariance of all readings of the stops ``rows`` (k·c, k·c) [m²], order [stop, channel].
+def moves(numbers: np.ndarray) -> np.ndarray:
+    """Number (k,) of moves before each of the stops whose axes rest on the arrivals ``numbers`` (k, 3)."""
+    return np.concatenate([[0], np.cumsum(np.any(np.diff(numbers, axis=0) != 0, axis=1))])
 
-    ``arrival`` (5, n, c): derivatives by a turn about u, v and by a shift along X, Y, Z.
+
+def run_covariance(rows: np.ndarray, position: float, angle: float, sensor: np.ndarray,
+                   arrival: np.ndarray, numbers: np.ndarray, correlation: tuple[float, float] = (0.0, 0.0)) -> np.ndarray:
+    """Covariance of all readings of the stops ``rows`` of a run (k·c, k·c) [m²], order [stop, channel].
+
+    ``arrival`` (5, n, c): derivatives by a turn about u, v and by a shift along X, Y, Z; ``correlation`` of an
+    axis's error and of a turn with the one before.
     """
     k, channels = len(rows), sensor.shape[1]
     total = np.zeros((k, channels, k, channels))
     for axis in range(3) if position else ():
-        same = numbers[rows, axis][:, None] == numbers[rows, axis]
+        alike = correlation[0] ** np.abs(np.subtract.outer(numbers[rows, axis], numbers[rows, axis]))
         effect = position * arrival[2 + axis][rows]
-        total += (effect[:, :, None, None] * effect) * same[:, None, :, None]
+        total += (effect[:, :, None, None] * effect) * alike[:, None, :, None]
     # Anew at each stop, but alike as long as nothing moves.
-    one, other = np.nonzero((numbers[rows][:, None] == numbers[rows]).all(axis=2))
+    turns = moves(numbers[rows])
+    alike = correlation[1] ** np.abs(np.subtract.outer(turns, turns))
+    one, other = np.nonzero(alike)
     for turn in range(2):
         effect = arrival[turn][rows]
-        total[one, :, other] += angle**2 * effect[one][:, :, None] * effect[other][:, None, :]
+        total[one, :, other] += (angle**2 * alike[one, other])[:, None, None] * (
+            effect[one][:, :, None] * effect[other][:, None, :])
     total = total.reshape(k * channels, k * channels)
     total[np.diag_indices(k * channels)] += sensor[rows].ravel()**2
     return total
@@ -180,19 +222,29 @@ def run_covariance(rows: np.ndarray, position: float, angle: float, sensor: np.n
 def whiteners(table: StopTable, noise: NoiseModel, arrival: np.ndarray,
               present: np.ndarray) -> list[Whitener]:
     """One whitener a run; ``present`` (n, c) masks the readings that exist."""
-    numbers = arrivals(table)
+    numbers, arrival = arrivals(table), noise.spread_of(arrival)
     channels = present.shape[1]
+    correlation = noise.position_law.correlation, noise.angle_law.correlation
     result = []
     for run in np.unique(table.run):
         rows = np.flatnonzero(table.run == run)
         keep = present[rows].ravel()
         if not keep.any():
             continue
-        covariance = run_covariance(rows, noise.position, noise.angle, noise.sensor, arrival, numbers)
+        covariance = run_covariance(rows, noise.position, noise.angle, noise.sensor, arrival, numbers, correlation)
         _add_to_lengths(covariance, lasting(table, rows, as_steps=True), channels)
         flat = (rows[:, None] * channels + np.arange(channels)).ravel()[keep]
-        result.append(Whitener(flat, linalg.cholesky(covariance[np.ix_(keep, keep)], lower=True)))
+        result.append(Whitener(flat, _root(covariance[np.ix_(keep, keep)], table, int(run))))
     return result
+
+
+def _root(covariance: np.ndarray, table: StopTable, run: int) -> np.ndarray:
+    """The lower Cholesky factor; :class:`StepdiagError` where a run's readings are so absurd that there is none."""
+    try:
+        return linalg.cholesky(covariance, lower=True)
+    except (ValueError, linalg.LinAlgError):
+        raise StepdiagError(f'run {run + 1} of the log: the scatter of its readings is no number that noise could '
+                            'have; look at its samples with: stepdiag info BAG') from None
 
 
 def _add_to_lengths(covariance: np.ndarray, more: np.ndarray, channels: int) -> None:

@@ -174,6 +174,20 @@ def volumetric_map(solution: Solution, machine: Machine, per_axis: int = 11,
     return VolumetricMap((x, y, z), predict(solution, machine, grid, tool))
 
 
+def largest_deviation(solution: Solution, machine: Machine) -> tuple[float, float, np.ndarray]:
+    """The largest deviation [m] over all knots and corners of the volume, its standard uncertainty [m], and where."""
+    axes = []
+    for axis, letter in enumerate('XYZ'):
+        knots = [np.asarray(place) for name, place in solution.positions.items() if name[2] == letter]
+        axes.append(np.unique(np.clip(np.concatenate([[0.0, machine.volume[axis]], *knots]), 0.0,
+                                      machine.volume[axis]).round(9)))
+    points = np.stack(np.meshgrid(*axes, indexing='ij'), -1).reshape(-1, 3)
+    size = np.linalg.norm(deviation(solution.errors, machine, points), axis=1)
+    worst = points[[int(np.argmax(size))]]
+    prediction = predict(solution, machine, worst)
+    return float(prediction.size_m[0]), float(prediction.size_sigma_m[0]), worst[0]
+
+
 def compensated_command(errors: GeometricErrors, machine: Machine, points: np.ndarray,
                         tool: np.ndarray | None = None) -> np.ndarray:
     """What to command (n, 3) [m] so that the tool gets where it should be for ``points`` (n, 3) [m].

@@ -26,6 +26,7 @@ from stepdiag_ros.estimate.gauge import reporting_matrix
 from stepdiag_ros.estimate.noise import NoiseModel, arrivals
 from stepdiag_ros.estimate.prediction import sensitivities
 from stepdiag_ros.estimate.reduce import StopTable
+from stepdiag_ros.estimate.shared import weigh
 from stepdiag_ros.estimate.solution import Solution
 from stepdiag_ros.estimate.traceability import REFERENCE_TEMPERATURE
 from stepdiag_ros.model.budget import MEASURED, Budget, Contributor
@@ -382,23 +383,34 @@ def error_slopes(cause: Cause, solution: Solution) -> np.ndarray:
     return out
 
 
+SHARED = ('psd_zero', 'psd_gain', 'psd_rotation', 'cosine', 'dead_path', 'air_variation', 'tool', 'beam_offset',
+          'standoff')
+"""Kinds whose variates act on many readings, and not on all lengths alike."""
+
+
 def _scaled(cause: Cause, misfit: float) -> Cause:
     measured = cause.contributor.kind in MEASURED and misfit != 1.0
     return replace(cause, readings=misfit * cause.readings) if measured else cause
 
 
 def propagate(budget: Budget, setting: Setting, result: Fit, solution: Solution,
-              misfit: float = 1.0) -> Uncertainty:
+              misfit: float = 1.0, weighed: bool = False) -> Uncertainty:
     """Combined uncertainty of ``solution``, which belongs to ``result``.
 
-    ``misfit``: by what the measured contributors are scaled where the residuals are larger than they say.
+    ``misfit``: by what the measured contributors are scaled where the residuals are larger than they say;
+    ``weighed``: take the step to the estimate that weighs shared errors too (:mod:`stepdiag_ros.estimate.shared`).
     """
     parameters = result.parameters
     _, reporting = reporting_matrix(parameters.knots, parameters.first, parameters.size)
-    sensitivity = gain(result, reporting)
     acting = tuple(_scaled(cause, misfit) for cause in causes(budget, setting))
+    shared = [cause.readings.toarray() for cause in acting if cause.contributor.kind in SHARED]
+    if weighed and shared:
+        found = weigh(result, reporting, np.hstack(shared), misfit)
+        sensitivity, half = found.gain, found.half
+        solution = replace(solution, value=solution.value + found.shift)
+    else:
+        sensitivity, half = gain(result, reporting), reporting @ result.covariance
     effects = tuple((cause.readings.T @ sensitivity.T).T + error_slopes(cause, solution) for cause in acting)
-    half = reporting @ result.covariance
     held = half @ result.precision @ half.T
     covariance = held + sum(effect @ effect.T for effect in effects)
     alone = held + sum((effect @ effect.T for cause, effect in zip(acting, effects, strict=True)

@@ -14,6 +14,8 @@ from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.model.log import DONE, DWELL, MOVE, STOOD, CalibrationLog, Samples
 
 SPOT_COLUMNS = 2
+MOVED_M = 1e-6
+"""An axis moved if it is commanded further than this."""
 LONG = 8.0
 PIECES = 40
 """A dwell of more than so many usual ones is cut, where that is asked for, into at most so many stops."""
@@ -110,10 +112,14 @@ def reduce_log(log: CalibrationLog, cut: bool = False) -> StopTable:
         if empty and len(samples):
             warnings.append(f'{log.source}: {topic}: {empty} of {len(visits)} dwells hold no usable '
                             'sample; those stops are left out of this channel')
+    axis, mended = _moved_axis(events.run[first], events.index[first], events.axis[first], events.commanded[first])
+    if mended:
+        warnings.append(f'{log.source}: sequencer/step: {mended} of {len(axis)} stops name another axis than the one '
+                        'that their commanded positions moved; the positions count')
     measured, setup = np.unique(events.setup[first], return_inverse=True)
     table = StopTable(
         events.run_ids, tuple(names[k] for k in measured), events.run[first], setup, events.repeat[first],
-        events.direction[first], events.index[first], np.where(stood, STOOD, events.axis[first]),
+        events.direction[first], events.index[first], np.where(stood, STOOD, axis),
         events.commanded[first],
         move_ns, dwell_ns, done_ns,
         lengths.mean, lengths.scatter, lengths.count, lengths.rows,
@@ -123,6 +129,17 @@ def reduce_log(log: CalibrationLog, cut: bool = False) -> StopTable:
         raise StepdiagError(f'{log.source}: no dwell of sequencer/step holds a sample of '
                             'interferometer/displacement or psd/spot; check the stamps of both')
     return table
+
+
+def _moved_axis(run: np.ndarray, index: np.ndarray, axis: np.ndarray,
+                commanded: np.ndarray) -> tuple[np.ndarray, int]:
+    """Axis (k,) that moved to each visit, and how many were named otherwise; what cannot be said stays as named."""
+    change = np.abs(np.diff(commanded, axis=0)) > MOVED_M
+    follows = (np.diff(run) == 0) & (np.abs(np.diff(index.astype(int))) == 1) & (change.sum(axis=1) == 1)
+    wrong = 1 + np.flatnonzero(follows & (axis[1:] != change.argmax(axis=1)))
+    mended = axis.copy()
+    mended[wrong] = change[wrong - 1].argmax(axis=1)
+    return mended, len(wrong)
 
 
 def _pieces(length_ns: np.ndarray) -> np.ndarray:

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from stepdiag_ros.estimate.finding import Finding
 from stepdiag_ros.estimate.traceability import Traceability
 from stepdiag_ros.model.machine import CURVES, SQUARENESS, Curve, GeometricErrors
 from stepdiag_ros.model.sensor import Misalignment
@@ -48,7 +49,8 @@ class Solution:
     squareness error; ``value`` (p,) [m or rad] and ``covariance`` (p, p) follow it.  Curves are
     zero at position 0 with zero variance.  Straightness and squareness refer to the reference
     lines of ISO 230-1 (:mod:`stepdiag_ros.estimate.gauge`).  A method that cannot give an error
-    leaves its name out.
+    leaves its name out.  ``sanity``: mistakes of commissioning that the log shows
+    (:mod:`stepdiag_ros.estimate.sanity`).
 
     ``covariance`` is that of the whole budget where ``traceability`` is set, else of the repeats alone;
     ``repeatability`` (p, p) then keeps what the repeats, or the noise that the cell declares, give alone.
@@ -71,6 +73,7 @@ class Solution:
     extra: Mapping[str, Any] = field(default_factory=dict)
     repeatability: np.ndarray | None = None
     traceability: Traceability | None = None
+    sanity: tuple[Finding, ...] = ()
 
     @property
     def sigma(self) -> np.ndarray:
@@ -137,7 +140,8 @@ class Solution:
                 'gauge': self.gauge, 'reduced_chi2': self.reduced_chi2, 'dof': self.dof,
                 'misalignments': {name: {'laser_rad': list(m.laser), 'mirror_rad': list(m.mirror)}
                                   for name, m in self.misalignments.items()},
-                'noise': dict(self.noise), 'warnings': list(self.warnings), **self.extra}
+                'noise': dict(self.noise), 'warnings': list(self.warnings),
+                'sanity': [finding.to_json_dict() for finding in self.sanity], **self.extra}
 
 
 def _list(values: np.ndarray) -> list[float]:

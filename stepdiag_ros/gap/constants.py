@@ -10,8 +10,6 @@ cause of some twenty."""
 SUSPICION = 6.0
 """Least log evidence of what is followed up on the way to a claim: a set to be fitted, a form to be tuned, an effect
 that may bend the fit, a jump in a dwell, arrivals that stray; and by which what stood before must be better to stay."""
-COARSE_ALARM = 6.0
-"""Log evidence that noise larger by what the steps of readings add would have in all stops, from which they matter."""
 MEMBER_ALARM = 6.0
 """Least log evidence that each effect of a set must bring beside the others, the discrepancy of their forms allowed
 for: odds of twenty against its prior probability."""

@@ -28,15 +28,17 @@ from stepdiag_ros.gap.experiment_design.competing_models import confused, rivals
 from stepdiag_ros.gap.inference.discrepancy import residual
 from stepdiag_ros.gap.inference.evidence import width_of
 from stepdiag_ros.gap.inference.initialisation import GROSS
-from stepdiag_ros.gap.inference.joint import Joint, fit_jointly, unexplained
+from stepdiag_ros.gap.inference.joint import Joint, unexplained
+from stepdiag_ros.gap.inference.noise_or_effects import settle_in_noise
 from stepdiag_ros.gap.inference.search import NOTHING, EffectSet, probabilities
-from stepdiag_ros.gap.inference.select_effects import noise_of, settle
 from stepdiag_ros.gap.noise.disturbances import disturbed
 from stepdiag_ros.gap.noise.incoherent_lines import Vibration
 from stepdiag_ros.gap.noise.scatter import excess_scatter
+from stepdiag_ros.gap.noise.stated import stated
 from stepdiag_ros.gap.preprocess.clocks import Late, set_clocks
 from stepdiag_ros.gap.preprocess.detector_range import within_range
 from stepdiag_ros.gap.preprocess.observe import observe
+from stepdiag_ros.gap.preprocess.samples import clean
 from stepdiag_ros.gap.summary.cross_validation import Closing, closing, excess_forecast
 from stepdiag_ros.gap.summary.hint import hint_of
 from stepdiag_ros.gap.summary.where import shares
@@ -46,14 +48,18 @@ BEYOND_PATTERNS = 0.95
 """Probability that something else acts where scatter, hops or coarse readings say so, each far beyond its alarm."""
 
 
+UNTIMED = ('the readings drift in the order in which they were taken; the times of this table are made up, so that no '
+           'thermal cause and no time constant can be told')
+
+
 def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
     """Diagnose one log against ``effects`` (one instance of each class)."""
     effects = {effect.name: effect for effect in effects}
+    log, left_out = clean(log)
     log, observation, clocks, late = set_clocks(log, observe(log))
     observation, beyond_range = within_range(observation)
     observation, disturbances = disturbed(log, observation)
-    alone = fit_jointly(observation, [], noise_of(observation))
-    joint, sets, screen = settle(alone, effects)
+    alone, joint, sets, screen = settle_in_noise(observation, effects)
     best = sets[0] if sets[0].log_bayes > ALARM else EffectSet((), 0.0)
     names, nothing, weights = probabilities(sets, len(effects) + 1)
     if not best.members:
@@ -62,17 +68,22 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
     how_far, shakes = closing(joint, alone), disturbances.unrest.shakes
     found = [_found(name, effects[name], names.get(name, 0.0), joint)
              for name in dict.fromkeys(a.effect.name for a in joint.active) if name in best.key]
+    untimed = set() if log.description.timed else {f.name for f in found if effects[f.name].needs_times}
+    found = [f for f in found if f.name not in untimed]
+    names = {UNKNOWN if name in untimed else name: names[name] for name in sorted(names, key=untimed.__contains__)} \
+        if untimed else names
     beside = [*([_late(late)] if late else []),
               *([_shaking(effects, disturbances.unrest.displacement)] if shakes else [])]
     outside = {f.name: f.probability for f in beside}
     found = sorted([*found, *beside], key=lambda f: -f.probability)
     # Of several patterns the first explains the most.
     leftover = next((screen.candidates[m.candidate].form.label for m in best.members if m.effect == UNKNOWN), '')
-    before, instead = disturbances.words(joint, {name: names.get(name, 0.0) for name in best.key})
+    leftover = leftover or (UNTIMED if untimed else '')
+    before, instead = disturbances.words({name: names.get(name, 0.0) for name in best.key})
     leftover = before or leftover or instead
     if not leftover and not shakes:
         leftover = _without_pattern(joint, how_far, bool(found))
-    if leftover and UNKNOWN not in best.key:
+    if leftover and UNKNOWN not in best.key and not untimed:
         outside[UNKNOWN] = BEYOND_PATTERNS
     if found and not leftover and (how_far.left > LEAST_LEFT or how_far.after > GROSS**2):
         leftover = (f'{100.0 * how_far.left:.2g} % of the gap does not follow the forms known of what was named '
@@ -85,9 +96,11 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
     return Diagnosis(
         log, _verdict(found, leftover), how_far, shares(joint, found, bool(leftover)), tuple(found),
         {**names, **outside, NOTHING: nothing * float(np.prod([1.0 - p for p in outside.values()]))},
-        tuple((tuple(sorted({*s.names, *outside})), w) for s, w in zip(sets, weights, strict=True))[:20],
+        tuple((tuple(sorted({*(UNKNOWN if n in untimed else n for n in s.names), *outside})), w)
+              for s, w in zip(sets, weights, strict=True))[:20],
         groups, observation, joint, clocks, disturbances.unrest.displacement, leftover,
-        log.warnings + observation.table.warnings + ((beyond_range,) if beyond_range else ()), sets, screen, words, run,
+        log.warnings + observation.table.warnings + ((beyond_range,) if beyond_range else ()) + left_out
+        + stated(joint, disturbances.widths), sets, screen, words, run,
         separations(sets, doubtful), hint, len(effects) + 1)
 
 

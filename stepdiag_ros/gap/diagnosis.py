@@ -12,6 +12,7 @@ from stepdiag_ros.gap.inference.candidates import Screen
 from stepdiag_ros.gap.inference.joint import Joint
 from stepdiag_ros.gap.inference.search import EffectSet
 from stepdiag_ros.gap.noise.incoherent_lines import Vibration
+from stepdiag_ros.gap.noise.stated import law_of
 from stepdiag_ros.gap.preprocess.observe import Observation
 from stepdiag_ros.gap.preprocess.timing import Timing
 from stepdiag_ros.gap.summary.bands import Band, bands
@@ -105,7 +106,7 @@ class Diagnosis:
             'errors_before': self.plain.to_json_dict()['errors'] if self.joint.active else None,
             'noise': {'position_repeatability_m': self.joint.noise.position,
                       'angle_repeatability_rad': self.joint.noise.angle,
-                      'source': self.joint.noise.source},
+                      'law': law_of(self.joint.noise), 'source': self.joint.noise.source},
             'warnings': list(self.warnings)}
 
     @cached_property

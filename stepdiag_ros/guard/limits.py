@@ -24,6 +24,7 @@ UNPACKED_LEAST = 64 * MIB
 UNPACKED_TIMES = 64
 SUMMARY_BYTES = 64 * MIB
 DESCRIBING_RECORDS = 100_000
+CHANNELS = 2000
 SMALLEST_MESSAGE = 64
 """Bytes that a message is counted as at least: what keeping track of it costs."""
 
@@ -42,6 +43,8 @@ STOPS = 3 * STEPS + 1
 BEAMS = 3
 LENGTH_M = 100.0
 """Of a working volume, a tool, a standoff or an offset."""
+NUMBER = 1.0e15
+"""Any number of a cell file."""
 NOISE = 1.0
 """Standard deviation [m or rad] that a maker of a log may believe in."""
 NAME_LETTERS = 200
@@ -54,6 +57,9 @@ FAULTS = 100
 """Places at which a damaged file is taken up again."""
 NAMES_LISTED = 3
 """Names of unknown setups and the like that a warning lists."""
+
+LOG_S = 1.0e8
+"""Of one log: three years."""
 
 # Measured values.  What is beyond is no reading of these instruments.
 DISPLACEMENT_M = 1000.0

@@ -20,7 +20,7 @@ _Base: Any = getattr(yaml, 'CSafeLoader', yaml.SafeLoader)
 
 def _simple(base: Any) -> Any:
     """A loader class that takes dates and ``<<`` for texts and refuses integers beyond 64 bits."""
-    class Loader(base):   # type: ignore[misc]
+    class Loader(base):
         yaml_implicit_resolvers = {   # noqa: RUF012 - as in its base
             letter: [(tag, form) for tag, form in rules if tag not in (f'{_CORE}timestamp', f'{_CORE}merge')]
             for letter, rules in base.yaml_implicit_resolvers.items()}
@@ -73,7 +73,7 @@ def _check(text: str, source: str) -> None:
             raise refuse('has an anchor or alias (& or *); write the value out')
         if isinstance(event, yaml.CollectionEndEvent):
             depth -= 1
-        if not isinstance(event, yaml.NodeEvent):
+        if not isinstance(event, yaml.ScalarEvent | yaml.CollectionStartEvent):
             continue
         values += 1
         if values > limits.YAML_VALUES:

@@ -32,7 +32,7 @@ MACHINE = {name}
 DISPLAY = ./display.sh
 [TASK]
 TASK = milltask
-CYCLE_TIME = 0.001
+CYCLE_TIME = 0.005
 [RS274NGC]
 PARAMETER_FILE = parameters
 [EMCMOT]

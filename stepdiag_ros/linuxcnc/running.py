@@ -20,6 +20,7 @@ USER, GROUP = 'nobody', 'nogroup'
 START_TIMEOUT_S = 60.0
 STOP_TIMEOUT_S = 30.0
 WAIT_FOR_LOCK_S = 300.0
+PREFIX = 'stepdiag-linuxcnc-'
 
 
 def missing() -> str:
@@ -36,6 +37,28 @@ def free_port() -> int:
         return probe.getsockname()[1]
 
 
+def end_display(folder: Path) -> bool:
+    """End the display of the LinuxCNC that runs in a folder, with which all of it ends; whether there was one."""
+    try:
+        os.kill(int((folder / 'pid').read_text()), signal.SIGTERM)
+    except (OSError, ValueError):
+        return False
+    return True
+
+
+def _runs_in(folder: Path) -> list[int]:
+    """Processes whose command names a folder."""
+    found = []
+    for entry in Path('/proc').glob('[0-9]*'):
+        try:
+            command = (entry / 'cmdline').read_bytes()
+        except OSError:
+            continue
+        if str(folder).encode() in command:
+            found.append(int(entry.name))
+    return found
+
+
 class LinuxCnc:
     """One LinuxCNC, run from a copy of ``configuration`` (a folder with ``machine.ini``); a context manager.
 
@@ -47,12 +70,13 @@ class LinuxCnc:
         if lack:
             raise StepdiagError(lack)
         self.port = free_port() if port is None else port
-        self.folder = Path(tempfile.mkdtemp(prefix='stepdiag-linuxcnc-'))
+        self.folder = Path(tempfile.mkdtemp(prefix=PREFIX))
         self._process: subprocess.Popen | None = None
-        self._lock = open(Path(tempfile.gettempdir()) / f'stepdiag-linuxcnc-{os.getuid()}', 'w')
+        self._lock = open(Path(tempfile.gettempdir()) / f'stepdiag-linuxcnc-{os.getuid()}', 'a+')
         try:
             shutil.copytree(configuration, self.folder, dirs_exist_ok=True)
             self._wait_for_lock()
+            self._clear_up()
         except BaseException:
             self._lock.close()
             shutil.rmtree(self.folder, ignore_errors=True)
@@ -69,6 +93,22 @@ class LinuxCnc:
                     raise StepdiagError('another LinuxCNC runs on this computer, and only one can; '
                                         'end it') from None
                 time.sleep(0.2)
+
+    def _clear_up(self) -> None:
+        """End a LinuxCNC whose owner was killed before it could: the lock's file says where it ran."""
+        self._lock.seek(0)
+        left = Path(self._lock.read().strip() or os.devnull)
+        if left.is_dir() and left.name.startswith(PREFIX):
+            end_display(left)
+            until = time.monotonic() + STOP_TIMEOUT_S
+            while _runs_in(left) and time.monotonic() < until:
+                time.sleep(0.2)
+            for pid in _runs_in(left):
+                os.kill(pid, signal.SIGKILL)
+            shutil.rmtree(left, ignore_errors=True)
+        self._lock.truncate(0)
+        self._lock.write(str(self.folder))
+        self._lock.flush()
 
     def start(self) -> None:
         """Start, and wait until the control listens."""
@@ -108,9 +148,7 @@ class LinuxCnc:
     def stop(self) -> None:
         """End its display; LinuxCNC's own script then takes the rest down."""
         if self._process is not None and self._process.poll() is None:
-            try:
-                os.kill(int((self.folder / 'pid').read_text()), signal.SIGTERM)
-            except (FileNotFoundError, ProcessLookupError, ValueError):
+            if not end_display(self.folder):
                 self._process.terminate()
             try:
                 self._process.wait(STOP_TIMEOUT_S)

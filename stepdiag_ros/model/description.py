@@ -15,6 +15,8 @@ from stepdiag_ros.guard import limits, strict_yaml
 from stepdiag_ros.model.budget import Budget
 from stepdiag_ros.model.surroundings import AirValues, Expansion, air_of, scales_of, scales_to_dict
 
+MADE_UP = 'made_up'
+"""What ``times`` of a description says where a table had none."""
 SCHEMA = 1
 DIAGONALS = ('ppp', 'npp', 'pnp', 'nnp')
 LINEAR = ('lin_x', 'lin_y', 'lin_z')
@@ -84,7 +86,8 @@ class Noise:
 class Description:
     """A whole cell description.
 
-    ``air``: where no topic tells; ``scales``: their material by axis letter; ``budget``: the cell's own lines.
+    ``air``: where no topic tells; ``scales``: their material by axis letter; ``budget``: the cell's own lines;
+    ``timed``: whether the log's times were measured, not made up for a table without.
     """
 
     machine: Machine
@@ -94,6 +97,7 @@ class Description:
     air: AirValues | None = None
     scales: dict[str, Expansion] = field(default_factory=dict)
     budget: Budget | None = None
+    timed: bool = True
 
     @classmethod
     def from_yaml(cls, text: str, source: str = 'cell_description') -> 'Description':
@@ -141,7 +145,8 @@ class Description:
         noise = Noise(*(get.number(n, f'noise.{key}', default=value, minimum=0.0, maximum=limits.NOISE)
                         for key, value in vars(Noise()).items()))
         return cls(machine, plan, setups, noise, air_of(get, data.get('air')),
-                   scales_of(get, data.get('material')), _budget(data.get('budget'), source))
+                   scales_of(get, data.get('material')), _budget(data.get('budget'), source),
+                   data.get('times') != MADE_UP)
 
     def to_dict(self) -> dict[str, Any]:
         """The mapping of the contract, plain lists and floats."""
@@ -166,6 +171,8 @@ class Description:
             whole['material'] = {'scales': scales_to_dict(self.scales)}
         if self.budget is not None:
             whole['budget'] = self.budget.to_list()
+        if not self.timed:
+            whole['times'] = MADE_UP
         return whole
 
     def to_yaml(self) -> str:
@@ -212,7 +219,7 @@ class _Getter:
                minimum: float = -math.inf, maximum: float = math.inf) -> float:
         value = body.get(path.rsplit('.', 1)[-1], default)
         try:
-            number = float(value)   # type: ignore[arg-type]
+            number = float(value if value is not None else 'none')
         except (TypeError, ValueError, OverflowError):
             number = math.nan
         if isinstance(value, bool) or not math.isfinite(number) or not minimum <= number <= maximum:

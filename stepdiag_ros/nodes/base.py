@@ -22,6 +22,7 @@ environment.prepare()
 import rclpy  # noqa: E402 - the environment has to be set before
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue  # noqa: E402
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor  # noqa: E402
+from rclpy.clock import Clock, ClockType  # noqa: E402
 from rclpy.exceptions import InvalidParameterValueException  # noqa: E402
 from rclpy.experimental.events_executor import EventsExecutor  # noqa: E402
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn  # noqa: E402
@@ -35,6 +36,7 @@ from rclpy.qos import (  # noqa: E402
 from rclpy.qos_overriding_options import QoSOverridingOptions  # noqa: E402
 from rclpy.signals import SignalHandlerOptions  # noqa: E402
 from rclpy.task import Future  # noqa: E402
+from rclpy.timer import Timer  # noqa: E402
 
 from stepdiag_ros.errors import StepdiagError  # noqa: E402
 from stepdiag_ros.guard.show import escaped  # noqa: E402
@@ -53,6 +55,11 @@ def reliable(depth: int = DEPTH, latched: bool = False) -> QoSProfile:
     return QoSProfile(
         depth=depth, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.RELIABLE,
         durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE)
+
+
+def steady_clock() -> Clock:
+    """The monotonic clock, for timers."""
+    return Clock(clock_type=ClockType.STEADY_TIME)
 
 
 def overridable() -> QoSOverridingOptions:
@@ -104,8 +111,8 @@ class StepdiagNode(LifecycleNode):
         self._fault = ''
         autostart = self.text('autostart', False, 'configure and activate without being asked')
         self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
-        self._diagnostics_timer = self.create_timer(1.0, self.publish_diagnostics)
-        self._autostart_timer = self.create_timer(1.0, self._start_by_itself) if autostart else None
+        self._diagnostics_timer = self.every(1.0, self.publish_diagnostics)
+        self._autostart_timer = self.every(1.0, self._start_by_itself) if autostart else None
 
     def get_logger(self) -> Any:
         return SafeLogger(super().get_logger())
@@ -128,25 +135,33 @@ class StepdiagNode(LifecycleNode):
         """How the node is; called once a second in every state."""
         return Health()
 
+    def every(self, period_s: float, callback: Callable[[], None]) -> Timer:
+        """A timer that a step of the system's clock does not hold up, as it does rclpy's own default."""
+        return self.create_timer(period_s, callback, clock=steady_clock())
+
     # -- parameters --------------------------------------------------------------
 
+    # ``fixed``: read-only once the node runs.  Whatever names files, hosts, feeds or places is: everybody on this
+    # computer may call the parameter services.
+
     def number(self, name: str, default: float, description: str, low: float, high: float,
-               unit: str = '') -> float:
+               unit: str = '', fixed: bool = False) -> float:
         """Declare a floating-point parameter with its range; returns its value."""
         described = f'{description} [{unit}]' if unit else description
         return self.declare_parameter(name, float(default), ParameterDescriptor(
-            description=described,
+            description=described, read_only=fixed,
             floating_point_range=[FloatingPointRange(from_value=float(low), to_value=float(high))])).value
 
-    def count(self, name: str, default: int, description: str, low: int, high: int) -> int:
+    def count(self, name: str, default: int, description: str, low: int, high: int, fixed: bool = False) -> int:
         """Declare a whole-number parameter with its range; returns its value."""
         return self.declare_parameter(name, int(default), ParameterDescriptor(
-            description=description,
+            description=description, read_only=fixed,
             integer_range=[IntegerRange(from_value=low, to_value=high, step=1)])).value
 
-    def text(self, name: str, default: Any, description: str) -> Any:
+    def text(self, name: str, default: Any, description: str, fixed: bool = False) -> Any:
         """Declare a parameter without a range (text, switch or list); returns its value."""
-        return self.declare_parameter(name, default, ParameterDescriptor(description=description)).value
+        return self.declare_parameter(name, default, ParameterDescriptor(
+            description=description, read_only=fixed)).value
 
     def value(self, name: str) -> Any:
         """The parameter as it stands now."""

@@ -17,16 +17,19 @@ import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from importlib.util import find_spec
 from pathlib import Path
 
 import yaml
 
 from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.guard.missing import missing
 from stepdiag_ros.guard.show import escaped
 from stepdiag_ros.nodes import environment
 from stepdiag_ros.nodes.graph import LISTENERS, NODES, PARAMETERS, hardware_endpoints, namespace_of, write_graph
 from stepdiag_ros.nodes.ownership import CELL as CELL_OWNER
 from stepdiag_ros.nodes.ownership import Ownership
+from stepdiag_ros.virtual.acting import allow_effect_files
 from stepdiag_ros.virtual.cell import Cell, load_cell
 
 CELL = 'virtual cell'
@@ -82,6 +85,8 @@ class Bringup:
                  bag: Path | None = None, bag_folder: Path = Path('.'), runtime: Path | None = None,
                  domain: int | None = None, nodes: tuple[str, ...] = NODES, steps: int = 0,
                  say: Callable[[str], None] = lambda text: None):
+        if find_spec('stepdiag_msgs') is None:
+            raise StepdiagError(f'bringup needs {missing("stepdiag_msgs")}')
         self.cell_path = Path(cell_path)
         cell = load_cell(cell_path)
         others = [load_cell(file) for file in cell.instruments.machine_files]
@@ -267,6 +272,7 @@ class Bringup:
             if child.node == 'recorder':
                 self._keep_bag(child)
             self._spawn(child)
+            self.operator_of(child.namespace).restore_parameters(child.node, but=('bag', 'go_on'))
             self._activate(child)
             self.restarts += 1
             self._say(f'{child.name} is active again')
@@ -327,10 +333,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help='where new bags are made (default: here)')
     parser.add_argument('--runtime', type=Path, metavar='DIR',
                         help='directory for logs and parameters (default: a temporary one)')
+    parser.add_argument('--effect', metavar='FILE.py', action='append', default=[],
+                        help='let the cell file name this Python file with an effect of your own; it is run, so '
+                             'give only files that you trust')
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Bring up and watch until Ctrl-C or SIGTERM."""
+    allow_effect_files(arguments.effect)
     asked: list[int] = []
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda got, _frame: asked.append(got))

@@ -25,8 +25,8 @@ class DriverNode(StepdiagNode):
 
     def __init__(self, name: str, port: int):
         super().__init__(name)
-        self.text('host', '127.0.0.1', 'host name or address of the instrument')
-        self.count('port', port, 'TCP port of the instrument', 1, 65535)
+        self.text('host', '127.0.0.1', 'host name or address of the instrument', fixed=True)
+        self.count('port', port, 'TCP port of the instrument', 1, 65535, fixed=True)
         self.number('timeout', 5.0, 'silence after which the instrument counts as stalled',
                     0.1, 120.0, 's')
         self.number('sample_rate', 1000.0, 'samples a second', 1.0, 1.0e6, 'Hz')

@@ -18,6 +18,7 @@ from std_srvs.srv import Trigger
 from stepdiag_msgs.msg import GeometricErrors
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate import Solution, evaluate
+from stepdiag_ros.estimate.status import OK as GOOD
 from stepdiag_ros.guard.jsontext import to_json
 from stepdiag_ros.model.machine import SQUARENESS
 from stepdiag_ros.nodes.base import ERROR, OK, Health, overridable, reliable, run_node
@@ -78,6 +79,8 @@ class EvaluationSolver(ListenerNode):
             message = errors_message(solution, time.time_ns())
             self._publisher.publish(message)
             self._last, self._failed = f'{solution.status}, reduced chi2 {solution.reduced_chi2}', False
+            if solution.status != GOOD:
+                self.get_logger().warning('; '.join([solution.status, *map(str, solution.sanity)]))
             return True, message.json
 
     def _refuse(self, why: str) -> tuple[bool, str]:

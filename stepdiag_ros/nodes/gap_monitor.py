@@ -6,6 +6,7 @@ a calibration has ended, or on the service ``diagnose``, it runs the whole diagn
 publishes ``gap_report``.
 """
 
+import argparse
 import math
 import os
 import sys
@@ -15,6 +16,7 @@ import traceback
 from dataclasses import dataclass, replace
 
 import numpy as np
+from rclpy.utilities import remove_ros_args
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
@@ -64,13 +66,13 @@ def leaving(solution: Solution) -> Leaving | None:
 class GapMonitor(ListenerNode):
     """Watches the residuals, and diagnoses when all is measured."""
 
-    def __init__(self):
+    def __init__(self, effect_files: tuple[str, ...] = ()):
         super().__init__('gap_monitor')
+        self._effect_files = effect_files
         self.number('alarm', 5.0, 'excess of the reduced chi2 over 1 that is worth a warning, in its own '
                     'standard deviations', 1.0, 100.0, '1')
         self.number('period', 5.0, 'between two looks at the residuals', 0.5, 3600.0, 's')
         self.text('diagnose_when_done', True, 'diagnose by itself when a calibration has succeeded')
-        self.text('effects', [''], "files with effects of one's own")
         self._publisher = self.create_lifecycle_publisher(
             GapReport, TOPIC, reliable(1, latched=True), qos_overriding_options=overridable())
         self.create_service(Trigger, 'diagnose', self._on_diagnose)
@@ -82,8 +84,7 @@ class GapMonitor(ListenerNode):
         self._fault_of_work = ''
 
     def configure(self) -> None:
-        self._effects = [kind() for kind in
-                         all_effects([path for path in self.value('effects') if path]).values()]
+        self._effects = [kind() for kind in all_effects(self._effect_files).values()]
 
     def activate(self) -> None:
         super().activate()
@@ -174,8 +175,14 @@ def report_message(diagnosis: Diagnosis, time_ns: int) -> GapReport:
 
 
 def main() -> int:
+    parser = argparse.ArgumentParser(prog='gap_monitor', description=__doc__,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument('--effect', metavar='FILE.py', action='append', default=[],
+                        help='Python file with an effect of your own; it is run, so give only files that you trust')
+    # From the command line alone: a parameter could be set by everybody on this computer.
+    files = tuple(parser.parse_args(remove_ros_args(sys.argv)[1:]).effect)
     os.nice(10)   # watching must not delay those who measure
-    return run_node(GapMonitor)
+    return run_node(lambda: GapMonitor(files))
 
 
 if __name__ == '__main__':

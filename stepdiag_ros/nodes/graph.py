@@ -47,6 +47,7 @@ def hardware_endpoints(cell: Cell) -> dict[str, dict[str, Any]]:
              'psd': {'host': instruments.psd.host, 'port': instruments.psd.port,
                      'stream_port': instruments.psd_stream.port},
              'cnc': {'host': instruments.cnc.host, 'port': instruments.cnc.port,
+                     'setup_codes': dict(instruments.setup_codes),
                      **({'watch_port': instruments.watch_port} if instruments.watch_port else {})}}
     if instruments.multiplexer:
         found['switch'] = {'host': instruments.switch.host, 'port': instruments.switch.port,
@@ -78,7 +79,7 @@ def parameters(cell: Cell, endpoints: Mapping[str, Mapping[str, Any]], descripti
         return {'sample_rate': float(value), 'block_samples': max(1, round(value * sampling.block))}
 
     return {
-        'recorder': {'bag': '' if bag is None else str(bag), 'bag_folder': str(bag_folder)},
+        'recorder': {'bag': '' if bag is None else str(bag), 'bag_folder': str(bag_folder.absolute())},
         'evaluation_solver': {},
         'gap_monitor': {},
         'interferometer_driver': {
@@ -90,13 +91,13 @@ def parameters(cell: Cell, endpoints: Mapping[str, Mapping[str, Any]], descripti
             'stream_port': where['psd']['stream_port'], 'setup': first,
             'channels': list(detector.channels), 'length': float(detector.length),
             'rotation': float(detector.rotation), 'gain': [float(g) for g in detector.gain],
-            'zero': [float(z) for z in detector.zero], **rate(sampling.psd)},
+            'zero': [float(z) for z in detector.zero], 'mode': detector.mode, **rate(sampling.psd)},
         'step_sequencer': {
             'host': where['cnc']['host'], 'port': where['cnc']['port'],
             'watch_port': where['cnc'].get('watch_port', 0),
             'origin': [float(c) for c in cell.description.machine.origin or (0.0, 0.0, 0.0)],
             'description_file': str(description_file), 'feed': float(motion.feed),
-            'dwell': float(motion.dwell), 'steps': steps,
+            'dwell': float(motion.dwell), 'stand': float(motion.stand), 'steps': steps,
             'setup_codes': [f'{setup}={code}' for setup, code in codes.items()] or [''],
             'lease': float(cell.client.lease), 'lost_client': cell.client.lost,
             # Where no code mounts the mirrors, as on most machines, a person does.
@@ -116,7 +117,8 @@ def write_graph(cell: Cell, endpoints: Mapping[str, Mapping[str, Any]], runtime:
         else '/' + namespace.strip('/')
     wanted = parameters(cell, endpoints, description_file, bag, bag_folder, steps)
     wanted['step_sequencer']['listeners'] = [name for name in nodes if name in LISTENERS] or ['']
-    content = {f'{space}/{name}': {'ros__parameters': wanted[name]} for name in nodes if wanted[name]}
+    # Whatever namespace the nodes are started in, as by `ros2 launch`, these are theirs.
+    content = {f'/**/{name}': {'ros__parameters': wanted[name]} for name in nodes if wanted[name]}
     file = (runtime / PARAMETERS).absolute()
     file.write_text(yaml.safe_dump(content, sort_keys=False), encoding='utf-8')
     return Graph(space, nodes, file)

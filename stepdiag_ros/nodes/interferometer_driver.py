@@ -58,14 +58,14 @@ class InterferometerDriver(DriverNode):
 
     def __init__(self):
         super().__init__('interferometer_driver', PORT)
-        self.count('beams', 1, 'axes of the instrument that look at the mirror', 1, 3)
+        self.count('beams', 1, 'axes of the instrument that look at the mirror', 1, 3, fixed=True)
         self.number('environment_period', 1.0, 'between two readings of the air', 0.5, 60.0, 's')
-        self.text('switch_host', '', 'host name or address of the optical switch; empty: there is none')
-        self.count('switch_port', SWITCH_PORT, 'TCP port of the optical switch', 1, 65535)
+        self.text('switch_host', '', 'host name or address of the optical switch; empty: there is none', fixed=True)
+        self.count('switch_port', SWITCH_PORT, 'TCP port of the optical switch', 1, 65535, fixed=True)
         self.number('hold', 60.0, 'rest after which a machine loses the laser to another that asks',
                     1.0, 36_000.0, 's')
         served = self.text('serves', [''], 'machines that share this instrument, namespace=channel of the '
-                                           'switch, e.g. left=1; empty: its own machine only')
+                                           'switch, e.g. left=1; empty: its own machine only', fixed=True)
         self._channels = _channels(served)
         self._machines = {prefix: _Machine(self, prefix) for prefix in self._channels}
         self._prefix = next(iter(self._channels))

@@ -10,6 +10,7 @@ import time
 from dataclasses import replace
 
 from action_msgs.msg import GoalStatus, GoalStatusArray
+from rclpy.serialization import deserialize_message
 
 from stepdiag_msgs.msg import RecorderStatus, Step
 from stepdiag_ros.bag.reader import build_log
@@ -24,6 +25,9 @@ from stepdiag_ros.nodes.idle import IdleFilter
 from stepdiag_ros.nodes.stamps import ns_of
 from stepdiag_ros.nodes.step_sequencer import ACTION
 
+RECORDER = 'recorder/status'
+#: Longest wait for the recorder's first word.
+WORD_S = 1.5
 #: Longest wait for samples that are still on their way.
 SETTLE_S = 3.0
 
@@ -35,7 +39,6 @@ class ListenerNode(StepdiagNode):
         super().__init__(name)
         self.create_subscription(GoalStatusArray, f'{ACTION}/_action/status', self._on_status,
                                  reliable(10, latched=True))
-        self.create_subscription(RecorderStatus, 'recorder/status', self._on_recorder, reliable(10))
         self._missed = ''        # the bag of which this node has missed the beginning
         self._asked_ns = 0       # since when the recorder's word is waited for; 0: it has come
         self._keeping = threading.Lock()
@@ -49,7 +52,8 @@ class ListenerNode(StepdiagNode):
     def activate(self) -> None:
         self._begin_log()
         self._running.clear()
-        self._ears = Ears(self, TOPICS, self._keep, latched=(DESCRIPTION,))
+        self._ears = Ears(self, TOPICS | {RECORDER: 'stepdiag_msgs/msg/RecorderStatus'}, self._keep,
+                          latched=(DESCRIPTION,))
         self._ears.start()
 
     def _begin_log(self) -> None:
@@ -66,6 +70,9 @@ class ListenerNode(StepdiagNode):
         self._ears = None
 
     def _keep(self, heard: Heard) -> None:
+        if heard.topic == RECORDER:
+            self._on_recorder(deserialize_message(heard.cdr, RecorderStatus))
+            return
         with self._keeping:
             self._filter.add(heard.topic, heard.cdr, heard.sequence)
 
@@ -104,6 +111,10 @@ class ListenerNode(StepdiagNode):
 
         A node that was started again has missed the runs before; the recorder's bag has them all.
         """
+        end = time.monotonic() + WORD_S
+        while self._asked_ns and time.monotonic() < end:
+            time.sleep(0.02)
+        self._asked_ns = 0
         if self._missed:
             return self._log_of_bag(self._missed)
         with self._keeping:

@@ -9,6 +9,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from stepdiag_ros.nodes import base
@@ -19,7 +20,9 @@ from action_msgs.msg import GoalStatus
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
-from rcl_interfaces.srv import SetParameters
+from rcl_interfaces.msg import Parameter as ParameterMessage
+from rcl_interfaces.msg import ParameterEvent
+from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.action import ActionClient
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
@@ -102,9 +105,11 @@ class Operator:
         self._handle = None
         self.node.create_subscription(DiagnosticArray, '/diagnostics', self._on_diagnostics, 50)
         self.node.create_subscription(RecorderStatus, 'recorder/status', self._on_recorder, 10)
+        self._changed: dict[str, dict[str, ParameterMessage]] = {}
+        self.node.create_subscription(ParameterEvent, '/parameter_events', self._on_parameters, 1000)
         self._action = ActionClient(self.node, RunStepDiagonal, ACTION)
         self._lease = self.node.create_publisher(UUID, LEASE, lease_qos())
-        self.node.create_timer(LEASE_PERIOD_S, self._renew_lease)
+        self.node.create_timer(LEASE_PERIOD_S, self._renew_lease, clock=base.steady_clock())
         self._stop = threading.Event()
         self._thread = threading.Thread(
             target=base.spin, args=(self._executor, self._stop.is_set), name='operator', daemon=True)
@@ -130,6 +135,10 @@ class Operator:
     def _on_diagnostics(self, array: DiagnosticArray) -> None:
         for status in array.status:
             self._heard['/' + status.name] = (time.monotonic(), status)
+
+    def _on_parameters(self, event: ParameterEvent) -> None:
+        for parameter in event.changed_parameters:
+            self._changed.setdefault(event.node, {})[parameter.name] = parameter
 
     def _renew_lease(self) -> None:
         handle = self._handle
@@ -208,11 +217,19 @@ class Operator:
                 raise StepdiagError(f'{self.namespace}/{node}: parameter {name} cannot be '
                                     f'{value!r}: {result.reason}')
 
+    def restore_parameters(self, node: str, but: Sequence[str] = ()) -> None:
+        """Give a node that was started again the parameters that were changed since this facade is here."""
+        changed = [p for name, p in self._changed.get(f'{self.namespace}/{node}', {}).items() if name not in but]
+        if changed:
+            self._call(SetParameters, f'{node}/set_parameters', SetParameters.Request(parameters=changed), 30.0)
+
     def new_log(self, bag: str = '', steps: int = 0) -> None:
         """Begin a new bag, and have those who keep a log of their own begin anew with it.
 
+        ``bag``: its directory, in the folder in which the recorder makes bags; empty: a name is made there.
         ``steps``: of each axis along a diagonal, if not those of the cell description.
         """
+        name = self._name_of(bag)
         self._refuse_while_busy()
         self.bring('step_sequencer', UNCONFIGURED)
         listeners = ['recorder', 'evaluation_solver']
@@ -220,7 +237,7 @@ class Operator:
             listeners.append('gap_monitor')
         for node in listeners:
             self.bring(node, INACTIVE)
-        self.set_parameters('recorder', {'bag': bag})
+        self.set_parameters('recorder', {'name': name})
         self.set_parameters('step_sequencer', {'steps': steps})
         for node in (*listeners, 'step_sequencer'):
             self.bring(node, ACTIVE)
@@ -238,6 +255,16 @@ class Operator:
             return   # it says nothing; whether it lives is seen by whoever asks it next
         if busy:
             raise StepdiagError(f'{self.namespace} is being calibrated by somebody else; wait until that has ended')
+    def _name_of(self, bag: str) -> str:
+        """The name by which the recorder is asked for a bag; :class:`StepdiagError` if it lies elsewhere."""
+        if not bag:
+            return ''
+        answer = self._call(GetParameters, 'recorder/get_parameters', GetParameters.Request(names=['bag_folder']), 10.0)
+        folder, wanted = Path(answer.values[0].string_value).expanduser().absolute(), Path(bag).absolute()
+        if wanted.parent != folder:
+            raise StepdiagError(f'{bag}: the recorder of {self.namespace} makes bags in {folder} alone; give a name '
+                                'there, or start the cell with --bag-folder')
+        return wanted.name
 
     def _is_there(self, node: str) -> bool:
         """Whether an optional node of the machine runs."""

@@ -1,7 +1,7 @@
 """The recorder's node: every contract topic of a machine into a rosbag2 directory.
 
 Active is recording: activating opens a bag, deactivating closes it.  ``recorder/status``
-says twice a second what is heard and what was lost by sequence number.  On SIGTERM it
+says five times a second what is heard and what was lost by sequence number.  On SIGTERM it
 stops taking in, drains what has arrived and closes; ``kill -9`` costs what came in
 since the writer's last flush, a quarter of a second.
 """
@@ -23,7 +23,7 @@ from stepdiag_ros.nodes.base import DEPTH, ERROR, OK, WARN, Health, StepdiagNode
 from stepdiag_ros.nodes.ears import HEARS, Ears, Heard
 from stepdiag_ros.nodes.stamps import stamp_of
 
-STATUS_PERIOD_S = 0.5
+STATUS_PERIOD_S = 0.2
 
 
 class Recorder(StepdiagNode):
@@ -31,17 +31,19 @@ class Recorder(StepdiagNode):
 
     def __init__(self):
         super().__init__('recorder')
-        self.text('bag', '', 'directory to write, which must not exist; empty: a new one, named after '
-                             'machine and time, in bag_folder')
-        self.text('bag_folder', '.', 'where new bags are made')
+        self.text('bag', '', 'directory that is written first, which must not exist; empty: a new one in bag_folder',
+                  fixed=True)
+        self.text('bag_folder', '.', 'where new bags are made', fixed=True)
+        self.text('name', '', "the next bag's name in bag_folder; empty: after machine and time")
         self.text('compression', 'zstd', f'of the chunks: {", ".join(COMPRESSIONS)}')
         self.text('go_on', False, 'go on in the bag, which exists: its recorder has died')
         self.count('queue_depth', 10_000, 'messages of a topic that may wait to be written', 1, 1_000_000)
         self._status = self.create_publisher(RecorderStatus, 'recorder/status', reliable(10))
-        self._timer = self.create_timer(STATUS_PERIOD_S, self._publish_status)
+        self._timer = self.every(STATUS_PERIOD_S, self._publish_status)
         self._writer: BagWriter | None = None
         self._ears: Ears | None = None
         self._bag = ''
+        self._file = 0
         self._earlier: dict[str, int] = {}
         self._announced: set[str] = set()
 
@@ -64,6 +66,7 @@ class Recorder(StepdiagNode):
             self.set_parameters([Parameter('go_on', value=False)])
         else:
             self._writer = BagWriter(path, compression=self.value('compression'))
+        self._file = self._writer.number
         self._bag = str(path)
         self._ears = Ears(self, TOPICS, self._write, latched=(DESCRIPTION,),
                           depth=self.value('queue_depth'))
@@ -85,11 +88,15 @@ class Recorder(StepdiagNode):
         self._ears = None
 
     def _path(self) -> Path:
-        if self.value('bag'):
+        if self.value('bag') and not self._bag:
             return Path(self.value('bag')).expanduser().absolute()
+        folder = Path(self.value('bag_folder')).expanduser().absolute()
+        if name := self.value('name'):
+            if Path(name).name != name or not name.isprintable():
+                raise StepdiagError(f'recorder: parameter name is {name!r}; give a name without a folder')
+            return folder / name
         machine = self.get_namespace().strip('/').replace('/', '_') or 'machine'
         name = f'{machine}_{datetime.now():%Y%m%d_%H%M%S}'
-        folder = Path(self.value('bag_folder')).expanduser().absolute()
         # Two bags may be begun in one second.
         candidates = [folder / name, *(folder / f'{name}_{i}' for i in range(2, 100))]
         return next(path for path in candidates if not path.exists())
@@ -119,7 +126,7 @@ class Recorder(StepdiagNode):
         lost = ears.lost if ears is not None else {}
         status = RecorderStatus(
             recording=self._writer is not None and not self._trouble(), bag=self._bag,
-            topics=[names(t) for t in received], received=list(received.values()),
+            file=self._file, topics=[names(t) for t in received], received=list(received.values()),
             lost=list(lost.values()), hears=[names(t) for t in ears.heard.split()] if ears is not None else [])
         status.header.stamp = stamp_of(time.time_ns())
         self._status.publish(status)

@@ -72,21 +72,21 @@ class StepSequencer(StepdiagNode):
 
     def __init__(self):
         super().__init__('step_sequencer')
-        self.text('host', '127.0.0.1', 'host name or address of the machine control')
-        self.count('port', PORT, 'TCP port of the machine control', 1, 65535)
-        self.count('watch_port', 0, "TCP port of the control's watchdog; 0: it has none", 0, 65535)
+        self.text('host', '127.0.0.1', 'host name or address of the machine control', fixed=True)
+        self.count('port', PORT, 'TCP port of the machine control', 1, 65535, fixed=True)
+        self.count('watch_port', 0, "TCP port of the control's watchdog; 0: it has none", 0, 65535, fixed=True)
         self.number('timeout', 5.0, 'silence after which the control counts as stalled',
                     0.1, 120.0, 's')
-        self.text('description_file', '', 'YAML file of the cell description')
+        self.text('description_file', '', 'YAML file of the cell description', fixed=True)
         self.count('steps', 0, "steps of each axis along a diagonal; 0: the description's", 0, 10_000)
-        self.number('feed', 0.02, 'feed of every move', 1.0e-6, 5.0, 'm/s')
+        self.number('feed', 0.02, 'feed of every move', 1.0e-6, 5.0, 'm/s', fixed=True)
         self.number('dwell', 0.5, 'measuring time at a stop, where the goal gives none',
                     0.001, 600.0, 's')
         self.number('stand', 0.0, 'so much longer is the first dwell after a mounting', 0.0, 3600.0, 's')
         self.number('guard', 0.025, 'rest after a dwell before the next move: as late as a sample may '
                     'be taken after its stamp', 0.0, 10.0, 's')
-        self.text('origin', [0.0, 0.0, 0.0], "machine coordinates of the volume's lower corner [m]")
-        self.text('setup_codes', [''], 'what has a mirror mounted: setup=M-code, e.g. ppp=M101')
+        self.text('origin', [0.0, 0.0, 0.0], "machine coordinates of the volume's lower corner [m]", fixed=True)
+        self.text('setup_codes', [''], 'what has a mirror mounted: setup=M-code, e.g. ppp=M101', fixed=True)
         self.text('ask_operator', False, 'a setup without a code is mounted by a person, who confirms by the '
                                          'service sequencer/mounted')
         self.number('lease', 5.0, 'a client that has not renewed its lease for so long is lost', 0.5, 3600.0, 's')
@@ -95,8 +95,8 @@ class StepSequencer(StepdiagNode):
         self.number('resume_timeout', 60.0, 'wait for a node or an instrument that broke a run off before the '
                     'calibration ends; 0: none', 0.0, 3600.0, 's')
         self.text('listeners', ['recorder', 'evaluation_solver'],
-                  'nodes that must be connected to sequencer/step and hear the sources before a start')
-        self.text('sources', [DISPLACEMENT, SPOT], 'topics that must deliver before a start')
+                  'nodes that must be connected to sequencer/step and hear the sources before a start', fixed=True)
+        self.text('sources', [DISPLACEMENT, SPOT], 'topics that must deliver before a start', fixed=True)
         self.number('ready_timeout', 20.0, 'wait for sources, recorder and listeners before a goal is refused',
                     0.0, 600.0, 's')
         self.number('source_timeout', 3.0, 'silence after which a source counts as lost',
@@ -137,7 +137,7 @@ class StepSequencer(StepdiagNode):
         self._broken: list[str] = []
         self._clock_steps: list[float] = []
         # Events published by this process since the bag was opened, and the repeats in it.
-        self._bag = ''
+        self._bag, self._file = '', 0
         self._published = 0
         self._repeats: dict[str, int] = {}
 
@@ -226,7 +226,7 @@ class StepSequencer(StepdiagNode):
     def _on_recorder(self, status: RecorderStatus) -> None:
         self._watch.recorder(Recording(
             time.monotonic(), status.recording, status.bag, frozenset(status.hears),
-            dict(zip(status.topics, status.received, strict=True)), int(sum(status.lost))))
+            dict(zip(status.topics, status.received, strict=True)), int(sum(status.lost)), status.file))
 
     def _on_diagnostics(self, array: DiagnosticArray) -> None:
         for status in array.status:
@@ -385,6 +385,8 @@ class StepSequencer(StepdiagNode):
             completed=[*handle.request.completed, *self._progress.completed]))
         if wants := self._wait_until_ready(handle, timeout_s, bag):
             raise StepdiagError(f'{error}; waited {timeout_s:g} s to repeat {run.run_id}: {"; ".join(wants)}')
+        self._file = self._watch.recording.file
+        self._published -= self._unrecorded()      # what is lost is measured again
         self._ready_control()
         repeated = once_more(run)
         self._broken.append(run.run_id)
@@ -417,14 +419,13 @@ class StepSequencer(StepdiagNode):
 
         ``resumed``: runs of a sequencer that has ended, whose calibration this one takes over.
         """
-        self._broken = []
+        self._broken, self._file = [], self._watch.recording.file
         if bag != self._bag:
             self._bag, self._published, self._repeats = bag, 0, {}
         if resumed:
             self._repeats = first_repeats(resumed)
-            return
-        held = self._watch.recording.received.get(self.resolve_topic_name(STEP), 0)
-        if held > self._published:
+            self._published -= self._unrecorded()
+        if self._unrecorded() < 0:
             raise StepdiagError(f'refused to start: {bag} holds runs of a sequencer that has ended '
                                 'since; begin a new bag (stepdiag calibrate does)')
 
@@ -471,15 +472,24 @@ class StepSequencer(StepdiagNode):
             self._clock_steps.append(step_s)
             self._watch.begin()
         self._watch.check(bag, setup)
+        if self._watch.recording.file != self._file:
+            raise Interrupted('the recorder was started again during the run')
         return step_s
 
     def _caught_up(self, bag: str, setup: str, time_ns: int, handle: ServerGoalHandle) -> None:
-        """Wait until all sources have delivered up to ``time_ns`` and see light; or end the run."""
-        while self._watch.delivered_until() < time_ns or self._watch.dark():
+        """Wait until all sources have delivered up to ``time_ns``, see light, and all is recorded; or end the run."""
+        end = time.monotonic() + self.value('source_timeout')
+        while self._watch.delivered_until() < time_ns or self._watch.dark() or self._unrecorded() > 0:
             self._alive(handle)
             time_ns += round(self._check(bag, setup) * 1e9)
+            if time.monotonic() > end and (missing := self._unrecorded()) > 0:
+                raise Interrupted(f'the recorder has not confirmed {missing} step events')
             time.sleep(0.01)
         self._check(bag, setup)
+
+    def _unrecorded(self) -> int:
+        """Step events that were published into the bag and that the recorder has not confirmed."""
+        return self._published - self._watch.recording.received.get(self.resolve_topic_name(STEP), 0)
 
     def _call(self, client, request, name: str) -> None:
         """Call a service from the worker's thread."""
@@ -510,15 +520,11 @@ class StepSequencer(StepdiagNode):
     def _closing_word(self, outcome: Outcome) -> str:
         """Wait until samples and recorder have caught up, and say what was done."""
         now, end = HOST.now_ns(), time.monotonic() + self.value('source_timeout')
-        step = self.resolve_topic_name(STEP)
-        while time.monotonic() < end:
-            said = self._watch.recording
-            if self._watch.delivered_until() >= now and said.received.get(step, 0) >= self._published:
-                break
+        while time.monotonic() < end and (self._watch.delivered_until() < now or self._unrecorded() > 0):
             time.sleep(0.05)
         said = self._watch.recording
         word = f'{outcome.stops} stops in {len(outcome.run_ids)} runs'
-        missing = self._published - said.received.get(step, 0)
+        missing = self._unrecorded()
         if missing > 0:
             word += f'; the recorder has not confirmed {missing} of {self._published} step events'
         if self._broken:

@@ -12,6 +12,9 @@ from dataclasses import dataclass, field
 from stepdiag_ros.devices.hostclock import HOST
 from stepdiag_ros.nodes.runner import Interrupted
 
+#: Longer than any driver pauses between two blocks, shorter than it takes to start one again.
+HOLE_S = 1.0
+
 
 @dataclass
 class _Source:
@@ -19,6 +22,7 @@ class _Source:
     begin_ns: int = 0               # stamps of begin and end of the last block
     end_ns: int = 0
     dark_s: float | None = None     # since when there has been no signal; None: there is
+    hole_s: float = 0.0             # longest time left out between two blocks since the last zero
     setups: set[str] = field(default_factory=set)   # that blocks since the last zero speak of
 
 
@@ -32,6 +36,7 @@ class Recording:
     hears: frozenset[str]
     received: dict[str, int] = field(default_factory=dict)
     lost: int = 0
+    file: int = 0
 
 
 class Watch:
@@ -55,7 +60,10 @@ class Watch:
     def block(self, topic: str, begin_ns: int, end_ns: int, signal: bool, setup: str) -> None:
         """A block of ``topic`` came with these stamps; ``signal``: it holds light."""
         with self._lock:
-            source = self._sources[topic]
+            source, now = self._sources[topic], time.monotonic()
+            if source.last_s is not None:
+                # By the stamps and by the clock on the wall: a step of the system's clock is no hole.
+                source.hole_s = max(source.hole_s, min((begin_ns - source.end_ns) * 1e-9, now - source.last_s))
             source.last_s, source.begin_ns, source.end_ns = time.monotonic(), begin_ns, end_ns
             source.dark_s = None if signal else source.dark_s or source.last_s
             if begin_ns > self._since_ns:
@@ -67,6 +75,7 @@ class Watch:
             self._since_ns = HOST.now_ns()
             for source in self._sources.values():
                 source.setups.clear()
+                source.hole_s = 0.0
                 if source.dark_s is not None:
                     source.dark_s = time.monotonic()
 
@@ -139,6 +148,8 @@ class Watch:
         with self._lock:
             wants += [f'{topic} speaks of setup {other!r} in a run of {setup!r}'
                       for topic, source in self._sources.items() for other in sorted(source.setups - {setup})]
+            wants += [f'{topic} left out {source.hole_s:.1f} s' for topic, source in self._sources.items()
+                      if source.hole_s > HOLE_S]
         if not wants and said is not None and said.bag != bag:
             wants = [f'the recorder began another bag ({said.bag}) while a run was under way']
         if wants:

@@ -1,5 +1,6 @@
 """A picture of what tables do: the size of the deviation before and after, in planes of the volume or along lines."""
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import matplotlib
@@ -27,37 +28,43 @@ def draw_compensation(found: Compensation, path: Path) -> None:
                 fontsize=15, color=INK, weight='bold', va='center')
     now, then = found.worst_before, found.worst_after
     figure.text(0.03, 0.915, f'largest deviation {1e6 * now[0]:.1f} µm (U = {1e6 * now[1]:.1f}) → predicted '
-                f'{1e6 * then[0]:.1f} µm (U = {1e6 * then[1]:.1f}), k = 2; tool '
+                f'{1e6 * then[0]:.1f} µm (U = {1e6 * then[1]:.1f}), 95 %; tool '
                 f'({", ".join(f"{1e3 * c:.0f}" for c in found.point.tool)}) mm', fontsize=10, color=FAINT, va='center')
     if found.whole_volume:
-        _planes(figure, found)
+        draw_planes(figure, {'before': found.before, 'after': found.after}, 0.69, found.point.line)
     else:
         _lines(figure, found)
     _left(figure.add_axes((0.80, 0.10, 0.17, 0.70)), found)
     figure.savefig(path, facecolor='white')
 
 
-def _planes(figure: Figure, found: Compensation) -> None:
-    points = found.before.points * 1e3
+def draw_planes(figure: Figure, fields: Mapping[str, Prediction], right: float, line: np.ndarray | None = None) -> None:
+    """Two fields over each other, by title, in three planes of the volume; one scale of colours at ``right``.
+
+    A white cross marks the reference ``line`` (3,) [m].
+    """
+    points = next(iter(fields.values())).points * 1e3
     axes = [np.unique(points[:, axis]) for axis in range(3)]
     shape = tuple(len(a) for a in axes)
-    norm = Normalize(0.0, max(float(found.before.size_m.max()), float(found.after.size_m.max())) * 1e6)
+    norm = Normalize(0.0, max(float(field.size_m.max()) for field in fields.values()) * 1e6)
     levels = sorted({0, (shape[2] - 1) // 2, shape[2] - 1})
-    for row, (title, prediction) in enumerate((('before', found.before), ('after', found.after))):
+    width = (right - 0.05) / 3.0
+    for row, (title, prediction) in enumerate(fields.items()):
         size = prediction.size_m.reshape(shape) * 1e6
         for column, level in enumerate(levels):
-            panel = figure.add_axes((0.05 + 0.215 * column, 0.50 - 0.42 * row, 0.19, 0.34))
+            panel = figure.add_axes((0.05 + width * column, 0.50 - 0.42 * row, width - 0.025, 0.34))
             panel.pcolormesh(axes[0], axes[1], size[:, :, level].T, norm=norm, cmap=COLOURS, shading='gouraud',
                              rasterized=True)
             panel.set_aspect('equal', adjustable='box')
             panel.set_title(f'{title}, z = {axes[2][level]:.0f} mm', fontsize=10, color=INK, loc='left')
             panel.tick_params(labelsize=8, colors=FAINT)
-            panel.plot(found.point.line[0] * 1e3, found.point.line[1] * 1e3, '+', color='white', markersize=9)
+            if line is not None:
+                panel.plot(line[0] * 1e3, line[1] * 1e3, '+', color='white', markersize=9)
             if column == 0:
                 panel.set_ylabel('y / mm', fontsize=8, color=INK)
-            if row == 1:
+            if row == len(fields) - 1:
                 panel.set_xlabel('x / mm', fontsize=8, color=INK)
-    bar = figure.colorbar(ScalarMappable(norm, COLOURS), cax=figure.add_axes((0.695, 0.10, 0.012, 0.74)))
+    bar = figure.colorbar(ScalarMappable(norm, COLOURS), cax=figure.add_axes((right + 0.005, 0.10, 0.012, 0.74)))
     bar.set_label('size of the deviation / µm', fontsize=9, color=INK)
     bar.ax.tick_params(labelsize=8, colors=FAINT)
     bar.outline.set_visible(False)

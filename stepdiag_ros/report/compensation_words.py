@@ -1,16 +1,17 @@
 """What tables do, in words: the lines of the command and the README beside the tables."""
 
-from stepdiag_ros.compensate.compensation import Compensation, worsened, worst
+from stepdiag_ros.compensate.compensation import Compensation, worsened
 from stepdiag_ros.estimate.prediction import Prediction
+from stepdiag_ros.estimate.traceability import WORDS
 
 LEAST_SAID_M = 0.5e-6
 """What a kind of table leaves of an error is named from this size on."""
 
 
-def _figure(prediction: Prediction) -> str:
-    size, spread, place = worst(prediction)
+def _figure(found: Compensation, prediction: Prediction) -> str:
+    size, spread, place = found.worst(prediction)
     at = ', '.join(f'{1e3 * c:.0f}' for c in place)
-    return f'{1e6 * size:.2f} µm, U = {1e6 * spread:.2f} µm (k = 2), at ({at}) mm of the volume'
+    return f'{1e6 * size:.2f} µm, U = {1e6 * spread:.2f} µm (95 %), at ({at}) mm of the volume'
 
 
 def summary(found: Compensation) -> str:
@@ -21,13 +22,15 @@ def summary(found: Compensation) -> str:
     lines = [f'{found.control.title} for machine {found.place.machine.name}',
              f'  functional point   tool ({tool}) mm' + (
                  '' if found.control.whole_model else f', lines through ({line}) mm in machine coordinates'),
-             f'  largest deviation  now        {_figure(found.before)}',
-             f'                     predicted  {_figure(found.after)}; {where}']
+             f'  largest deviation  now        {_figure(found, found.before)}',
+             f'                     predicted  {_figure(found, found.after)}; {where}',
+             f'                     to be measured  {_figure(found, found.as_measured)}, from its own reference lines']
     if found.line_alone is not None:
         more = worsened(found.before, found.line_alone) > 0.0
         most = float((found.line_alone.size_m - found.before.size_m).max())
-        lines.append(f'  held back          the tables of the line alone would leave {_figure(found.line_alone)}, and '
-                     f'make {100.0 * float(more.mean()):.0f} % of the places worse beyond their U, by up to '
+        lines.append(f'  held back          the tables of the line alone would leave '
+                     f'{_figure(found, found.line_alone)}, and make '
+                     f'{100.0 * float(more.mean()):.0f} % of the places worse beyond their U, by up to '
                      f'{1e6 * most:.1f} µm')
     rest = {name: value for name, value in found.not_carried.items() if value >= LEAST_SAID_M}
     if rest:
@@ -37,6 +40,9 @@ def summary(found: Compensation) -> str:
         lines.append('  reversal           ' + ', '.join(
             f'{axis} {1e6 * value:.2f} µm, U = {1e6 * spread:.2f} µm (k = 2)'
             for axis, (value, spread) in found.reversal.items()) + ': half of it in each direction')
+    tied = found.solution.traceability
+    if tied is not None:
+        lines.append(f'  errors             {WORDS[tied.air]}; {tied.temperature_words}')
     if found.left_out:
         lines.append(f'  left out           {", ".join(found.left_out)}: the log leaves them open')
     if found.unmeasured:

@@ -6,8 +6,9 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
-from stepdiag_ros.estimate.prediction import predict
+from stepdiag_ros.estimate.prediction import largest_deviation
 from stepdiag_ros.estimate.solution import Solution
+from stepdiag_ros.estimate.traceability import WORDS
 from stepdiag_ros.model.description import Description
 from stepdiag_ros.model.machine import AXES, CURVES, SQUARENESS
 from stepdiag_ros.report.figures import draw_calibration
@@ -17,13 +18,12 @@ from stepdiag_ros.report.words import plain, quantity, setup_words
 
 GOOD, DOUBTFUL = 1.15, 1.5
 """Reduced χ² up to which a log agrees with the model, and from which it clearly does not."""
-GRID = 5
 SQUARE_WORDS = {'EC0Y': 'Y to X', 'EB0Z': 'Z to X', 'EA0Z': 'Z to Y'}
 
 
 def evaluation_page(solution: Solution, description: Description, name: str) -> str:
     """The HTML of one evaluation."""
-    sections = [_head(solution, description, name), _curves(solution), _squareness(solution),
+    sections = [_head(solution, description, name), _tied(solution), _curves(solution), _squareness(solution),
                 _misalignments(solution), _residuals(solution), _open(solution), _notes(solution),
                 _small_print(solution)]
     return page(f'{name}: the 21 geometric errors', '\n'.join(s for s in sections if s))
@@ -39,24 +39,33 @@ def _head(solution: Solution, description: Description, name: str) -> str:
         badge = ('warn', 'log and model agree roughly')
     else:
         badge = ('bad', 'log and model disagree: see `stepdiag gap` before using this')
-    size, sigma = _worst(solution, description)
-    sentence = (f'The machine misses by up to {quantity(size, "m")} (± {quantity(sigma, "m")}) in its volume of '
+    size, sigma, place = largest_deviation(solution, description.machine)
+    sentence = (f'The machine misses by up to {quantity(size, "m", 2.0 * sigma)} (k = 2) in its volume of '
                 + ' × '.join(plain(v * 1e3) for v in description.machine.volume) + ' mm.')
     said = '' if chi2 is None else (f'<p class="lead">Reduced χ² {plain(chi2)} over {solution.dof} degrees of '
                                     'freedom; 1 is what noise alone gives.</p>')
+    said += (f'<p>Largest at ({", ".join(plain(1e3 * c) for c in place)}) mm, of all knots and corners'
+             + ('.' if solution.traceability is None else f'; {escape(solution.traceability.temperature_words)}.')
+             + '</p>')
     return (f'<header><div class="kicker">Machine {escape(description.machine.name)} · log {escape(name)} · chain '
             f'{escape(description.machine.chain)} · method {escape(solution.method)}</div>'
             f'<h1>{escape(sentence)}</h1><p><span class="badge {badge[0]}">{escape(badge[1])}</span></p>{said}'
             '</header>')
 
 
-def _worst(solution: Solution, description: Description) -> tuple[float, float]:
-    """The largest predicted deviation [m] over a grid of the volume and its standard deviation."""
-    lines = [np.linspace(0.0, v, GRID) for v in description.machine.volume]
-    points = np.stack(np.meshgrid(*lines, indexing='ij'), axis=-1).reshape(-1, 3)
-    predicted = predict(solution, description.machine, points)
-    worst = int(np.argmax(predicted.size_m))
-    return float(predicted.size_m[worst]), float(predicted.size_sigma_m[worst])
+def _tied(solution: Solution) -> str:
+    """How lengths and temperature are tied to the metre and to 20 °C."""
+    tied = solution.traceability
+    if tied is None:
+        return ''
+    rows = [['lengths', escape(WORDS[tied.air])], ['mean index of air', f'{tied.index:.8f}'],
+            ['U of the unit of length (k = 2)', f'{plain(2e6 * tied.index_sigma)} µm/m'],
+            ['positioning errors', escape(tied.temperature_words)],
+            ['uncertainty', f'the whole budget ({escape(tied.budget)}), k = 2']]
+    rows += [[f'correction of {name} to 20 °C, at its end', quantity(float(values[-1]), 'm')]
+             for name, values in tied.correction_m.items()]
+    remarks = ''.join(f'<li>{escape(remark)}</li>' for remark in tied.remarks)
+    return '<h2>What the numbers rest on</h2>' + table(['', ''], rows) + (f'<ul>{remarks}</ul>' if remarks else '')
 
 
 def _curves(solution: Solution) -> str:
@@ -68,8 +77,9 @@ def _curves(solution: Solution) -> str:
             _, value, sigma = solution.curve(name)
             unit = 'm' if name[1] in AXES else 'rad'
             rows.append([name, quantity(float(np.ptp(value)), unit), quantity(float(value[-1]), unit),
-                         quantity(float(np.max(sigma)), unit)])
-    body = table(['error', '>from lowest to highest', '>at the end', '>σ at most'], rows)
+                         quantity(2.0 * float(np.max(sigma)), unit),
+                         quantity(2.0 * float(np.max(solution.curve_repeatability(name))), unit)])
+    body = table(['error', '>from lowest to highest', '>at the end', '>U at most (k = 2)', '>of it by repeats'], rows)
     return ('<h2>The 18 error curves</h2>'
             + figure(drawing, 'Rows: the axis that moves. Columns: what it does besides. Bands of k = 2. '
                      'Right: squareness.', 1)
@@ -81,12 +91,12 @@ def _squareness(solution: Solution) -> str:
              quantity(abs(solution.squareness(name)[0]) * 0.1, 'm')]
             for name in SQUARENESS if solution.has(name)]
     return '' if not rows else '<h2>Squareness</h2>' + table(
-        ['error', 'of', '>angle ± σ', '>that is, over 100 mm'], rows)
+        ['error', 'of', '>angle ± U (k = 2)', '>that is, over 100 mm'], rows)
 
 
 def _with_unit(solution: Solution, name: str) -> tuple[float, str, float]:
     value, sigma = solution.squareness(name)
-    return value, 'rad', sigma
+    return value, 'rad', 2.0 * sigma
 
 
 def _misalignments(solution: Solution) -> str:
@@ -157,4 +167,4 @@ def _small_print(solution: Solution) -> str:
         said, _, unit = key.rpartition('_')
         parts.append(f'{said.replace("_", " ")} {quantity(float(value), unit)}')
     return (f'<footer><p>Reference lines: {escape(solution.gauge)}. Noise: {escape(", ".join(parts))}. Uncertainties '
-            'are one standard deviation from the covariance of the fit, bands twice that.</p></footer>')
+            'are expanded ones of the whole budget, k = 2; bands likewise.</p></footer>')

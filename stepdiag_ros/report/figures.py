@@ -33,12 +33,12 @@ def calibration_figure(solution: Solution, truth: GeometricErrors | None, path: 
     return path
 
 
-def draw_calibration(solution: Solution, truth: GeometricErrors | None = None) -> Figure:
-    """As :func:`calibration_figure`, the figure itself, to be put into a page."""
-    return _draw(solution, truth, heading=False)
+def draw_calibration(solution: Solution, truth: GeometricErrors | None = None, label: str = 'true') -> Figure:
+    """As :func:`calibration_figure`, the figure itself, to be put into a page; ``label``: what ``truth`` is."""
+    return _draw(solution, truth, heading=False, label=label)
 
 
-def _draw(solution: Solution, truth: GeometricErrors | None, heading: bool = True) -> Figure:
+def _draw(solution: Solution, truth: GeometricErrors | None, heading: bool = True, label: str = 'true') -> Figure:
     figure = Figure(figsize=(13.0, 7.8), layout='constrained')
     curves, square = figure.subfigures(1, 2, width_ratios=(6.0, 1.15))
     axes = curves.subplots(3, 6)
@@ -72,7 +72,7 @@ def _draw(solution: Solution, truth: GeometricErrors | None, heading: bool = Tru
     labels = ['found', 'band of k = 2']
     if truth is not None:
         handles.append(matplotlib.lines.Line2D([], [], color=INK, linestyle='--'))
-        labels.append('true')
+        labels.append(label)
     legend_outside(figure, handles, labels, 'lower left', ncols=3, fontsize=9)
     if heading:
         figure.suptitle(_title(solution), x=0.01, ha='left', fontsize=12, fontweight='bold')
@@ -91,7 +91,7 @@ def _squareness(axes: np.ndarray, solution: Solution, truth: GeometricErrors | N
             value, sigma = (1e6 * v for v in solution.squareness(name))
             ax.bar([0.0], [2 * K * sigma], bottom=[value - K * sigma], width=0.5, color=AFTER, alpha=0.2)
             ax.plot([-0.25, 0.25], [value, value], color=AFTER, linewidth=1.8)
-            ax.annotate(f'{value:.2f} ± {sigma:.2f}', (0.0, value + K * sigma), ha='center', va='bottom',
+            ax.annotate(f'{value:.2f} ± {K * sigma:.2f}', (0.0, value + K * sigma), ha='center', va='bottom',
                         fontsize=8, xytext=(0, 3), textcoords='offset points')
             reach = max(4.0 * K * sigma, 1e-3)
             true = None if truth is None else truth.square.get(name)

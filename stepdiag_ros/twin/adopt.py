@@ -19,6 +19,8 @@ from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate.enhanced import Fit
 from stepdiag_ros.estimate.gauge import slope_weights
 from stepdiag_ros.gap.diagnosis import Diagnosis
+from stepdiag_ros.gap.inference.averaged import averaged_fit
+from stepdiag_ros.gap.inference.joint import inverse
 from stepdiag_ros.gap.preprocess.observe import sane_fit
 from stepdiag_ros.model.machine import CURVES
 from stepdiag_ros.twin.physical import physical
@@ -27,6 +29,8 @@ from stepdiag_ros.virtual.cell import Cell, parse_cell
 
 SQUARE_OF = {'EXY': ('EC0Y', -1.0), 'EXZ': ('EB0Z', 1.0), 'EYZ': ('EA0Z', -1.0)}
 """Straightness curve whose slope is a squareness error, and its sign."""
+CLOSED = 1.05
+"""Times the noise up to which an adopted simulator closes the gap."""
 RESET_S = 0.02
 """The simulator's time between in position and the first dwell of a run."""
 FAST = 1000.0
@@ -85,8 +89,11 @@ def adopt(diagnosis: Diagnosis, base: Mapping[str, Any] | None = None) -> Adopte
     cell['misalignments'] = {'given': _misalignments(fit, base)}
     twin = Twin(diagnosis, _bare(cell, fit, base))
     left, chi2 = twin.left(adopted)
-    notes.append(f'run along the moves of the log this simulator leaves {np.sqrt(chi2):.2f} times its noise at the '
-                 f'stops (reduced chi2 {chi2:.2f})')
+    times = float(np.sqrt(chi2))
+    notes.append(f'run along the moves of the log this simulator leaves {times:.2f} times its noise at the '
+                 f'stops (reduced chi2 {chi2:.2f})' + (
+                     '; the gap is not closed by it: what is found is more than the simulator can be given'
+                     if times > CLOSED else ''))
     if diagnosis.leftover:
         notes.append(f'not adopted, for it has no name: {diagnosis.leftover}')
     if diagnosis.solution.unidentifiable:
@@ -113,12 +120,24 @@ def _noise(diagnosis: Diagnosis) -> dict[str, float]:
 
 
 def _machine_without(diagnosis: Diagnosis, taken: np.ndarray | float) -> Fit:
-    """The machine fitted to the log less what the adopted effects will add: what a form and its physical
-    counterpart differ by in what a machine can imitate must not be counted twice."""
+    """The machine fitted to the log less what the adopted effects will add, its 21 errors held to what the diagnosis
+    states of them within their uncertainty.
+
+    What a form and its physical counterpart differ by, in what a machine can imitate, must not be counted twice; nor
+    may the machine be bent to make up for a counterpart that does less than the form: along directions that the log
+    hardly settles that would be hundreds of micrometres.  With the data's normal matrix H about its own optimum θ
+    and the stated errors e of covariance S the adopted unknowns are (H + S⁻¹)⁻¹ (H θ + S⁻¹ e).
+    """
     joint, table = diagnosis.joint, diagnosis.joint.observation.table
     freed = replace(table, displacement=table.displacement - np.asarray(taken)[..., :-2],
                     spot=table.spot - np.asarray(taken)[..., -2:]) if np.ndim(taken) else table
-    return sane_fit(joint.observation.log, freed, joint.fit.theta)
+    free = sane_fit(joint.observation.log, freed, joint.fit.theta)
+    stated, _, _ = averaged_fit(joint, diagnosis.screen, diagnosis.raw[0])
+    errors = slice(0, min(free.parameters.setup_first.values()))
+    held = np.zeros_like(joint.normal)
+    held[errors, errors] = inverse(stated.covariance[errors, errors])
+    step = np.linalg.solve(joint.normal + held, held @ (stated.theta - free.theta))
+    return replace(free, theta=free.theta + step)
 
 
 def _geometry(fit: Fit) -> dict[str, Any]:

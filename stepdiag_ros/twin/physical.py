@@ -23,6 +23,8 @@ LOSS = 0.05
 """Share of what was fitted beyond which its loss is told …"""
 LEAST_DONE = 0.1
 """… and share that must be kept for it to be adopted."""
+SIZE_UNITS = ('m', 'rad', 'K')
+"""Units of parameters in which what an effect does is linear."""
 TRIED = 5
 """Values of a time tried, evenly in logarithm between its bounds, where a fit may begin."""
 TRIALS = 60
@@ -76,8 +78,8 @@ def _fitted(diagnosis: Diagnosis, active: list[Active], twin: Twin) -> Physical:
         made = twin.projected(twin.adds(effect(**values)))
         return target - (made - basis @ (basis.T @ made))
 
-    best, left = min((_refined(effect.parameters, start, missed) for start in _starts(diagnosis, active, effect)),
-                     key=lambda pair: pair[1])
+    best, left = min((_refined(effect.parameters, start, missed)
+                      for start in _starts(diagnosis, active, effect, target, missed)), key=lambda pair: pair[1])
     # Noise is left in any case; what counts is how much more than the forms leave.
     noise, nothing = (v - basis @ (basis.T @ v) for v in (rest, target))
     done = (nothing @ nothing - left) / max(float(nothing @ nothing - noise @ noise), 1e-300)
@@ -102,15 +104,31 @@ def _fitted(diagnosis: Diagnosis, active: list[Active], twin: Twin) -> Physical:
                     added.mean(axis=1) + before, fitted)
 
 
-def _starts(diagnosis: Diagnosis, active: list[Active], effect: type[Effect]) -> Iterator[Values]:
-    """Where fits begin: the guess, and each time of the effect between its bounds beside it."""
+def _starts(diagnosis: Diagnosis, active: list[Active], effect: type[Effect], target: np.ndarray,
+            missed: Callable[[Values], np.ndarray]) -> Iterator[Values]:
+    """Where fits begin: the guess, and beside it each time of the effect between its bounds, with the sizes that do the
+    most there."""
     middle = {p.name: np.full(p.size, 0.5 * (p.low + p.high)) if p.size > 1 else 0.5 * (p.low + p.high)
               for p in effect.parameters}
     first = {**middle, **guess(diagnosis, active)}
     yield first
     for p in effect.parameters:
         if _is_time(p) and p.size == 1:
-            yield from ({**first, p.name: float(value)} for value in np.geomspace(p.low, p.high, TRIED))
+            yield from (_scaled(effect.parameters, {**first, p.name: float(value)}, target, missed)
+                        for value in np.geomspace(p.low, p.high, TRIED))
+
+
+def _scaled(parameters: tuple[Parameter, ...], start: Values, target: np.ndarray,
+            missed: Callable[[Values], np.ndarray]) -> Values:
+    """``start`` with its sizes, the parameters in units of what the effect moves, scaled to do the most that they can:
+    the sizes that go with one time constant are not those that go with another."""
+    sizes = [p.name for p in parameters if p.unit in SIZE_UNITS and not isinstance(start[p.name], str)]
+    made = target - missed(start)
+    power = float(made @ made)
+    factor = float(made @ target) / power if power > 0.0 else 0.0
+    if not sizes or factor <= 0.0:
+        return start
+    return {**start, **{name: (factor * np.asarray(start[name], float)).tolist() for name in sizes}}
 
 
 def _refined(parameters: tuple[Parameter, ...], start: Values,

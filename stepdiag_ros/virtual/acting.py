@@ -1,5 +1,7 @@
 """The effects of a cell, made from its file, and the random numbers that they may draw."""
 
+import os
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +11,15 @@ from stepdiag_ros.effects.base import Effect
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.virtual.cell import Cell
 from stepdiag_ros.virtual.draw import normals, uniforms
+
+#: Effect files that the user has named on the command line; the processes of the cell inherit it.
+ALLOWED = 'STEPDIAG_EFFECT_FILES'
+
+
+def allow_effect_files(paths: Iterable[str | Path]) -> None:
+    """Let cell files name these Python files, which are then run."""
+    known = os.environ.get(ALLOWED, '').split(os.pathsep)
+    os.environ[ALLOWED] = os.pathsep.join(filter(None, [*known, *(str(Path(path).resolve()) for path in paths)]))
 
 
 class Draws:
@@ -30,7 +41,8 @@ def create_effects(cell: Cell) -> list[Effect]:
     """The effects that a cell names, in its order.
 
     An effect is found by its name in ``stepdiag_ros.effects``; a parameter ``file`` names a Python
-    file of the user's own (relative to the cell's) that holds it.
+    file of the user's own (relative to the cell's) that holds it.  That file is run, so it must have been
+    named by :func:`allow_effect_files` before: a cell file from a stranger runs nothing.
     """
     return [_create(cell, name, dict(values)) for name, values in cell.effects.items()]
 
@@ -43,6 +55,9 @@ def _create(cell: Cell, name: str, values: dict) -> Effect:
             kind = effect_class(name)
         else:
             path = Path(cell.source).parent / str(file)
+            if str(path.resolve()) not in os.environ.get(ALLOWED, '').split(os.pathsep):
+                raise StepdiagError(f'names the Python file {path}, which would be run; if you trust it, give '
+                                    f'--effect {path}')
             kind = next((k for k in effects_in_file(str(path)) if k.name == name), None)
     except StepdiagError as error:
         raise StepdiagError(f'{where}: {error}') from None

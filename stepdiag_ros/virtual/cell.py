@@ -6,12 +6,14 @@ drawn here, from the seed alone, so that a cell is the same machine wherever it 
 loaded.
 """
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.guard import limits
 from stepdiag_ros.model.description import (
     DIAGONALS,
     LINEAR,
@@ -59,8 +61,9 @@ class Motion:
     """How the control moves: limits [m/s, m/s², m/s³], window [m], servo time constant, times [s].
 
     The window is far below the sensors' noise: what creeps in afterwards is an effect, servo_settling.
-    ``dwell`` is how long a stop is measured, ``mount`` how long a change of setup takes
-    on the virtual clock (offline only; the operator's time is his own).
+    ``dwell`` is how long a stop is measured, ``stand`` how much longer the first one after a mounting
+    (live only), ``mount`` how long a change of setup takes on the virtual clock (offline only; the
+    operator's time is his own).
     """
 
     feed: float = 0.1
@@ -69,6 +72,7 @@ class Motion:
     in_position: float = 1.0e-9
     settling: float = 0.004
     dwell: float = 0.5
+    stand: float = 0.0
     mount: float = 60.0
 
 
@@ -85,7 +89,7 @@ class Detector:
     """The PSD behind its analogue inputs: edge length [m], sum signal [V], inputs, mounting.
 
     ``channels``: inputs of I1…I4; ``rotation`` [rad] from the detector's x to u, ``gain``
-    along its x and y, ``zero`` [m] as the driver is told to take them off.
+    along its x and y, ``zero`` [m] as the driver is told to take them off.  ``mode``: ``stream`` or ``poll``.
     """
 
     length: float = 0.010
@@ -94,6 +98,7 @@ class Detector:
     rotation: float = 0.0
     gain: tuple[float, float] = (1.0, 1.0)
     zero: tuple[float, float] = (0.0, 0.0)
+    mode: str = 'stream'
 
 
 @dataclass(frozen=True)
@@ -103,10 +108,10 @@ class Instruments:
     ``namespace`` is the firmware's (``ids`` before 1.9, ``sen`` since); ``newline`` whether it ends
     an answer with one.  ``multiplexer`` names the machines that share the interferometer through an
     optical ``switch``, this one first (empty: it is this one's alone); ``machine_files`` are the cell
-    files of the others.  ``watchdog`` [s]: the virtual control brakes when its client has said nothing
-    for so long while the axes move.
-    ``control`` of a virtual cell: ``virtual``, or ``linuxcnc`` for a real one;
-    ``config`` is the folder of its configuration, ``watch_port`` where its watchdog takes signs of life.
+    files of the others.  ``setup_codes``: what has a real machine's mirror mounted, M-code by setup.
+    ``watchdog`` [s]: the virtual control brakes when its client has said nothing for so long while the
+    axes move.  ``control`` of a virtual cell: ``virtual``, or ``linuxcnc`` for a real one; ``config`` is the
+    folder of its configuration, ``watch_port`` where its watchdog takes signs of life.
     """
 
     interferometer: Endpoint = Endpoint()
@@ -122,7 +127,8 @@ class Instruments:
     config: str = ''
     watch_port: int = 0
     detector: Detector = Detector()
-    watchdog: float = 0.5
+    watchdog: float = 1.0
+    setup_codes: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -207,7 +213,7 @@ def _cell(top: Reader) -> Cell:
         'feed': {'above': 0.0, 'unit': 'm/s'}, 'acceleration': {'above': 0.0, 'unit': 'm/s²'},
         'jerk': {'above': 0.0, 'unit': 'm/s³'}, 'in_position': {'above': 0.0, 'unit': 'm'},
         'settling': {'minimum': 0.0, 'unit': 's'}, 'dwell': {'above': 0.0, 'unit': 's'},
-        'mount': {'minimum': 0.0, 'unit': 's'}})
+        'stand': {'minimum': 0.0, 'maximum': 3600.0, 'unit': 's'}, 'mount': {'minimum': 0.0, 'unit': 's'}})
     return Cell(source=top.source, seed=seed, description=description,
                 geometry=drawn.geometry(keys.get('geometry'), seed, description),
                 misalignments=misalignments, psd_zero=zero, air=_air(keys.get('air')),
@@ -228,6 +234,8 @@ def _machine(node: Reader) -> Machine:
         raise keys['chain'].fail(f"is {chain!r}; write F, X, Y and Z once each, e.g. 'FXYZ'")
     tool = keys['tool'].vector(3) if 'tool' in keys else (0.0, 0.0, 0.0)
     name = keys['name'].text() if 'name' in keys else 'machine'
+    if len(name) > limits.NAME_LETTERS:
+        raise keys['name'].fail(f'has {len(name)} letters; give at most {limits.NAME_LETTERS}')
     origin = keys['origin'].vector(3, unit='m') if 'origin' in keys else None
     return Machine(name, chain, keys['volume'].vector(3, above=0.0), tool, origin)
 
@@ -239,8 +247,8 @@ def _plan(node: Reader) -> Plan:
     order = keys['order'].text().upper() if 'order' in keys else 'XYZ'
     if sorted(order) != ['X', 'Y', 'Z']:
         raise keys['order'].fail(f'is {order!r}; name X, Y and Z once each')
-    repeats = keys['repeats'].count(1) if 'repeats' in keys else 1
-    return Plan(keys['steps'].count(1), order, repeats)
+    repeats = keys['repeats'].count(1, limits.REPEATS) if 'repeats' in keys else 1
+    return Plan(keys['steps'].count(1, limits.STEPS), order, repeats)
 
 
 def _setups(node: Reader, machine: Machine) -> dict[str, Setup]:
@@ -249,7 +257,8 @@ def _setups(node: Reader, machine: Machine) -> dict[str, Setup]:
         linear = name in LINEAR
         keys = child.mapping(('standoff', 'psd_offset', 'beams')
                              + (('length', 'stops') if linear else ()))
-        standoff = keys['standoff'].number(minimum=0.0, unit='m') if 'standoff' in keys else 0.0
+        standoff = keys['standoff'].number(minimum=0.0, maximum=limits.LENGTH_M, unit='m') if 'standoff' in keys \
+            else 0.0
         offset = keys['psd_offset'].vector(2) if 'psd_offset' in keys else (0.0, 0.0)
         beams = tuple(b.vector(2) for b in keys['beams'].items()) if 'beams' in keys \
             else ((0.0, 0.0),)
@@ -260,7 +269,7 @@ def _setups(node: Reader, machine: Machine) -> dict[str, Setup]:
             travel = machine.volume['xyz'.index(name[-1])]
             length = keys['length'].number(above=0.0, maximum=travel, unit='m') \
                 if 'length' in keys else travel
-            stops = keys['stops'].count(2) if 'stops' in keys else 2
+            stops = keys['stops'].count(2, limits.STOPS) if 'stops' in keys else 2
         setups[name] = Setup(name, standoff, offset, beams, length, stops)
     if not setups:
         raise node.fail(f'is empty; name at least one of {", ".join(DIAGONALS + LINEAR)}')
@@ -348,12 +357,14 @@ def _instruments(node: Reader | None, name: str) -> Instruments:
             given |= _multiplexer(keys['multiplexer'], name)
     if 'psd' in top:
         keys = top['psd'].mapping(('host', 'port', 'stream_port', 'length', 'sum_voltage',
-                                   'channels', 'rotation', 'gain', 'zero'))
+                                   'channels', 'rotation', 'gain', 'zero', 'mode'))
         given['psd'], given['psd_stream'] = _endpoint(keys), _endpoint(keys, 'stream_port')
         detector: dict[str, Any] = {}
         for key, unit in (('length', 'm'), ('sum_voltage', 'V')):
             if key in keys:
                 detector[key] = keys[key].number(above=0.0, unit=unit)
+        if 'mode' in keys:
+            detector['mode'] = keys['mode'].text(('stream', 'poll'))
         if 'rotation' in keys:
             detector['rotation'] = keys['rotation'].number(unit='rad')
         for key, unit in (('gain', '1'), ('zero', 'm')):
@@ -366,7 +377,7 @@ def _instruments(node: Reader | None, name: str) -> Instruments:
             detector['channels'] = channels
         given['detector'] = Detector(**detector)
     if 'cnc' in top:
-        keys = top['cnc'].mapping(('host', 'port', 'watchdog', 'control', 'config', 'watch_port'))
+        keys = top['cnc'].mapping(('host', 'port', 'watchdog', 'control', 'config', 'watch_port', 'setup_codes'))
         given['cnc'] = _endpoint(keys)
         if 'watchdog' in keys:
             given['watchdog'] = keys['watchdog'].number(minimum=0.05, maximum=10.0, unit='s')
@@ -376,7 +387,17 @@ def _instruments(node: Reader | None, name: str) -> Instruments:
             given['config'] = keys['config'].text()
         if 'watch_port' in keys:
             given['watch_port'] = keys['watch_port'].count(0, 65535)
+        if 'setup_codes' in keys:
+            given['setup_codes'] = {setup: _m_code(code) for setup, code
+                                    in keys['setup_codes'].mapping(DIAGONALS + LINEAR).items()}
     return Instruments(**given)
+
+
+def _m_code(node: Reader) -> str:
+    code = node.text()
+    if not re.fullmatch(r'M1\d\d', code):
+        raise node.fail(f"is {code!r}; give one of the control's own M-codes, M100 to M199")
+    return code
 
 
 def _multiplexer(node: Reader, name: str) -> dict[str, Any]:

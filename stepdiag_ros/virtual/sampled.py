@@ -19,6 +19,8 @@ REST_NS = 15_000_000
 """Standing so long ends a move."""
 LEAST_SHARE = 0.01
 """Share of a move below which an axis does not count as moved: a compensation moves all a little."""
+FRESH_NS = 5_000_000
+"""A look this young is waited for no longer: a move is not over before its control says so some milliseconds later."""
 PATIENCE_S = 0.5
 DEAD_S = 5.0
 
@@ -40,8 +42,8 @@ class SampledHistory(History):
     def follow(self) -> int:
         """Take in what was looked up until now; waits for the look that is due.  Returns the moves."""
         now, began = time.time_ns(), time.monotonic()
-        while int(self._header[1]) < now and time.monotonic() - began < PATIENCE_S:
-            time.sleep(0.0003)
+        while int(self._header[1]) < now - FRESH_NS and time.monotonic() - began < PATIENCE_S:
+            time.sleep(0.0005)
         if now - int(self._header[1]) > DEAD_S * 1e9:
             raise StepdiagError(f'{self._path}: nobody has looked at the machine for {DEAD_S:g} s; '
                                 'LinuxCNC or its component stepdiagfollow has ended')

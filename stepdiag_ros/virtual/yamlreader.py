@@ -109,6 +109,8 @@ class Reader:
             value = float(given)
         except ValueError:
             value = math.nan
+        if abs(value) > limits.NUMBER:
+            value = math.nan
         bounds = [f'of at least {minimum:g}' if minimum is not None else '',
                   f'above {above:g}' if above is not None else '',
                   f'of at most {maximum:g}' if maximum is not None else '']
@@ -116,7 +118,7 @@ class Reader:
                 or (above is not None and value <= above) \
                 or (maximum is not None and value > maximum):
             wanted = ' '.join(b for b in bounds if b)
-            raise self.fail(f'is {given!r}; give a number{" " + wanted if wanted else ""}'
+            raise self.fail(f'is {given[:60]!r}; give a number{" " + wanted if wanted else ""}'
                             f'{f" [{unit}]" if unit else ""}')
         return value
 
@@ -130,4 +132,6 @@ class Reader:
         items = self.items()
         if len(items) != size:
             raise self.fail(f'has {len(items)} items; give {size} numbers [{unit}]')
-        return tuple(item.number(above=above, unit=unit) for item in items)
+        most = limits.LENGTH_M if unit == 'm' else None
+        return tuple(item.number(above=above, minimum=None if most is None or above is not None else -most,
+                                 maximum=most, unit=unit) for item in items)

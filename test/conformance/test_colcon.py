@@ -39,11 +39,20 @@ def clean_environment() -> dict[str, str]:
     return environment
 
 
-@pytest.fixture(scope='module')
-def install(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The install tree of `colcon build --base-paths . msg_defs`."""
+def laid_out(workspace: Path, *options: str) -> Path:
+    """The folder `src` of a workspace that `make ros-workspace` has laid both packages into."""
+    made = subprocess.run([sys.executable, str(ROOT / 'tools' / 'ros_workspace.py'), *options, str(workspace)],
+                          capture_output=True, text=True)
+    assert made.returncode == 0, made.stderr
+    return workspace / 'src'
+
+
+@pytest.fixture(scope='module', params=['two base paths', 'a workspace'])
+def install(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The install tree of `colcon build --base-paths . msg_defs`, and that of `colcon build` in a workspace."""
     place = tmp_path_factory.mktemp('colcon')
-    command = [str(BIN / 'colcon'), '--log-base', str(place / 'log'), 'build', '--base-paths', '.', 'msg_defs']
+    paths = ['.', 'msg_defs'] if request.param == 'two base paths' else [str(laid_out(place / 'ws'))]
+    command = [str(BIN / 'colcon'), '--log-base', str(place / 'log'), 'build', '--base-paths', *paths]
     command += ['--build-base', str(place / 'build'), '--install-base', str(place / 'install')]
     command += ['--cmake-args', '-GNinja', '-DBUILD_TESTING=OFF', f'-DPython3_EXECUTABLE={sys.executable}']
     result = subprocess.run(
@@ -64,6 +73,33 @@ def sourced(install: Path, command: str) -> subprocess.CompletedProcess[str]:
         stdin=subprocess.DEVNULL,
         timeout=120,
     )
+
+
+@pytest.mark.parametrize('options', [(), ('--copy',)], ids=['links', 'copies'])
+def test_ros_s_crawlers_find_both_packages_in_a_workspace(tmp_path: Path, options: tuple[str, ...]) -> None:
+    """catkin_pkg's is that of rosdep and bloom; it does not look below a package.xml, and nor does colcon's."""
+    from catkin_pkg.packages import find_packages
+    assert {package.name for package in find_packages(str(ROOT)).values()} == {'stepdiag_ros'}
+    source = laid_out(tmp_path / 'ws', *options)
+    assert {package.name for package in find_packages(str(source)).values()} == {'stepdiag_ros', 'stepdiag_msgs'}
+    assert laid_out(tmp_path / 'ws') == source or options   # again does no harm
+
+
+def test_a_checkout_that_stands_in_the_workspace_is_not_laid_there_twice(tmp_path: Path) -> None:
+    from catkin_pkg.packages import find_packages
+    source = laid_out(tmp_path / 'ws', '--copy')
+    (source / 'stepdiag_msgs').rename(source / 'stepdiag_ros' / 'msg_defs')
+    tool = source / 'stepdiag_ros' / 'tools' / 'ros_workspace.py'
+    subprocess.run([sys.executable, str(tool), str(tmp_path / 'ws')], check=True, capture_output=True)
+    assert (source / 'stepdiag_msgs').is_symlink() and not (source / 'stepdiag_ros').is_symlink()
+    assert {package.name for package in find_packages(str(source)).values()} == {'stepdiag_ros', 'stepdiag_msgs'}
+
+
+def test_what_stands_in_the_way_is_said(tmp_path: Path) -> None:
+    (tmp_path / 'src' / 'stepdiag_msgs').mkdir(parents=True)
+    made = subprocess.run([sys.executable, str(ROOT / 'tools' / 'ros_workspace.py'), str(tmp_path)],
+                          capture_output=True, text=True)
+    assert made.returncode != 0 and 'stepdiag_msgs is there already' in made.stderr and 'Traceback' not in made.stderr
 
 
 @pytest.mark.timeout(900)

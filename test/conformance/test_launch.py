@@ -93,6 +93,7 @@ def described(finder: Finder, file: Path) -> list[Noted]:
     spec = importlib.util.spec_from_file_location(re.sub(r'\W', '_', file.name), file)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
+    finder.module = module
     description = module.generate_launch_description()
     assert description.kind == 'LaunchDescription'
     return finder.made
@@ -113,6 +114,40 @@ def test_what_it_starts_is_installed(launch_system: Finder, file: Path) -> None:
         assert 'namespace' in process.named, 'a machine has a namespace'
         if process.kind == 'LifecycleNode':
             assert 'name' in process.named, 'LifecycleNode cannot do without'
+
+
+@dataclass
+class Given:
+    """A launch context: what `params` was set to."""
+
+    params: str
+
+
+@pytest.mark.parametrize('file', FILES, ids=lambda file: file.name)
+def test_a_parameter_file_that_is_missing_is_an_error(launch_system: Finder, file: Path, tmp_path: Path,
+                                                      monkeypatch: pytest.MonkeyPatch) -> None:
+    """`ros2 launch` itself says nothing and starts nodes with their defaults."""
+    checks = [noted.named['function'] for noted in described(launch_system, file) if noted.kind == 'OpaqueFunction']
+    assert len(checks) == 1
+
+    class Configuration:
+        def __init__(self, name: str):
+            assert name == 'params'
+
+        def perform(self, context: Given) -> str:
+            return context.params
+    monkeypatch.setattr(launch_system.module, 'LaunchConfiguration', Configuration)
+    with pytest.raises(RuntimeError, match=r'none\.yaml: there is no such parameter file'):
+        checks[0](Given(str(tmp_path / 'none.yaml')))
+    other = tmp_path / 'other.yaml'
+    other.write_text('/demo/recorder:\n  ros__parameters: {bag: x}\n', encoding='utf-8')
+    with pytest.raises(RuntimeError, match='names none of the nodes'):
+        checks[0](Given(str(other)))
+    from stepdiag_ros.nodes.graph import write_graph
+    from stepdiag_ros.virtual.cell import load_cell
+    endpoints = {name: {'host': '127.0.0.1', 'port': 1, 'stream_port': 2} for name in ('interferometer', 'psd', 'cnc')}
+    graph = write_graph(load_cell(ROOT / 'cells' / 'demo.yaml'), endpoints, tmp_path)
+    assert checks[0](Given(str(graph.parameters_file))) == []
 
 
 @pytest.mark.parametrize('file', FILES, ids=lambda file: file.name)

@@ -5,13 +5,6 @@ kernel, as an ordinary user, its HAL looping commanded positions back; linuxcncr
 display.  Where it is not installed its half is skipped, loudly.
 """
 
-import fcntl
-import os
-import shutil
-import signal
-import socket
-import subprocess
-import tempfile
 import time
 from pathlib import Path
 
@@ -20,134 +13,12 @@ import pytest
 
 from stepdiag_ros.devices.base import DeviceError
 from stepdiag_ros.devices.linuxcnc_rsh import LinuxCncRsh
+from stepdiag_ros.linuxcnc import configuration
+from stepdiag_ros.linuxcnc.running import LinuxCnc, missing
 from stepdiag_ros.virtual.cell_process import CellProcess
 
 DEMO = Path(__file__).resolve().parents[2] / 'cells' / 'demo.yaml'
-USER, GROUP = 'nobody', 'nogroup'
-"""Whom LinuxCNC runs as when the tests run as root, as whom it refuses to."""
 TRAVEL = (0.2, 0.16, 0.12)
-
-INI = """\
-[EMC]
-VERSION = 1.1
-MACHINE = stepdiag
-[DISPLAY]
-DISPLAY = {folder}/display.sh
-[TASK]
-TASK = milltask
-CYCLE_TIME = 0.001
-[RS274NGC]
-PARAMETER_FILE = {folder}/parameters
-[EMCMOT]
-EMCMOT = motmod
-COMM_TIMEOUT = 1.0
-SERVO_PERIOD = 1000000
-[EMCIO]
-EMCIO = io
-CYCLE_TIME = 0.1
-TOOL_TABLE = {folder}/tools
-[HAL]
-HALFILE = {folder}/loop.hal
-[TRAJ]
-COORDINATES = X Y Z
-LINEAR_UNITS = mm
-ANGULAR_UNITS = degree
-DEFAULT_LINEAR_VELOCITY = 100
-MAX_LINEAR_VELOCITY = 500
-DEFAULT_LINEAR_ACCELERATION = 2000
-MAX_LINEAR_ACCELERATION = 2000
-[KINS]
-KINEMATICS = trivkins coordinates=XYZ
-JOINTS = 3
-"""
-AXIS = """\
-[AXIS_{letter}]
-MIN_LIMIT = -1
-MAX_LIMIT = {travel}
-MAX_VELOCITY = 500
-MAX_ACCELERATION = 2000
-[JOINT_{number}]
-TYPE = LINEAR
-HOME = 0
-MIN_LIMIT = -1
-MAX_LIMIT = {travel}
-MAX_VELOCITY = 500
-MAX_ACCELERATION = 2000
-FERROR = 10
-MIN_FERROR = 10
-HOME_SEARCH_VEL = 0
-HOME_LATCH_VEL = 0
-HOME_OFFSET = 0
-HOME_SEQUENCE = 0
-"""
-HAL = """\
-loadrt trivkins coordinates=XYZ
-loadrt motmod servo_period_nsec=1000000 num_joints=3
-addf motion-command-handler servo-thread
-addf motion-controller servo-thread
-net joint0 joint.0.motor-pos-cmd joint.0.motor-pos-fb
-net joint1 joint.1.motor-pos-cmd joint.1.motor-pos-fb
-net joint2 joint.2.motor-pos-cmd joint.2.motor-pos-fb
-net estop iocontrol.0.user-enable-out iocontrol.0.emc-enable-in
-net prepare iocontrol.0.tool-prepare iocontrol.0.tool-prepared
-net change iocontrol.0.tool-change iocontrol.0.tool-changed
-"""
-
-
-def free_port() -> int:
-    with socket.create_server(('127.0.0.1', 0)) as probe:
-        return probe.getsockname()[1]
-
-
-class LinuxCnc:
-    """One LinuxCNC with a configuration of its own; its shared memory allows one at a time."""
-
-    def __init__(self) -> None:
-        self.folder = Path(tempfile.mkdtemp(prefix='stepdiag-linuxcnc-'))
-        self.port = free_port()
-        self._lock = open(Path(tempfile.gettempdir()) / f'stepdiag-linuxcnc-{os.getuid()}', 'w')
-        fcntl.flock(self._lock, fcntl.LOCK_EX)
-        axes = ''.join(AXIS.format(letter=letter, number=i, travel=1e3 * TRAVEL[i] + 1.0)
-                       for i, letter in enumerate('XYZ'))
-        display = self.folder / 'display.sh'
-        for path, text in ((self.folder / 'machine.ini', INI.format(folder=self.folder) + axes),
-                           (self.folder / 'loop.hal', HAL), (self.folder / 'tools', ''),
-                           (display, f'#!/bin/sh\necho $$ > {self.folder}/pid\n'
-                                     f'exec linuxcncrsh --port {self.port} -- "$@"\n')):
-            path.write_text(text)
-        display.chmod(0o755)
-        as_whom = {}
-        if os.getuid() == 0:
-            as_whom = {'user': USER, 'group': GROUP, 'extra_groups': []}
-            for path in (self.folder, *self.folder.iterdir()):
-                shutil.chown(path, USER, GROUP)
-        self._log = open(self.folder / 'log', 'w')
-        self.process = subprocess.Popen(
-            ['linuxcnc', str(self.folder / 'machine.ini')], cwd=self.folder,
-            env=os.environ | {'HOME': str(self.folder)}, stdin=subprocess.DEVNULL, stdout=self._log,
-            stderr=subprocess.STDOUT, start_new_session=True, **as_whom)
-
-    def wait(self) -> None:
-        end = time.monotonic() + 60.0
-        while time.monotonic() < end:
-            assert self.process.poll() is None, (self.folder / 'log').read_text()
-            try:
-                socket.create_connection(('127.0.0.1', self.port), 1.0).close()
-                return
-            except OSError:
-                time.sleep(0.2)
-        pytest.fail('LinuxCNC does not listen: ' + (self.folder / 'log').read_text())
-
-    def stop(self) -> None:
-        """End its display; LinuxCNC's own script then takes the rest down."""
-        try:
-            os.kill(int((self.folder / 'pid').read_text()), signal.SIGTERM)
-        except (FileNotFoundError, ProcessLookupError, ValueError):
-            self.process.terminate()
-        self.process.wait(60.0)
-        self._log.close()
-        self._lock.close()
-        shutil.rmtree(self.folder)
 
 
 @pytest.fixture(scope='module', params=['virtual', pytest.param('linuxcnc', marks=pytest.mark.linuxcnc)])
@@ -158,14 +29,12 @@ def control(request, tmp_path_factory):
             endpoints = process.start()
             yield from ready(LinuxCncRsh('127.0.0.1', endpoints['cnc']['port']))
         return
-    if shutil.which('linuxcnc') is None or shutil.which('linuxcncrsh') is None:
-        pytest.skip('LinuxCNC is not installed: apt-get install linuxcnc-uspace to test against it')
-    machine = LinuxCnc()
-    try:
-        machine.wait()
+    if missing():
+        pytest.skip(missing())
+    folder = tmp_path_factory.mktemp('linuxcnc')
+    configuration.write(folder, configuration.simulated('test', TRAVEL, (0.0, 0.0, 0.0), 0.5, 2.0))
+    with LinuxCnc(folder) as machine:
         yield from ready(LinuxCncRsh('127.0.0.1', machine.port))
-    finally:
-        machine.stop()
 
 
 def ready(client):

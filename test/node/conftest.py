@@ -58,7 +58,7 @@ def write_cell(folder: Path, name: str = 'tiny', dwell: float = 0.12) -> Path:
     return path
 
 
-@pytest.fixture(name='write_cell')
+@pytest.fixture(name='write_cell', scope='session')
 def _write_cell() -> Callable[..., Path]:
     return write_cell
 

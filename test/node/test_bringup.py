@@ -12,7 +12,7 @@ import pytest
 from stepdiag_ros.bag.reader import read_log
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.nodes.bringup import Bringup
-from stepdiag_ros.nodes.environment import NETWORK, free_domain, prepare
+from stepdiag_ros.nodes.environment import NETWORK, SCOPE, free_domain
 
 
 def test_a_node_that_dies_is_started_again_and_that_is_said(ros_domain, cell_file, tmp_path, eventually):
@@ -26,18 +26,19 @@ def test_a_node_that_dies_is_started_again_and_that_is_said(ros_domain, cell_fil
             assert cell.operator.state(node) == 'active'
             assert cell.pids()[node] != before[node]
         assert any('psd_driver was killed by signal 9; starting it again' in text for text in said)
-        assert any('log_2' in text and 'stepdiag recover' in text for text in said)
+        assert any('log is torn; it is mended' in text for text in said)
         assert cell.restarts == 2
-        # The whole graph works again, and the new bag is whole.
-        eventually(lambda: cell.operator.recorder.bag.endswith('log_2'))
+        # The whole graph works again, and the bag is whole.
+        eventually(lambda: cell.operator.recorder.file == 1)
         assert cell.operator.calibrate(setups=['lin_x']).succeeded
         pids = cell.pids()
-    assert len(read_log(tmp_path / 'log_2').steps) == 12
+    assert len(read_log(tmp_path / 'log').steps) == 12
     assert not [pid for pid in pids.values() if Path(f'/proc/{pid}').exists()]
 
 
-def test_a_driver_that_dies_in_a_run_ends_it(ros_domain, cell_file, tmp_path):
+def test_a_driver_that_dies_in_a_run_and_is_not_waited_for_ends_it(ros_domain, cell_file, tmp_path):
     with Bringup(cell_file, bag=tmp_path / 'log', runtime=tmp_path / 'run') as cell:
+        cell.operator.set_parameters('step_sequencer', {'resume_timeout': 0.0})
         killed = threading.Event()
 
         def kill(feedback) -> None:
@@ -104,13 +105,25 @@ def test_a_cell_file_with_an_error_is_one_line_and_nothing_is_started(tmp_path):
         Bringup(path)
 
 
-def test_a_users_network_is_left_alone(monkeypatch):
-    for name in NETWORK:
-        monkeypatch.delenv(name, raising=False)
-    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'SUBNET')
-    prepare()
-    assert 'FASTRTPS_DEFAULT_PROFILES_FILE' not in os.environ
-    assert os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] == 'SUBNET'
+SCOPE_PROBE = """
+import os, sys
+from stepdiag_ros.nodes import environment
+environment.prepare()                    # as importing a node does
+print(environment.prepare(sys.argv[1]))
+print(sorted((k, v) for k, v in os.environ.items() if k in environment.NETWORK and v))
+"""
+
+
+@pytest.mark.parametrize(('scope', 'said', 'kept'), [
+    ('loopback', 'not followed: ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET, ROS_STATIC_PEERS=192.0.2.1',
+     'fastdds_loopback.xml'),
+    ('open', 'WARNING: the network is OPEN', "('ROS_STATIC_PEERS', '192.0.2.1')")])
+def test_the_cell_says_how_far_the_network_goes(scope, said, kept):
+    bare = {k: v for k, v in os.environ.items() if k not in NETWORK and k != SCOPE}
+    out = subprocess.run([sys.executable, '-c', SCOPE_PROBE, scope], capture_output=True, text=True, check=True,
+                         env=bare | {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'SUBNET', 'ROS_STATIC_PEERS': '192.0.2.1'}).stdout
+    assert said in out and kept in out
+    assert ('192.0.2.1' in out.splitlines()[1]) == (scope == 'open')
 
 
 def test_a_free_domain_is_one_that_nobody_uses():

@@ -220,12 +220,21 @@ def test_the_gap_monitor_publishes_its_report_when_all_is_measured(cell, live, e
     assert errors.squareness[0] == json.loads(errors.json)['errors']['EC0Y']['value']
 
 
+def restart_sequencer(cell, *options: str) -> None:
+    """Start the sequencer again with other parameters: those that move a machine are read-only."""
+    child = cell._children['step_sequencer']
+    child.command = [*child.command[:child.command.index('--params-file') + 2], *options]
+    child.process.kill()
+    child.process.wait()
+    assert cell.watch() == ['step_sequencer']
+
+
 def test_a_setup_without_a_code_waits_for_a_person(cell, live):
     from stepdiag_ros.nodes.step_sequencer import ASK
     operator, asked = cell.operator, []
     operator.new_log(str(cell.runtime.parent / 'by_hand'))
-    codes = ['ppp=M101']       # lin_x has none: the virtual mirror stays where it is
-    operator.set_parameters('step_sequencer', {'ask_operator': True, 'setup_codes': codes})
+    # lin_x has no code: the virtual mirror stays where it is.
+    restart_sequencer(cell, '-p', 'ask_operator:=true', '-p', "setup_codes:=['ppp=M101']")
     with pytest.raises(StepdiagError, match='no setup is waited for'):
         operator.mounted()
 
@@ -237,6 +246,5 @@ def test_a_setup_without_a_code_waits_for_a_person(cell, live):
         outcome = operator.calibrate(setups=['ppp', 'lin_x'], feedback=confirm, meanwhile=lambda: (
             operator.cancel() if asked == ['lin_x'] else None))
     finally:
-        operator.set_parameters('step_sequencer', {
-            'ask_operator': False, 'setup_codes': ['ppp=M101', 'lin_x=M102']})
+        restart_sequencer(cell)
     assert asked == ['lin_x'] and outcome.how == 'canceled' and outcome.stops >= 8

@@ -3,6 +3,7 @@
 import re
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,7 @@ from rcl_interfaces.msg import ParameterType
 from rcl_interfaces.srv import DescribeParameters, ListParameters
 
 from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.virtual import faults
 
 NODES = ('recorder', 'evaluation_solver', 'gap_monitor', 'interferometer_driver', 'psd_driver', 'step_sequencer')
 
@@ -100,6 +102,46 @@ def test_a_node_goes_down_and_up_again(cell, node, eventually):
                why=lambda: cell.operator.health(node).message)
 
 
+#: What names files, hosts, feeds or places; a parameter service that everybody may call does not change it.
+FIXED = {
+    'interferometer_driver': {'host': '10.0.0.1', 'port': 1, 'switch_host': 'x', 'switch_port': 2, 'serves': ['a=1'],
+                              'beams': 3},
+    'psd_driver': {'host': '10.0.0.1', 'port': 1, 'stream_port': 1, 'mode': 'poll', 'length': 0.1, 'rotation': 1.0,
+                   'gain': [2.0, 2.0], 'zero': [1.0, 1.0]},
+    'step_sequencer': {'host': '10.0.0.1', 'port': 1, 'description_file': '/etc/passwd', 'feed': 5.0,
+                       'origin': [1.0, 1.0, 1.0], 'setup_codes': ['ppp=M102'], 'listeners': [''], 'sources': ['']},
+    'recorder': {'bag': '/tmp/elsewhere', 'bag_folder': '/tmp'},
+}
+
+
+@pytest.mark.parametrize(('node', 'name'), [(node, name) for node, names in FIXED.items() for name in names])
+def test_what_names_files_hosts_feeds_or_places_cannot_be_changed(cell, node, name):
+    with pytest.raises(StepdiagError, match='read-only'):
+        cell.operator.set_parameters(node, {name: FIXED[node][name]})
+    page = (Path(__file__).resolve().parents[2] / 'docs' / 'reference' / 'nodes.md').read_text()
+    section = page.split(f'## `{node}`')[1].split('## `')[0]
+    assert re.search(rf'^\| `{name}` \|[^|]*\| read-only: ', section, re.MULTILINE)
+
+
+def test_no_parameter_names_a_file_that_would_be_run(cell):
+    names = call(cell, ListParameters, 'gap_monitor/list_parameters', ListParameters.Request()).result.names
+    assert 'effects' not in names
+    with pytest.raises(StepdiagError, match='effects'):
+        cell.operator.set_parameters('gap_monitor', {'effects': ['/tmp/evil.py']})
+
+
+def test_a_bag_elsewhere_than_in_the_recorder_s_folder_is_refused(cell, tmp_path):
+    with pytest.raises(StepdiagError, match='makes bags in .* alone'):
+        cell.operator.new_log(str(tmp_path / 'elsewhere'))
+    operator = cell.operator
+    operator.bring('recorder', 'inactive')
+    operator.set_parameters('recorder', {'name': '../outside'})
+    with pytest.raises(StepdiagError, match='a name without a folder'):
+        operator.bring('recorder', 'active')
+    operator.set_parameters('recorder', {'name': ''})
+    operator.bring('recorder', 'active')
+
+
 def test_drivers_deliver_at_their_rate(cell, eventually):
     for node in ('interferometer_driver', 'psd_driver'):
         def rate(node=node):
@@ -111,17 +153,17 @@ def test_drivers_deliver_at_their_rate(cell, eventually):
 def test_configuring_without_an_instrument_says_so_in_one_line(cell, eventually):
     operator = cell.operator
     operator.bring('psd_driver', 'unconfigured')
-    port = next(int(v.value.rsplit(':', 1)[1]) for v in eventually(
-        lambda: [v for v in operator.health('psd_driver').values if v.key == 'device']))
-    operator.set_parameters('psd_driver', {'port': 1, 'timeout': 1.0})
+    faults.inject(cell.runtime, 'psd', 'drop')
+    time.sleep(0.1)   # longer than the server's interval of looking
     try:
         assert not operator.transition('psd_driver', 'configure')
         assert operator.state('psd_driver') == 'unconfigured'
         said = eventually(lambda: operator.health('psd_driver').level == DiagnosticStatus.ERROR
                           and operator.health('psd_driver').message)
-        assert '127.0.0.1:1' in said and '\n' not in said
+        assert 'PSD at 127.0.0.1:' in said and 'reconnect' in said and '\n' not in said
     finally:
-        operator.set_parameters('psd_driver', {'port': port, 'timeout': 5.0})
+        faults.clear(cell.runtime, 'psd')
+        time.sleep(0.1)
         operator.bring('psd_driver', 'active')
 
 

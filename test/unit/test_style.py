@@ -17,6 +17,12 @@ def test_linter_is_content() -> None:
     assert result.returncode == 0, result.stdout + result.stderr
 
 
+def test_types_hold() -> None:
+    """As mypy.ini says: everywhere, and in full towards the outside."""
+    result = subprocess.run([sys.executable, '-m', 'mypy'], cwd=ROOT, capture_output=True, text=True)
+    assert result.returncode == 0, result.stdout + result.stderr
+
+
 def test_layers_hold() -> None:
     """Who may import whom, as pyproject.toml says."""
     command = Path(sys.executable).with_name('lint-imports')

@@ -114,7 +114,9 @@ class Longer:
         longer = np.sqrt(_length_ns(table)[len(observation.table):] / _length_ns(observation.table)[rows])
         new_noise = joint.noise.sensor[rows] / longer[:, None]
         new_noise[:, -2:] /= run.light
-        noise = replace(joint.noise, sensor=np.concatenate([joint.noise.sensor, new_noise]))
+        spread = joint.noise.spread
+        noise = replace(joint.noise, sensor=np.concatenate([joint.noise.sensor, new_noise]), spread=None if spread is None
+                        else np.concatenate([spread, np.ones((len(spread), len(new_noise)))], axis=1))
         parameters = parameters_of(log.description, table)
         first, new = old.parameters.offset_first, len(table.run_ids) - old.parameters.runs
         theta = np.concatenate([old.theta[:first], [0.0, 0.0, *run.mirror_turn_rad], old.theta[first:],

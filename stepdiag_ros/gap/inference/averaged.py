@@ -16,6 +16,7 @@ from dataclasses import replace
 import numpy as np
 
 from stepdiag_ros.effects.base import Effect, Form
+from stepdiag_ros.estimate.enhanced import Fit
 from stepdiag_ros.estimate.evaluate import solution_of
 from stepdiag_ros.estimate.gauge import reporting_matrix
 from stepdiag_ros.estimate.solution import Solution
@@ -70,11 +71,21 @@ def _as_member(screen: Screen, number: int, judged: Judged) -> Member:
 
 def averaged_solution(joint: Joint, screen: Screen, best: EffectSet) -> Solution:
     """The machine's errors with the effects taken out, averaged over the forms that these may have."""
+    table = joint.observation.table
+    result, pull, rest = averaged_fit(joint, screen, best)
+    solution = solution_of(result, table)
+    if joint.active:
+        solution = replace(solution, covariance=solution.covariance + np.diag(_allowance(joint, pull, rest)))
+    return with_standing(solution, joint.fit, table)
+
+
+def averaged_fit(joint: Joint, screen: Screen, best: EffectSet) -> tuple[Fit, np.ndarray, np.ndarray]:
+    """The fit at the mean of the forms, its covariance theirs and what is between them; what the effects do to the
+    unknowns (size,); the stops' white residuals."""
     rest = unexplained(joint.parity, joint.active)[:joint.parity.stops]
     result = replace(joint.fit, chi2=float(rest @ rest), dof=joint.parity.dof[0])
-    table = joint.observation.table
     if not joint.active:
-        return with_standing(solution_of(result, table), joint.fit, table)
+        return result, np.zeros(len(result.theta)), rest
     pull, covariance = _pull(joint, joint.active)
     other = compositions(screen, best)
     fitted = [(np.exp(c.log_bayes - other[0].log_bayes) * share, active)
@@ -89,9 +100,7 @@ def averaged_solution(joint: Joint, screen: Screen, best: EffectSet) -> Solution
         covariance = sum(w * c for w, (_, c) in zip(weight, parts, strict=True)) + away.T @ away
         result = replace(result, theta=result.theta + mean)
         pull = pull - mean
-    solution = solution_of(replace(result, covariance=covariance), table)
-    solution = replace(solution, covariance=solution.covariance + np.diag(_allowance(joint, pull, rest)))
-    return with_standing(solution, joint.fit, table)
+    return replace(result, covariance=covariance), pull, rest
 
 
 def _fitted(joint: Joint, screen: Screen, found: EffectSet) -> list[tuple[float, tuple[Active, ...]]]:

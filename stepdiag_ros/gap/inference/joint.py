@@ -21,6 +21,7 @@ from stepdiag_ros.estimate.noise import NoiseModel, estimate_noise
 from stepdiag_ros.estimate.reduce import StopTable
 from stepdiag_ros.gap.inference.evidence import SIZES, Judged, judge, width_of
 from stepdiag_ros.gap.inference.parity import Parity, parity
+from stepdiag_ros.gap.noise.arrival_law import reweighed
 from stepdiag_ros.gap.preprocess.observe import Observation, sane_fit, view_of
 
 ROUNDS = 4
@@ -109,13 +110,12 @@ def fit_jointly(observation: Observation, chosen: list[tuple[Effect, Form]],
         return Joint(observation, noise, space, ())
     for _ in range(ROUNDS):
         without = freed(observation.table, active)
-        result = sane_fit(observation.log, without, observation.fit.theta)
-        noise = estimate_noise(without, observation.log.description.noise, result.arrival)
+        result = sane_fit(observation.log, without, observation.fit.theta, None if noise.tidy else noise)
         observation = refitted(observation, result)
+        noise = estimate_noise(without, observation.log.description.noise, result.arrival) if noise.tidy \
+            else reweighed(observation, noise, without)
         chosen = [(effect, same_form(effect, form, observation.view)) for effect, form in chosen]
-        rest = observation.bins - sum(a.inside for a in active)
-        scale = _bin_scale(rest, observation.bin_sigma)
-        space = parity(observation, result, noise, readings, scale)
+        space = parity(observation, result, noise, readings, observation.bins - sum(a.inside for a in active))
         chosen = tuned(space, chosen)
         updated = solve(space, chosen)
         moved = max((np.max(np.abs(new.coefficients - old.coefficients)
@@ -138,12 +138,6 @@ def refitted(observation: Observation, result: Fit) -> Observation:
     """The observation at another fit: what effects depend on is laid anew, the readings are as they were read."""
     return replace(observation, fit=result,
                    view=view_of(observation.log, observation.table, result, observation.view.bin_time))
-
-
-def _bin_scale(bins: np.ndarray, sigma: np.ndarray) -> float:
-    ratio = np.abs(bins / sigma[:, None, :])
-    ratio = ratio[np.isfinite(ratio)]
-    return max(1.0, float(np.median(ratio)) / 0.6745) if len(ratio) else 1.0
 
 
 def tuned(space: Parity, chosen: list[tuple[Effect, Form]]) -> list[tuple[Effect, Form]]:

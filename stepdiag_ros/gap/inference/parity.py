@@ -15,7 +15,7 @@ from scipy import linalg
 
 from stepdiag_ros.effects.base import Form
 from stepdiag_ros.estimate.enhanced import Fit
-from stepdiag_ros.estimate.noise import NoiseModel, whiteners
+from stepdiag_ros.estimate.noise import NoiseModel, Whitener, whiteners
 from stepdiag_ros.gap.preprocess.observe import Observation
 from stepdiag_ros.model.log import STOOD
 
@@ -27,6 +27,10 @@ ALONE = 10.0
 """A dwell whose contrasts exceed those of the dwells before and after it so many times, and what they are held to
 ``BY_FAR`` times, is one in which something happened once: a slip, a knock."""
 BY_FAR = 3.0
+CALM = 2
+"""The first contrasts, slope and bend, are of what creeps; from this one on they tell the noise."""
+LOUDEST, MEDIAN_SQUARE = 16.0, 0.4549
+"""Squares are held to so many times the quiet majority's; the median of χ² of one degree of freedom."""
 LEAST_ALIKE = 3
 """Fewest dwells of one kind from which a size typical of them is told: the median of three stands one that errs."""
 
@@ -38,7 +42,7 @@ class Parity:
     ``data`` (N,): white residuals, stops first (``stops`` of them, the unknowns' own departures from what they
     are held to at the end), then bins.  ``dof``: of the stops'
     part and of the bins' part.  ``channel`` (N,): channel of each row (0 … beams + 1), ``row`` (N,): its
-    stop.  ``bin_scale``: factor by which the bins' noise was found above the sensors' own.
+    stop.  ``bin_scale`` (c,): factor by which a channel's bins were found noisier than their samples.
     """
 
     data: np.ndarray
@@ -46,7 +50,7 @@ class Parity:
     dof: tuple[int, int]
     channel: np.ndarray
     row: np.ndarray
-    bin_scale: float
+    bin_scale: np.ndarray
     _white: list
     _basis: np.ndarray
     _contrast: np.ndarray
@@ -144,49 +148,84 @@ class Parity:
         return result * form.scale
 
 
-def parity(observation: Observation, result: Fit, noise: NoiseModel,
-           readings: np.ndarray, bin_scale: float | None = None) -> Parity:
-    """Set up the projection at ``result`` with ``noise``; data are ``readings`` minus its prediction."""
+def projection(observation: Observation, result: Fit, noise: NoiseModel,
+               readings: np.ndarray) -> tuple[list[Whitener], np.ndarray, np.ndarray, float]:
+    """Whiteners, one a run; orthonormal directions (N, r) that the fit can imitate; white data (N,) without them, the
+    unknowns' own departures last; logarithm of the volume that noise and unknowns leave, −½ ln|C| − ½ ln|JᵀC⁻¹J + P|."""
     present = result.present
     white = whiteners(observation.table, noise, result.arrival, present)
     # The unknowns are held to their widths as in the fit: else errors of metres, along directions that the
     # readings hardly tell, would imitate what no machine does.
     held = np.linalg.cholesky(result.precision).T
-    jacobian = np.concatenate([*(w(result.jacobian.toarray()) for w in white), held])
-    jacobian = jacobian / np.linalg.norm(jacobian, axis=0)
-    basis, _ = linalg.qr(jacobian, mode='economic', check_finite=False)
+    dense = result.jacobian.toarray()
+    jacobian = np.concatenate([*(w(dense) for w in white), held])
+    size = np.linalg.norm(jacobian, axis=0)
+    basis, triangle = linalg.qr(jacobian / size, mode='economic', check_finite=False)
     # What the fit has put into its residual is gone already; only the rest is left to look at.
     residual = np.where(present, readings - result.model.predict(result.theta), 0.0).ravel()
     data = np.concatenate([*(w(residual) for w in white), -held @ result.theta])
     data = data - basis @ (basis.T @ data)
-    own = len(data) - len(held)
+    volume = -sum(float(np.sum(np.log(np.diag(w.factor)))) for w in white) \
+        - float(np.sum(np.log(size)) + np.sum(np.log(np.abs(np.diag(triangle)))))
+    return white, basis, data, volume
+
+
+def parity(observation: Observation, result: Fit, noise: NoiseModel,
+           readings: np.ndarray, freed: np.ndarray | None = None) -> Parity:
+    """Set up the projection at ``result`` with ``noise``; data are ``readings`` minus its prediction.
+
+    ``freed`` (n, b, c): the bins freed of effects, which say how noisy they are; else the bins themselves.
+    """
+    white, basis, data, _ = projection(observation, result, noise, readings)
+    own = len(data) - len(result.precision)
 
     channels = observation.bins.shape[2]
     contrast = _contrasts(observation.bins.shape[1])
-    values = np.einsum('hb,nbc->nhc', contrast, observation.bins) / observation.bin_sigma[:, None, :]
+    values, rough, limit = _inside(observation, observation.bins, contrast)
+    calm, size, most = (values, rough, limit) if freed is None else _inside(observation, freed, contrast)
+    scale = _loudness(np.clip(calm, -most, most))
+    # One dwell in which something happened must not speak for all of its kind.
+    happened = _once(np.abs(values / limit).max(axis=1), observation.table.run)
+    values = np.where(happened[:, None, :], np.nan, np.clip(values, -limit, limit))
+    bin_present = np.isfinite(values)
+    inside = (values / scale)[bin_present]
+    rows = np.concatenate([w.rows for w in white])
+    stop, _, channel = np.nonzero(bin_present)
+    return Parity(np.concatenate([data, inside]), len(data),
+                  # Machines are far better than the widths: their own departures count for nothing.
+                  (round(own - float(np.sum(basis[:own]**2))), len(inside)),
+                  np.concatenate([rows % channels, np.full(len(data) - own, -1), channel]),
+                  np.concatenate([rows // channels, np.full(len(data) - own, -1), stop]), scale,
+                  white, basis, contrast,
+                  observation.bin_sigma[:, None, :] * rough, bin_present)
+
+
+def _inside(observation: Observation, bins: np.ndarray,
+            contrast: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Contrasts (n, h, c) of ``bins``, white but for a common factor; what they were divided by beside the samples'
+    noise; and what they are held to."""
+    values = np.einsum('hb,nbc->nhc', contrast, bins) / observation.bin_sigma[:, None, :]
     rough = np.ones(values.shape[1:])
     rough[0] = _roughness(values[:, 0], observation)
     typical = _typical(values, observation)
     rough = np.hypot(rough, DISCREPANCY * typical)
-    # One dwell in which something happened must not speak for all of its kind.
-    limit = CLIP * np.maximum(typical.max(axis=1, keepdims=True) / rough, 1.0)
-    values = values / rough
-    happened = _once(np.abs(values / limit).max(axis=1), observation.table.run)
-    values = np.where(happened[:, None, :], np.nan, np.clip(values, -limit, limit))
-    bin_present = np.isfinite(values)
-    inside = values[bin_present]
-    if bin_scale is None:
-        # Neighbouring samples may be alike: the level of the quiet majority sets the unit.
-        bin_scale = max(1.0, float(np.median(np.abs(inside)) / 0.6745)) if len(inside) else 1.0
-    rows = np.concatenate([w.rows for w in white])
-    stop, _, channel = np.nonzero(bin_present)
-    return Parity(np.concatenate([data, inside / bin_scale]), len(data),
-                  # Machines are far better than the widths: their own departures count for nothing.
-                  (round(own - float(np.sum(basis[:own]**2))), len(inside)),
-                  np.concatenate([rows % channels, np.full(len(held), -1), channel]),
-                  np.concatenate([rows // channels, np.full(len(held), -1), stop]), bin_scale,
-                  white, basis, contrast,
-                  observation.bin_sigma[:, None, :] * rough, bin_present)
+    return values / rough, rough, CLIP * np.maximum(typical.max(axis=1, keepdims=True) / rough, 1.0)
+
+
+def _loudness(values: np.ndarray) -> np.ndarray:
+    """Factor (c,), at least one, by which contrasts (n, h, c) are larger than white samples of the log would make them.
+
+    Neighbouring samples may be alike, and their tails heavy.  What creeps shows in the first contrasts, so the level
+    is taken from the others; squares are held to ``LOUDEST`` times the quiet majority's.
+    """
+    result = np.ones(values.shape[2])
+    for c in range(len(result)):
+        square = values[:, CALM:, c]**2
+        square = square[np.isfinite(square)]
+        if len(square):
+            quiet = float(np.median(square)) / MEDIAN_SQUARE
+            result[c] = max(1.0, float(np.sqrt(np.mean(np.minimum(square, LOUDEST * quiet)))))
+    return result
 
 
 def _typical(values: np.ndarray, observation: Observation) -> np.ndarray:

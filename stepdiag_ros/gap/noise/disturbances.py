@@ -8,12 +8,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from stepdiag_ros.gap.constants import COARSE_ALARM
-from stepdiag_ros.gap.inference.joint import Joint
 from stepdiag_ros.gap.noise.dwell_spectrum import Unrest, unrest
 from stepdiag_ros.gap.noise.mode_hops import Hops, hops
 from stepdiag_ros.gap.preprocess.observe import Observation
-from stepdiag_ros.gap.preprocess.timing import step_noise, steps
+from stepdiag_ros.gap.preprocess.samples import quantum
+from stepdiag_ros.gap.preprocess.timing import step_noise
 from stepdiag_ros.model.log import CalibrationLog
 
 
@@ -26,11 +25,10 @@ class Disturbances:
     unrest: Unrest
     hops: Hops | None
 
-    def words(self, joint: Joint, names: Mapping[str, float]) -> tuple[str, str]:
+    def words(self, names: Mapping[str, float]) -> tuple[str, str]:
         """What disturbs, in words: what goes before a pattern, and what is said where there is none; ``names``:
         probabilities of the effects that are claimed."""
-        return ((self.hops.words if self.hops else '') or _coarse(joint, self.widths),
-                _restless(self.unrest, names))
+        return self.hops.words if self.hops else '', _restless(self.unrest, names)
 
 
 def disturbed(log: CalibrationLog, observation: Observation) -> tuple[Observation, Disturbances]:
@@ -38,8 +36,8 @@ def disturbed(log: CalibrationLog, observation: Observation) -> tuple[Observatio
     table = observation.table
     distance = observation.view.distance.mean(axis=1)
     samples = unrest(log, table, distance)
-    widths = np.concatenate([steps(log.displacement, table.displacement_rows),
-                             steps(log.spot, table.spot_rows)])
+    widths = np.concatenate([quantum(log.displacement, table.displacement_rows, table.run),
+                             quantum(log.spot, table.spot_rows, table.run)])
     if widths.any():
         observation = _with_steps(observation, widths)
     observation = _with_unrest(observation, samples)
@@ -57,7 +55,7 @@ def _with_steps(observation: Observation, width: np.ndarray) -> Observation:
     log, table, beams = observation.log, observation.table, observation.fit.model.beams
     variance = np.concatenate([step_noise(log.displacement, table.displacement_rows, width[:beams]),
                                step_noise(log.spot, table.spot_rows, width[beams:])])
-    scatter = np.sqrt(np.nanmean(observation.bins**2, axis=(0, 1)))
+    scatter = np.maximum(np.sqrt(np.nanmean(observation.bins**2, axis=(0, 1))), width / np.sqrt(12.0))
     return replace(observation, table=replace(table, disturbed=np.tile(variance, (len(table), 1))),
                    bin_sigma=np.where(width > 0.0, np.maximum(observation.bin_sigma, scatter), observation.bin_sigma))
 
@@ -93,24 +91,6 @@ def _with_hops(observation: Observation, seen: Hops) -> Observation:
     sigma[:, :beams] = np.sqrt(sigma[:, :beams] ** 2 + seen.inside[:, None])
     return replace(observation, bins=bins, bin_sigma=sigma,
                    table=replace(table, hop=seen.step, hops_per_s=seen.per_s))
-
-
-def _coarse(joint: Joint, widths: np.ndarray) -> str:
-    """Readings that move in steps so large that they matter against the noise of a stop; in words."""
-    table, space, beams = joint.observation.table, joint.parity, joint.fit.model.beams
-    variance = np.full(joint.fit.residual.size, np.nan)
-    for white in space._white:
-        variance[white.rows] = np.sum(white.factor**2, axis=1)
-    variance = variance.reshape(joint.fit.residual.shape)
-    if table.disturbed is not None:
-        variance = variance - table.disturbed  # what they add is no noise to measure them by
-    for k, width in enumerate(widths):
-        own = variance[np.isfinite(variance[:, k]), k]
-        share = width**2 / 12.0 / np.median(own) if width and len(own) else 0.0
-        if len(table) / 4.0 * share**2 > COARSE_ALARM:
-            channel = 'displacement' if k < beams else ('spot_x', 'spot_y')[k - beams]
-            return f'{channel}: readings move in steps of {width * 1e6:.3g} µm'
-    return ''
 
 
 def _restless(samples: Unrest, names: Mapping[str, float]) -> str:

@@ -81,10 +81,11 @@ def _steps(samples: Samples, table: StopTable) -> tuple[np.ndarray, np.ndarray, 
     values = samples.values.mean(axis=1)
     found = []
     for row, (lo, hi) in enumerate(table.displacement_rows):
-        n = hi - lo
-        if n < LEAST_SAMPLES or not np.isfinite(values[lo:hi]).all():
+        dwell = values[lo:hi][np.isfinite(values[lo:hi])]
+        n = len(dwell)
+        if n < LEAST_SAMPLES:
             continue
-        dwell = values[lo:hi] - values[lo]
+        dwell = dwell - dwell[0]
         bend = _bend(n)
         before = np.arange(EDGE, n - EDGE + 1)
         sums = np.cumsum(dwell)

@@ -20,6 +20,8 @@ TAIL = 4.5
 """Standard deviations beyond which a white residual is counted as an outlier."""
 LEAST = 24
 """Fewest residuals of a group that is judged."""
+HELD = 4.0
+"""Standard deviations to which what single dwells show inside is held."""
 STRAY_SIZE = 3.0
 """Typical stray, in standard deviations of an arrival: a smaller one is no more than noise."""
 MOST_STRAYS = 60
@@ -170,6 +172,9 @@ def excess_scatter(joint: Joint, rest: np.ndarray | None = None) -> tuple[float,
     for part, what, dof in ((slice(0, space.stops), 'the stops', space.dof[0]),
                             (slice(space.stops, None), 'the samples inside the dwells', space.dof[1])):
         values, channel, row = rest[part], space.channel[part], space.row[part]
+        if what != 'the stops':
+            # Tails of the samples are noise; so is a channel's own level, which the parity space has taken.
+            values = np.clip(values, -HELD, HELD)
         if len(values) < LEAST:
             continue
         free = dof / max(int(np.sum(channel >= 0)), 1)

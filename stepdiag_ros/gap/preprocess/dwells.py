@@ -8,6 +8,8 @@ LEAST_SAMPLES = 5
 LEAST_DWELLS = 24
 MOST_SAMPLES = 128
 """Of a dwell; of a longer one the first are taken."""
+LEAST_THERE = 0.75
+"""Share of a dwell's samples that must be there; between them those that are not are put on a straight line."""
 COHERENT = 4.0
 """Variance between kinds of dwells over that within, above which a pattern belongs to the move."""
 MOST_PATTERNS = 5
@@ -48,15 +50,19 @@ def dwells_of(values: np.ndarray, time_ns: np.ndarray, rows: np.ndarray,
     chosen = np.flatnonzero(counts >= size)
     size = min(size, MOST_SAMPLES)
     index = rows[chosen, :1] + np.arange(size)
-    full = np.isfinite(values[index]).all(axis=1)
-    chosen, index = chosen[full], index[full]
+    there = np.isfinite(values[index])
+    full = there.mean(axis=1) >= LEAST_THERE
+    chosen, index, there = chosen[full], index[full], there[full]
     if len(chosen) < LEAST_DWELLS:
         return None
     period = float(np.median(np.diff(time_ns[index], axis=1))) * 1e-9
     if period <= 0.0:
         return None
     place = np.linspace(-1.0, 1.0, size)
-    dwells = values[index] - values[index[:, :1]]
+    dwells = values[index]
+    for k in np.flatnonzero(~there.all(axis=1)):
+        dwells[k] = np.interp(np.arange(size), np.flatnonzero(there[k]), dwells[k, there[k]])
+    dwells = dwells - dwells[:, :1]
     fixed, _ = np.linalg.qr(np.vander(place, 2))
     dwells = dwells - (dwells @ fixed) @ fixed.T
     later = (time_ns[index[:, 0]] - begin_ns[chosen]) * 1e-9 / period

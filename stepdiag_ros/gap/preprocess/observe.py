@@ -13,6 +13,7 @@ import numpy as np
 from stepdiag_ros.effects.base import StopView
 from stepdiag_ros.estimate.enhanced import Fit, fit, readings_of
 from stepdiag_ros.estimate.metres import with_one_index
+from stepdiag_ros.estimate.noise import NoiseModel
 from stepdiag_ros.estimate.reduce import StopTable, reduce_log
 from stepdiag_ros.model.air import refractive_index
 from stepdiag_ros.model.log import CalibrationLog, ScalarSeries
@@ -57,13 +58,14 @@ def observe(log: CalibrationLog) -> Observation:
     return Observation(log, table, nominal, view_of(log, table, nominal, time), bins, sigma)
 
 
-def sane_fit(log: CalibrationLog, table: StopTable, theta: np.ndarray | None = None) -> Fit:
+def sane_fit(log: CalibrationLog, table: StopTable, theta: np.ndarray | None = None,
+             noise: NoiseModel | None = None) -> Fit:
     """The nominal fit; where the model fails grossly, with the noise scaled up until it does not.
 
     The widths of the unknowns then hold machine and misalignments to plausible sizes instead of
-    letting them explain the gap away.  ``theta`` starts the iteration.
+    letting them explain the gap away.  ``theta`` starts the iteration; ``noise``: if not as the repeats show it.
     """
-    result = fit(log.description, table, theta=theta, settled=SETTLED)
+    result = fit(log.description, table, noise=noise, theta=theta, settled=SETTLED)
     noise, scale = result.noise, 1.0
     for _ in range(6):
         reduced = result.chi2 / max(result.dof, 1)
@@ -190,13 +192,16 @@ def _bins(log: CalibrationLog, table: StopTable) -> tuple[np.ndarray, np.ndarray
         for i, (lo, hi) in enumerate(rows):
             if hi - lo < BINS or length[i] <= 0.0:
                 continue
-            values = samples.values[lo:hi]
+            good = np.isfinite(samples.values[lo:hi]).all(axis=1)
+            values = samples.values[lo:hi][good]
+            if len(values) < BINS:
+                continue
             values = values - values[0]
-            since = samples.time_ns[lo:hi] - table.dwell_ns[i]
+            since = samples.time_ns[lo:hi][good] - table.dwell_ns[i]
             # In whole nanoseconds: on a common time grid rounding would put some samples a bin too early.
             place = np.clip(since * BINS // (table.done_ns[i] - table.dwell_ns[i]), 0, BINS - 1)
             count = np.bincount(place, minlength=BINS)
-            if np.any(count == 0) or not np.isfinite(values).all():
+            if np.any(count == 0):
                 continue
             sums = np.stack([np.bincount(place, values[:, k], BINS)
                              for k in range(values.shape[1])], axis=1)

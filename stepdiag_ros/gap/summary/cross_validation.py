@@ -3,59 +3,105 @@
 All repeats but one are fitted, with and without the effects, and that one is foretold; each repeat has
 its turn, for what one repeat's noise leaves open of a small gap the others settle.  A log of one run, as a table of
 cycles is, is split in time: its last repeats are foretold from those before.  Fits are linear at the joint fit.
-A forecast is judged with its own uncertainty: the noise of the runs foretold and that of what was fitted.  The reset
-of a run that was not fitted is not known and is given free.  Beside that each setup is foretold from the others, with
-the misalignments of its own no better known than before the log.
+The gap is a distance: the root mean square [m] of what is read and was not fitted less what is foretold of it, before
+and after, beside what noise alone makes.  Of lengths or of spots, whichever stands out of its noise more.  Beside it
+stands how large the error is against what the forecast expected of itself, its noise and the uncertainty of
+what was fitted; a forecast so wide that it says nothing is right by that measure and closes nothing by the other.
+The reset of a run that was not fitted is not known and is given free.  Beside that each setup is foretold from the
+others, with the misalignments of its own no better known than before the log.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import linalg
 
+from stepdiag_ros.estimate.noise import Whitener
 from stepdiag_ros.gap.inference.joint import Joint, inverse, widths
 
 RESET_WIDTH_M = 1e-4
+TOO_WIDE = 0.5
+"""A forecast that is uncertain by more than this share of the gap says nothing of how far it closes."""
+
+
+@dataclass(frozen=True)
+class Distance:
+    """Root mean squares [m] of held-out readings of one kind: less their forecast ``before`` and ``after`` the effects,
+    what noise alone makes, ``floor``, and the forecast's own uncertainty after, ``width``."""
+
+    before: float
+    after: float
+    floor: float
+    width: float = 0.0
+
+    @property
+    def stands_out(self) -> float:
+        """Excess of the mean square before, in units of the noise's."""
+        return self.before**2 / self.floor**2 - 1.0 if self.floor > 0.0 else -1.0
+
+    @property
+    def left(self) -> float:
+        """Share of the mean square before, above noise, that is there after."""
+        return float(np.clip((self.after**2 - self.floor**2) / max(self.before**2 - self.floor**2, 1e-300), 0.0, 1.0))
+
+    def to_json_dict(self) -> dict:
+        return {'before_m': self.before, 'after_m': self.after, 'noise_floor_m': self.floor,
+                'forecast_sigma_m': self.width}
 
 
 @dataclass(frozen=True)
 class Closing:
-    """Reduced χ² of the forecast without and with the effects, over ``count`` readings, in units of a noise known to
-    ``noise_dof`` degrees of freedom; in words which part was ``held_out``; the same as distances [m] by the noise
-    floor."""
+    """How far the gap closes on what was ``held_out``, in words.
+
+    ``before`` and ``after``: reduced χ² of the forecast, in units of what it expects of itself, over ``count`` readings
+    and a noise known to ``noise_dof`` degrees of freedom.  ``distances`` [m] by kind, 'displacement' and 'spot'.
+    """
 
     before: float
     after: float
     count: int
     noise_dof: float
     held_out: str
-    before_m: float
-    after_m: float
-    floor_m: float
+    distances: Mapping[str, Distance]
+
+    @property
+    def channel(self) -> str:
+        """The kind of reading, 'displacement' or 'spot', whose gap stands out of its noise more."""
+        return max(self.distances, key=lambda kind: self.distances[kind].stands_out)
+
+    @property
+    def gap(self) -> Distance:
+        """The distances of that kind."""
+        return self.distances[self.channel]
+
+    @property
+    def before_m(self) -> float:
+        return self.gap.before
+
+    @property
+    def after_m(self) -> float:
+        return self.gap.after
+
+    @property
+    def floor_m(self) -> float:
+        return self.gap.floor
 
     def to_json_dict(self) -> dict:
-        return {'before_m': self.before_m, 'after_m': self.after_m, 'noise_floor_m': self.floor_m,
+        return {**self.gap.to_json_dict(), 'channel': self.channel,
+                'by_channel': {kind: distance.to_json_dict() for kind, distance in self.distances.items()},
                 'held_out': self.held_out, 'reduced_chi2_before': self.before, 'reduced_chi2_after': self.after}
 
     @property
     def left(self) -> float:
-        """Share of the excess χ² before that is there after; 0 where chance alone may leave it (five σ)."""
+        """Share of the excess before that is there after; 0 where chance alone may leave it (five σ).
+
+        Where the forecast is as wide as the gap, by the distance that is left.
+        """
+        if self.gap.width > TOO_WIDE * self.gap.before:
+            return self.gap.left
         beyond_chance = self.after > 1.0 + 5.0 * np.sqrt(2.0 / max(self.count, 1) + 2.0 / max(self.noise_dof, 1.0))
         return (self.after - 1.0) / (self.before - 1.0) if beyond_chance and self.before > self.after else 0.0
-
-
-def noise_floor(joint: Joint) -> float:
-    """Root mean square [m] of the noise of one stop's displacement."""
-    beams = joint.fit.model.beams
-    squares = []
-    for white in joint.parity._white:
-        variance = np.sum(white.factor**2, axis=1)
-        channel = white.rows % (beams + 2)
-        squares.append(variance[channel < beams])
-    values = np.concatenate(squares)
-    if not len(values):
-        values = np.concatenate([np.sum(w.factor**2, axis=1) for w in joint.parity._white])
-    return float(np.sqrt(np.mean(values)))
 
 
 def closing(joint: Joint, alone: Joint | None = None) -> Closing:
@@ -77,12 +123,12 @@ def closing_over_setups(joint: Joint) -> Closing | None:
 
 def _closing(joint: Joint, place: Joint, parts: list[np.ndarray], name: str) -> Closing:
     """``place``: the fit at which the gap before is taken; ``parts``: masks (n,) of the stops held out in turn."""
-    after, count, freedom = _foretold(joint, parts, with_effects=True)
-    before = _foretold(place, parts, with_effects=False)[0] if joint.active else after
-    before, after = before / max(freedom, 1), after / max(freedom, 1)
-    floor = noise_floor(joint)
-    return Closing(before, after, count, float(sum(joint.noise.dof)), name,
-                   floor * np.sqrt(before), floor * np.sqrt(after), floor)
+    after = _foretold(joint, parts, with_effects=True)
+    before = _foretold(place, parts, with_effects=False) if joint.active else after
+    freedom = max(after.freedom, 1)
+    distances = {kind: Distance(before.errors[kind], rms, after.floors[kind], after.widths[kind])
+                 for kind, rms in after.errors.items()}
+    return Closing(before.chi2 / freedom, after.chi2 / freedom, after.count, float(sum(joint.noise.dof)), name, distances)
 
 
 def _left(joint: Joint) -> float:
@@ -91,33 +137,78 @@ def _left(joint: Joint) -> float:
     return float(data @ data)
 
 
-def _foretold(joint: Joint, parts: list[np.ndarray], with_effects: bool) -> tuple[float, int, int]:
-    """χ² of all that is held out, number of readings and degrees of freedom."""
+@dataclass(frozen=True)
+class _Forecast:
+    """χ² of all that is held out, ``count`` readings with ``freedom`` degrees of freedom; by kind of reading the root
+    mean square [m] of the ``errors``, of the noise alone, ``floors``, and of what the forecast is uncertain by."""
+
+    chi2: float
+    freedom: int
+    count: int
+    errors: Mapping[str, float]
+    floors: Mapping[str, float]
+    widths: Mapping[str, float]
+
+
+def _foretold(joint: Joint, parts: list[np.ndarray], with_effects: bool) -> _Forecast:
+    """All that is held out, foretold from the rest."""
     table = joint.observation.table
     # Whiteners are one a run: rows of a run stay together on either side.
     white = joint.parity._white
-    channels = joint.fit.residual.shape[1]
+    channels, beams = joint.fit.residual.shape[1], joint.fit.model.beams
     readings = np.concatenate([table.displacement, table.spot], axis=1)
-    residual = np.where(joint.fit.present, readings - joint.fit.model.predict(joint.fit.theta), 0.0).ravel()
-    stop = np.concatenate([w.rows for w in white]) // channels
+    plain = np.where(joint.fit.present, readings - joint.fit.model.predict(joint.fit.theta), 0.0).ravel()
+    rows = np.concatenate([w.rows for w in white])
+    stop = rows // channels
     design, precision = joint.jacobian, joint.fit.precision.copy()
+    bare = joint.fit.jacobian[rows].toarray()
     offsets = np.arange(joint.fit.parameters.offset_first, joint.fit.parameters.size)
     precision[offsets, offsets] = RESET_WIDTH_M**-2.0
     if with_effects and joint.active:
         columns = np.concatenate([a.form.columns.reshape(len(a.form.columns), -1).T * a.form.scale
                                   for a in joint.active], axis=1)
         design = np.concatenate([design, np.concatenate([w(columns) for w in white])], axis=1)
+        bare = np.concatenate([bare, columns[rows]], axis=1)
         precision = linalg.block_diag(precision, np.diag(widths(a.form for a in joint.active) ** -2.0))
-    residual = np.concatenate([w(residual) for w in white])
+    residual = np.concatenate([w(plain) for w in white])
     total, freedom, count = 0.0, 0, 0
+    sums = {kind: np.zeros(4) for kind in ('displacement', 'spot')}
     for held in parts:
         flag = held[stop]
-        resets = len(np.setdiff1d(table.run[held], table.run[~held])) * joint.fit.model.beams
-        resets = resets if np.isfinite(table.displacement[held]).any() else 0
-        total += _forecast(design, residual, flag, precision)
+        new = np.setdiff1d(table.run[held], table.run[~held])
+        resets = len(new) * beams if np.isfinite(table.displacement[held]).any() else 0
+        chi2, expected, covariance = _forecast(design, residual, flag, precision)
+        total += chi2
         freedom += int(flag.sum()) - resets
         count += int(flag.sum())
-    return total, count, freedom
+        error = plain[rows[flag]] - bare[flag] @ expected
+        wide = bare[flag] @ covariance
+        for kind, sums_of in sums.items():
+            mine = (rows[flag] % channels < beams) == (kind == 'displacement')
+            sums_of += _squares(white, table.run, channels, new if kind == 'displacement' else new[:0],
+                                rows[flag][mine], error[mine], bare[flag][mine], wide[mine])
+    rms = {kind: np.sqrt(np.maximum(of[:3], 0.0) / max(of[3], 1.0)) for kind, of in sums.items() if of[3] > 0.0}
+    return _Forecast(total, freedom, count, *({kind: float(of[k]) for kind, of in rms.items()} for k in range(3)))
+
+
+def _squares(white: list[Whitener], run: np.ndarray, channels: int, new: np.ndarray, rows: np.ndarray,
+             error: np.ndarray, design: np.ndarray, wide: np.ndarray) -> np.ndarray:
+    """Sums of squares [m²] of some ``rows``: of their errors, of noise, of what the forecast is uncertain by; and their
+    degrees of freedom.  In a ``new`` run what all readings of a beam share is its reset, and no error."""
+    result = np.zeros(4)
+    for w in white:
+        at = np.flatnonzero(np.isin(rows, w.rows))
+        if not len(at):
+            continue
+        factor = w.factor[np.searchsorted(w.rows, rows[at])]
+        fresh = run[rows[at[0]] // channels] in new
+        for channel in np.unique(rows[at] % channels):
+            mine = rows[at] % channels == channel
+            own, one, two, noise = error[at[mine]], design[at[mine]], wide[at[mine]], factor[mine]
+            if fresh:
+                own, one, two, noise = (part - part.mean(axis=0) for part in (own, one, two, noise))
+            result += [np.sum(own**2), np.sum(noise**2), np.sum(one * two), len(own) - fresh]
+    return result
 
 
 def excess_forecast(how_far: Closing) -> tuple[float, str]:
@@ -151,12 +242,13 @@ def _held_out(table) -> tuple[list[np.ndarray], str]:
 
 
 def _forecast(design: np.ndarray, residual: np.ndarray, held: np.ndarray,
-              precision: np.ndarray) -> float:
-    """χ² of the held-out rows foretold from the others."""
+              precision: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+    """χ² of the held-out rows foretold from the others; what the others say of the unknowns, and its covariance."""
     train = ~held
     normal = design[train].T @ design[train] + precision
     covariance = inverse(normal)
-    left = residual[held] - design[held] @ (covariance @ (design[train].T @ residual[train]))
+    expected = covariance @ (design[train].T @ residual[train])
+    left = residual[held] - design[held] @ expected
     predicted = np.eye(held.sum()) + design[held] @ covariance @ design[held].T
     white = linalg.solve_triangular(linalg.cholesky(predicted, lower=True), left, lower=True)
-    return float(white @ white)
+    return float(white @ white), expected, covariance

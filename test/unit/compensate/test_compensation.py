@@ -1,7 +1,6 @@
 """Tables applied by implementations of their own, angles and levers present: what is said of them is true."""
 
-import importlib.util
-from pathlib import Path
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,12 +11,8 @@ from stepdiag_ros.compensate.functional import functional_point
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate.solution import Solution, Unidentifiable
 
-spec = importlib.util.spec_from_file_location('made_machines', Path(__file__).with_name('applied.py'))
-made_machines = importlib.util.module_from_spec(spec)
-spec.loader.exec_module(made_machines)
-APPLIED, ORIGIN, VOLUME = made_machines.APPLIED, made_machines.ORIGIN, made_machines.VOLUME
-made, only, goes, machine_of, grid = (made_machines.made, made_machines.only, made_machines.goes,
-                                      made_machines.machine_of, made_machines.grid)
+from .applied import APPLIED, ORIGIN, VOLUME, goes, grid, machine_of, made, only
+
 ROUNDING_M = 2e-8
 """What six digits of a millimetre and products of errors leave."""
 
@@ -121,6 +116,12 @@ def test_errors_known_worse_than_they_are_large_make_no_table():
 def test_lengths_that_are_not_metres_make_no_table():
     found = compensation(made(1), machine_of(), CONTROLS['isg'], ORIGIN, air='not corrected for air')
     assert found.refusals == ('not corrected for air',) and found.files == {}
+
+
+def test_an_evaluation_that_did_not_converge_makes_no_table():
+    found = compensation(replace(made(1), status='not converged: the model does not describe this log'), machine_of(),
+                         CONTROLS['isg'], ORIGIN)
+    assert found.files == {} and any('not converged' in reason for reason in found.refusals)
 
 
 @pytest.mark.parametrize('kind', list(CONTROLS))

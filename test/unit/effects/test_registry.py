@@ -9,6 +9,7 @@ import pytest
 
 from stepdiag_ros.effects import VOCABULARY, all_effects, effect_class, effects_in_file
 from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.virtual.acting import ALLOWED, allow_effect_files
 from stepdiag_ros.virtual.offline import simulate_log
 
 OWN = '''
@@ -93,7 +94,7 @@ def test_an_unknown_name_and_an_unknown_parameter():
         effect_class('non_rigid_coupling')(motion='EXX', by='X')
 
 
-def test_an_effect_of_one_s_own_takes_part(bench, tmp_path):
+def test_an_effect_of_one_s_own_takes_part(bench, tmp_path, monkeypatch):
     path = tmp_path / 'sag.py'
     path.write_text(OWN)
     found = all_effects([str(path)])
@@ -105,6 +106,10 @@ def test_an_effect_of_one_s_own_takes_part(bench, tmp_path):
     np.testing.assert_allclose(spot, form.columns[0, :, bench.view.beams:] * 1e-6, atol=1e-12)
     cell = replace(bench.cell, source=str(tmp_path / 'cell.yaml'),
                    effects={'sag': {'file': 'sag.py', 'amp': 1e-6}})
+    with pytest.raises(StepdiagError, match=r'would be run; if you trust it, give --effect .*sag\.py'):
+        simulate_log(cell, setups=('ppp',))
+    monkeypatch.setenv(ALLOWED, '')
+    allow_effect_files([path])
     log = simulate_log(cell, setups=('ppp',))
     direct = simulate_log(bench.cell, setups=('ppp',), effects=[found['sag'](amp=1e-6)])
     np.testing.assert_array_equal(log.spot.values, direct.spot.values)

@@ -132,3 +132,13 @@ def test_select_keeps_all_columns_together(log):
     assert len(part) == 2
     assert part.index.tolist() == [0, 2]
     assert part.run_ids == table.run_ids
+
+
+def test_an_axis_that_is_named_wrongly_is_mended_and_said(log):
+    """The commanded positions say which axis moved, whatever the step names."""
+    commanded = np.repeat(np.array([[0.0, 0.0, 0.0], [0.8, 0.0, 0.0], [0.8, 0.6, 0.0]]), 3, axis=0)
+    steps = replace(log.steps, commanded=commanded, axis=np.repeat([NONE, 0, 1], 3))
+    assert reduce_log(replace(log, steps=steps)).warnings == ()
+    table = reduce_log(replace(log, steps=replace(steps, axis=np.repeat([NONE, NONE, 1], 3))))
+    assert table.axis.tolist() == [NONE, 0, 1]
+    assert '1 of 3 stops name another axis' in table.warnings[0]

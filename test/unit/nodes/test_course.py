@@ -6,7 +6,7 @@ import pytest
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.model.description import Description, Machine, Plan, Setup
 from stepdiag_ros.model.log import NONE
-from stepdiag_ros.nodes.course import course, with_steps
+from stepdiag_ros.nodes.course import Run, attempt, course, first_repeats, remaining, with_steps
 
 
 @pytest.fixture
@@ -55,3 +55,13 @@ def test_unknown_and_doubled_setups_are_refused(description):
 def test_other_steps(description):
     assert with_steps(description, 0) is description
     assert len(course(with_steps(description, 5), ['npp'])[0].stops) == 16
+
+
+def test_what_is_left_of_a_calibration_that_another_sequencer_began():
+    runs = [Run(f'ppp/{repeat}/{sign}', 'ppp', repeat, 1, ()) for repeat in (3, 4) for sign in '+-']
+    left = remaining(runs, ['ppp/3/+/2'], 'ppp/3/-')
+    assert [run.run_id for run in left] == ['ppp/3/-/2', 'ppp/4/+', 'ppp/4/-']
+    again = remaining(runs, ['ppp/3/+'], 'ppp/3/-/2')
+    assert again[0].run_id == 'ppp/3/-/3' and attempt(again[0].run_id) == 3
+    assert [run.run_id for run in remaining(runs, [], '')] == [run.run_id for run in runs]
+    assert first_repeats(['ppp/4/+', 'ppp/3/-/2', 'lin_x/0/+', '']) == {'ppp': 3, 'lin_x': 0}

@@ -41,16 +41,36 @@ def test_parameters_reach_the_nodes_by_file(tmp_path):
     graph = write_graph(cell(), ENDPOINTS, tmp_path, bag=tmp_path / 'bag')
     assert graph.namespace == '/hall_2'
     content = yaml.safe_load(graph.parameters_file.read_text())
-    driver = content['/hall_2/interferometer_driver']['ros__parameters']
+    driver = content['/**/interferometer_driver']['ros__parameters']
     assert driver['port'] == 4001 and driver['beams'] == 2 and driver['setup'] == 'ppp'
     assert driver['sample_rate'] == 2000.0 and driver['block_samples'] == 200
-    psd = content['/hall_2/psd_driver']['ros__parameters']
+    psd = content['/**/psd_driver']['ros__parameters']
     assert psd['stream_port'] == 4003 and psd['channels'] == [4, 5, 6, 7] and psd['length'] == 0.02
-    sequencer = content['/hall_2/step_sequencer']['ros__parameters']
+    sequencer = content['/**/step_sequencer']['ros__parameters']
     assert sequencer['setup_codes'] == ['ppp=M101']
-    assert content['/hall_2/recorder']['ros__parameters']['bag'] == str(tmp_path / 'bag')
+    assert content['/**/recorder']['ros__parameters']['bag'] == str(tmp_path / 'bag')
     text = Path(sequencer['description_file']).read_text(encoding='utf-8')
     assert Description.from_yaml(text) == cell().description
+
+
+def test_what_a_user_must_set_for_a_real_machine_is_a_key_of_the_cell_file(tmp_path):
+    text = CELL.replace('PORT', '702').replace('tool:', 'origin: [-0.8, 0.0, -0.5], tool:') \
+        .replace('port: 5007', 'port: 5007, setup_codes: {ppp: M103}') \
+        .replace('length: 0.02', 'length: 0.02, mode: poll')
+    real = parse_cell(text + 'motion: {stand: 30.0}\n', 'hall.yaml')
+    content = yaml.safe_load(write_graph(real, hardware_endpoints(real), tmp_path).parameters_file.read_text())
+    sequencer = content['/**/step_sequencer']['ros__parameters']
+    assert sequencer['origin'] == [-0.8, 0.0, -0.5] and sequencer['stand'] == 30.0
+    assert sequencer['setup_codes'] == ['ppp=M103'] and not sequencer['ask_operator']
+    assert content['/**/psd_driver']['ros__parameters']['mode'] == 'poll'
+    # The virtual machine counts from its volume's corner, whatever the real one does.
+    content = yaml.safe_load(write_graph(real, ENDPOINTS, tmp_path).parameters_file.read_text())
+    assert content['/**/step_sequencer']['ros__parameters']['origin'] == [0.0, 0.0, 0.0]
+
+
+def test_codes_that_are_no_m_codes_of_ones_own_are_refused():
+    with pytest.raises(StepdiagError, match=r'setup_codes\.ppp: is .*M100 to M199'):
+        parse_cell(CELL.replace('PORT', '702').replace('port: 5007', 'port: 5007, setup_codes: {ppp: "M2 M30"}'))
 
 
 def test_hardware_is_where_the_file_says():

@@ -8,8 +8,8 @@ import pytest
 from stepdiag_ros.devices.base import DeviceError
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.model.log import DONE, DWELL, MOVE
-from stepdiag_ros.nodes.course import Run, Stop
-from stepdiag_ros.nodes.runner import Cancelled, Runner
+from stepdiag_ros.nodes.course import Run, Stop, once_more
+from stepdiag_ros.nodes.runner import Cancelled, Interrupted, Runner
 
 
 class Control:
@@ -152,3 +152,60 @@ def test_a_source_lost_at_a_runs_last_stop_ends_it_before_the_next_zero():
         hall.runner.execute(runs())
     assert waited == [('lin_x', hall.events[-1][3])] and hall.events[-1][2] == DONE
     assert caught.value.outcome.run_ids == () and hall.resets == 1
+
+
+class Sudden(Exception):
+    """Nobody foresaw this one."""
+
+
+@pytest.mark.parametrize('raised', [Sudden('boom'), RuntimeError('boom'), KeyboardInterrupt(), MemoryError()])
+def test_any_exception_stops_the_machine(raised):
+    def check(setup):
+        raise raised
+    control = Control()
+    with pytest.raises(type(raised)):
+        Hall(control, check=check).runner.execute(runs())
+    assert control.stopped == 1
+
+
+def test_an_interrupted_run_is_repeated_after_the_machine_stood_and_was_mounted_anew():
+    broken, waited = [Interrupted('/m/psd/spot is silent')], []
+    control = Control()
+
+    def check(setup):
+        if len(hall.events) > 9 and broken:
+            raise broken.pop()
+
+    def again(run, error):
+        waited.append((run.run_id, str(error), control.stopped))
+        return once_more(run)
+    hall = Hall(control, check=check, again=again)
+    outcome = hall.runner.execute(runs())
+    assert waited == [('lin_x/0/-', '/m/psd/spot is silent', 1)]
+    assert outcome.run_ids == ('lin_x/0/+', 'lin_x/0/-/2') and outcome.stops == 4
+    assert hall.mounted == ['lin_x', 'lin_x'] and hall.resets == 3
+    assert control.stopped == 2 and hall.progress[-1].done == 4
+
+
+def test_what_cannot_be_repeated_ends_the_calibration_with_the_machine_stopped():
+    control = Control()
+
+    def check(setup):
+        raise Interrupted('gone')
+    with pytest.raises(Interrupted, match='gone') as caught:
+        Hall(control, check=check).runner.execute(runs())
+    assert control.stopped == 2 and caught.value.outcome.stops == 0
+
+
+@pytest.mark.parametrize(('mid_move', 'stops'), [(False, 1), (True, 0)])
+def test_a_lost_client_ends_the_run_at_the_next_stop_or_at_once(mid_move, stops):
+    control = Control()
+    hall = Hall(control)
+
+    def attended(stop):
+        if hall.resets and (stop or mid_move):
+            raise StepdiagError('the client is lost')
+    hall.runner.attended = attended
+    with pytest.raises(StepdiagError, match='client is lost') as caught:
+        hall.runner.execute(runs())
+    assert caught.value.outcome.stops == stops and control.stopped == 1

@@ -138,8 +138,9 @@ def test_report_and_compensate(folder, capsys):
     assert (folder / 'report/errors.png').stat().st_size > 10_000
     assert 'EXX' in json.loads((folder / 'report/evaluation.json').read_text(encoding='utf-8'))['errors']
     capsys.readouterr()
-    assert main(['compensate', str(folder / 'played'), '--format', 'linuxcnc', '--out', str(folder / 'tables')]) == 0
+    assert main(['compensate', str(folder / 'played'), '--format', 'linuxcnc', '--out', str(folder / 'tables'),
+                 '--origin', '0,0,0']) == 0
     out = capsys.readouterr().out
     assert str(folder / 'tables/x.comp') in out
-    # Backlash is in this log: whoever would load these tables is warned.
-    assert 'stepdiag gap' in out
+    # Backlash is in this log: it goes into the trims, and whoever would load these tables is told.
+    assert 'reversal' in out and 'the log shows backlash' in out

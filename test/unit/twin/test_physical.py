@@ -8,6 +8,7 @@ from stepdiag_ros.effects import effects_in_file
 from stepdiag_ros.gap.diagnose import diagnose
 from stepdiag_ros.twin.adopt import adopt
 from stepdiag_ros.twin.against import without_known
+from stepdiag_ros.virtual.acting import ALLOWED
 from stepdiag_ros.virtual.cell import parse_cell
 from stepdiag_ros.virtual.offline import simulate_log
 
@@ -55,9 +56,10 @@ def test_what_the_log_does_not_tell_apart_stays_plausible(diagnosed):
     assert values['tau'] == pytest.approx(400.0, rel=0.3)
 
 
-def test_an_effect_of_ones_own_is_adopted_and_then_known(tmp_path):
+def test_an_effect_of_ones_own_is_adopted_and_then_known(tmp_path, monkeypatch):
     file = tmp_path / 'spindle_growth.py'
     file.write_text(OWN, encoding='utf-8')
+    monkeypatch.setenv(ALLOWED, str(file.resolve()))
     text = yaml.safe_load(DEMO.read_text(encoding='utf-8'))
     text['sampling'] |= {'interferometer': 20.0, 'psd': 20.0, 'in_motion': False}
     text['motion'] |= {'dwell': 1.0, 'mount': 60.0}

@@ -154,7 +154,7 @@ def test_a_standoff_off_is_what_a_fit_of_the_wrong_description_leaves(case):
                               'angle_repeatability: 0.0}')
     body = yaml.safe_load(quiet)
     body['setups']['npp']['standoff'] += 1e-3
-    here, there = (simulate_log(parse_cell(text)) for text in (quiet, yaml.safe_dump(body)))
+    here, there = (simulate_log(parse_cell(text)) for text in (quiet, yaml.safe_dump(body, sort_keys=False)))
     from stepdiag_ros.gap.preprocess.observe import observe
     view = observe(here).view
     moved = observe(there).view.reading - view.reading

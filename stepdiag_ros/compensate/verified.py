@@ -1,0 +1,201 @@
+"""What a measurement before and one after show: figures with U, decided against tolerances, held to a prediction.
+
+Decision by ISO 14253-1: a figure conforms where it lies inside its tolerance by its U or more, does not conform where
+it lies outside by more than its U, and is undecided between.  U is of k = 2, of the largest deviation in the volume the
+half width that covers 95 %.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from stepdiag_ros.compensate.compensation import K
+from stepdiag_ros.compensate.document import Predicted
+from stepdiag_ros.compensate.largest import largest
+from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.estimate.body_diagonal import DiagonalTest
+from stepdiag_ros.estimate.prediction import Prediction, deviation, predict
+from stepdiag_ros.estimate.solution import Solution
+from stepdiag_ros.model.description import Machine
+from stepdiag_ros.model.machine import AXES, CURVES, SQUARENESS
+
+VOLUMETRIC, DIAGONAL_E, DIAGONAL_B = 'volumetric', 'E', 'B'
+CONFORMS, FAILS, UNDECIDED = 'conforms', 'does not conform', 'undecided'
+MOST_KNOTS = 21
+AGREES = 4.0
+"""Combined standard uncertainties within which errors must agree with a prediction: of 160 values one in a hundred
+machines has one beyond by chance."""
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One figure: name, unit (m or rad), values with U before and after (before None: unknown), tolerance, decision."""
+
+    name: str
+    unit: str
+    before: float | None
+    before_spread: float | None
+    after: float
+    after_spread: float
+    tolerance: float | None = None
+
+    @property
+    def decision(self) -> str:
+        """One of :data:`CONFORMS`, :data:`FAILS`, :data:`UNDECIDED`; '' without a tolerance."""
+        return '' if self.tolerance is None else decided(self.after, self.after_spread, self.tolerance)
+
+
+def decided(value: float, spread: float, tolerance: float) -> str:
+    """ISO 14253-1: what a ``value`` with its U ``spread`` says of ``tolerance``, all non-negative."""
+    if value + spread <= tolerance:
+        return CONFORMS
+    return FAILS if value - spread > tolerance else UNDECIDED
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """The measurement after against the prediction.
+
+    ``volumetric``: measured less predicted largest deviation [m], with U; ``off``: errors that differ by more than
+    :data:`AGREES` combined standard uncertainties, with how many.
+    """
+
+    volumetric: float
+    spread: float
+    off: Mapping[str, float]
+
+    @property
+    def agrees(self) -> bool:
+        return abs(self.volumetric) <= self.spread and not self.off
+
+
+@dataclass(frozen=True)
+class Verified:
+    """All figures, the decision over those with a tolerance, fields before and after at the same points,
+    ``at`` (3,) [m] the place of the largest deviation after."""
+
+    machine: Machine
+    figures: tuple[Figure, ...]
+    before: Prediction
+    after: Prediction
+    at: np.ndarray
+    agreement: Agreement | None
+
+    @property
+    def decision(self) -> str:
+        """The worst of all decisions: one that does not conform, else one undecided, else conforms."""
+        said = {figure.decision for figure in self.figures if figure.decision}
+        return next(word for word in (FAILS, UNDECIDED, CONFORMS) if word in said)
+
+    def to_json_dict(self) -> dict[str, Any]:
+        agreement = None if self.agreement is None else {
+            'as_predicted': self.agreement.agrees, 'volumetric_difference_m': self.agreement.volumetric,
+            'U_m': self.agreement.spread, 'errors_off': dict(self.agreement.off)}
+        return {'decision': self.decision, 'machine': self.machine.name,
+                'rule': 'ISO 14253-1; U with k = 2, of the volumetric error 95 %',
+                'figures': [{'name': f.name, 'unit': f.unit, 'before': f.before, 'U_before': f.before_spread,
+                             'after': f.after, 'U_after': f.after_spread, 'tolerance': f.tolerance,
+                             'decision': f.decision or None} for f in self.figures],
+                'largest_at_m': [float(v) for v in self.at],
+                'prediction': agreement}
+
+
+def verified(before: Solution, after: Solution, machine: Machine, tolerances: Mapping[str, float],
+             diagonals: tuple[DiagonalTest | None, DiagonalTest | None] = (None, None),
+             runs: tuple[int, int] = (1, 1), predicted: Predicted | None = None) -> Verified:
+    """Compare two evaluations of ``machine``.
+
+    ``tolerances`` by figure: ``volumetric``, ``E``, ``B`` [m], or an error's name [m or rad].  ``diagonals``: ISO 230-6
+    before and after, of ``runs`` runs a direction.  :class:`StepdiagError` for a tolerance of a figure that the logs
+    do not give.
+    """
+    tool = np.asarray(machine.tool) if predicted is None else predicted.tool
+    points = _points(after, machine)
+    fields = [predict(solution, machine, points, tool) for solution in (before, after)]
+    whole = [largest(solution, machine, tool, field) for solution, field in zip((before, after), fields, strict=True)]
+    rows = [(VOLUMETRIC, 'm', *whole[0][:2], *whole[1][:2])]
+    rows += _diagonal_rows(diagonals, (before, after), machine, runs)
+    for name in (*CURVES, *SQUARENESS):
+        if after.has(name):
+            known = _size(before, name) if before.has(name) else (None, None)
+            rows.append((name, 'm' if name[1] in AXES else 'rad', *known, *_size(after, name)))
+    figures = tuple(Figure(*row, tolerances.get(row[0])) for row in rows)
+    missing = [name for name in tolerances if name not in {figure.name for figure in figures}]
+    if missing:
+        raise StepdiagError(f'--tolerance {missing[0]}: the log after does not give it; it gives '
+                            f'{", ".join(figure.name for figure in figures)}')
+    agreement = None if predicted is None else _agreement(after, fields[1], whole[1], machine, predicted)
+    return Verified(machine, figures, *fields, whole[1][2], agreement)
+
+
+def _points(solution: Solution, machine: Machine) -> np.ndarray:
+    """All knots of the volume, corners included (n, 3) [m]; an axis that was not measured stands at 0."""
+    axes = []
+    for axis in range(3):
+        names = [f'E{m}{AXES[axis]}' for m in 'XYZABC' if solution.has(f'E{m}{AXES[axis]}')]
+        knots = np.asarray(solution.positions[names[0]], float) if names else np.zeros(1)
+        axes.append(knots if len(knots) <= MOST_KNOTS else np.linspace(knots[0], knots[-1], MOST_KNOTS))
+    return np.stack(np.meshgrid(*axes, indexing='ij'), axis=-1).reshape(-1, 3)
+
+
+def _size(solution: Solution, name: str) -> tuple[float, float]:
+    """Largest absolute value of an error and U there."""
+    if name in SQUARENESS:
+        value, sigma = solution.squareness(name)
+        return abs(value), K * sigma
+    _, value, sigma = solution.curve(name)
+    row = int(np.argmax(np.abs(value)))
+    return float(abs(value[row])), K * float(sigma[row] or sigma.max())
+
+
+def _diagonal_rows(tests: tuple[DiagonalTest | None, DiagonalTest | None], solutions: tuple[Solution, Solution],
+                   machine: Machine, runs: tuple[int, int]) -> list[tuple]:
+    """E and B of ISO 230-6 with U: arrivals of ``runs`` runs, and for E what the whole budget says of the length."""
+    if tests[1] is None:
+        return []
+    arrival, length = [], []
+    for solution, count in zip(solutions, runs, strict=True):
+        repeat = float(solution.noise.get('position_repeatability_m', 0.0)) if solution.noise else 0.0
+        arrival.append(np.sqrt(2.0 / max(count, 1)) * repeat)
+        length.append(float(_length_sigma(solution, machine)))
+    spread_e = [K * float(np.hypot(a, b)) for a, b in zip(arrival, length, strict=True)]
+    spread_b = [K * float(a) for a in arrival]
+    first, second = tests
+    rows = [(DIAGONAL_E, 'm', first and first.Ed, first and spread_e[0], second.Ed, spread_e[1])]
+    if second.Bd is not None:
+        known = (first.Bd, spread_b[0]) if first is not None and first.Bd is not None else (None, None)
+        rows.append((DIAGONAL_B, 'm', *known, second.Bd, spread_b[1]))
+    return rows
+
+
+def _length_sigma(solution: Solution, machine: Machine) -> float:
+    """Standard uncertainty [m] of the length of the longest body diagonal, by the solution's covariance."""
+    volume = np.asarray(machine.volume)
+    end = predict(solution, machine, volume[None, :])
+    direction = volume / np.linalg.norm(volume)
+    return float(np.sqrt(max(direction @ end.covariance_m2[0] @ direction, 0.0)))
+
+
+def _agreement(after: Solution, field: Prediction, figure: tuple[float, float, np.ndarray], machine: Machine,
+               predicted: Predicted) -> Agreement:
+    """Measured against predicted: the largest deviation at the same places, and every error at its positions."""
+    expected = deviation(predicted.errors, machine, field.points, predicted.tool)
+    size, spread, _ = figure
+    difference = size - float(np.max(np.linalg.norm(expected, axis=1)))
+    off = {}
+    for name, sigma in predicted.sigma.items():
+        if not after.has(name):
+            continue
+        if name in SQUARENESS:
+            value, own = after.squareness(name)
+            apart, total = np.array([value - predicted.errors.square[name]]), np.hypot(own, sigma)
+        else:
+            position, values, own = after.curve(name)
+            curve = predicted.errors.curves[name]
+            apart, total = values - curve(position), np.hypot(own, np.interp(position, curve.position, sigma))
+        score = float(np.max(np.abs(apart)[total > 0.0] / total[total > 0.0], initial=0.0))
+        if score > AGREES:
+            off[name] = score
+    return Agreement(difference, float(np.hypot(spread, predicted.spread_m)), off)

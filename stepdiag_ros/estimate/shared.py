@@ -1,0 +1,60 @@
+"""The solution when errors of readings that many stops share are weighed as what they are.
+
+The fit weighs with what differs from arrival to arrival and from sample to sample.  Detector zero, gain and rotation,
+cosine errors and air that varies are alike over many readings; a fit that does not know it may get more certain by
+having less data.  Let the columns B (n·c, k) of independent variates of standard deviation 1 be those errors, Σ the
+covariance that the fit weighs with, J its Jacobian and P the precision of its widths.  With errors Σ + B Bᵀ the best
+linear estimate is a step away from the fit,
+
+    M = Σ⁻¹ − Σ⁻¹B (I + BᵀΣ⁻¹B)⁻¹ BᵀΣ⁻¹        C = (JᵀMJ + P)⁻¹        δθ = C (JᵀM r − P θ)
+
+and its gain is C JᵀM (Aitken; Rao and Toutenburg, Linear Models, 1995).  What is best cannot get better by leaving
+readings out.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg
+
+from stepdiag_ros.estimate.dense import factored, inverse, normal_equations
+from stepdiag_ros.estimate.enhanced import Fit
+
+
+@dataclass(frozen=True)
+class Weighed:
+    """``gain`` (p, n·c) and ``half`` (p, size) = R C for p reported values; ``shift`` (p,): step from the fit."""
+
+    gain: np.ndarray
+    half: np.ndarray
+    shift: np.ndarray
+
+
+def weigh(result: Fit, reporting: np.ndarray, columns: np.ndarray, misfit: float = 1.0) -> Weighed:
+    """The estimate of ``reporting`` (p, size) with shared errors ``columns`` (n·c, k) [m].
+
+    ``misfit`` scales what the fit weighs with.
+    """
+    columns = np.where(result.present.ravel()[:, None], columns, 0.0)
+    normal = normal_equations(result.jacobian, result.whiteners) / misfit**2
+    weighted = _over_noise(result, columns) / misfit**2
+    inner = linalg.cho_factor(np.eye(columns.shape[1]) + columns.T @ weighted, lower=True)
+    across = result.jacobian.T @ weighted
+    matrix = normal - across @ linalg.cho_solve(inner, across.T) + result.precision
+    covariance = inverse(*factored(0.5 * (matrix + matrix.T)))
+    half = reporting @ covariance
+    gain = np.zeros((len(half), result.jacobian.shape[0]))
+    for white in result.whiteners:
+        block = result.jacobian[white.rows] @ half.T
+        gain[:, white.rows] = linalg.cho_solve((white.factor, True), block, check_finite=False).T / misfit**2
+    gain -= linalg.cho_solve(inner, across.T @ half.T).T @ weighted.T
+    residual = np.where(result.present, result.residual, 0.0).ravel()
+    return Weighed(gain, half, gain @ residual - half @ (result.precision @ result.theta))
+
+
+def _over_noise(result: Fit, columns: np.ndarray) -> np.ndarray:
+    """``Σ⁻¹ B`` (n·c, k)."""
+    out = np.zeros_like(columns)
+    for white in result.whiteners:
+        out[white.rows] = linalg.cho_solve((white.factor, True), columns[white.rows], check_finite=False)
+    return out

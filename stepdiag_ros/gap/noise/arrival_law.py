@@ -1,0 +1,155 @@
+"""Noise as it is: the law of the arrivals' errors that explains a log best, given the effects.
+
+The noise that the repeats show is normal and independent until the log says otherwise: an arrival that is far off now
+and then, or errs as the one before it did, is noise of another law (:mod:`~stepdiag_ros.estimate.noise_law`) as
+much as it may be a cause.  Which of the two it is the evidence says: that of a law and that of effects are weighed
+against each other in the same data, in parity space, with the noise's sizes as the repeats show them under each law.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import stats
+
+from stepdiag_ros.estimate.enhanced import readings_of
+from stepdiag_ros.estimate.noise import Law, NoiseModel
+from stepdiag_ros.estimate.noise_law import Repeats, errors_of, latents, sized, weighed
+from stepdiag_ros.estimate.reduce import StopTable
+from stepdiag_ros.gap.inference.parity import projection
+from stepdiag_ros.gap.preprocess.observe import Observation
+
+DOFS = (12.0, 7.0, 5.0, 4.0, 3.0, 2.5)
+"""Degrees of freedom that are tried, from mild tails on.  What errs more wildly than the last has hardly a variance and
+is no noise: it is a cause without a pattern."""
+CORRELATIONS = (0.25, 0.45, 0.6, 0.75, 0.85)
+SWEEPS = 12
+"""Most steps in which sizes and spread settle …"""
+STEADY = 0.3
+"""… until one brings less log evidence than this."""
+HASTE = 1.0
+"""Power of the mean square by which a size moves in a step: ½ would be the EM algorithm, which creeps."""
+PATIENCE = 6.0
+"""Log evidence by which a value may fall behind the best before no further one is tried."""
+WORTH = 4.0
+"""Log evidence that one more parameter of a law must bring: half the logarithm of some thousand readings."""
+HINT = 3.0
+"""Log evidence, or standard deviations, of what a law would explain in the errors' scores, from which it is tried."""
+LEAST_DOF = 8
+"""Degrees of freedom of the repeats below which no law can be told."""
+
+
+@dataclass(frozen=True)
+class _Held:
+    """A noise model held against a log: its log evidence; ``weighed``: with what single arrivals are wider by; the
+    ``source`` (m,) and mean squares (m,) of the errors, in units of what they were taken to be."""
+
+    noise: NoiseModel
+    evidence: float
+    weighed: NoiseModel
+    source: np.ndarray
+    squares: np.ndarray
+
+    def next_within(self, largest: NoiseModel) -> NoiseModel:
+        """The noise with the sizes and spread that the errors show, the sizes none above those of ``largest``: the
+        repeats have told how large noise is, a law how it is distributed."""
+        factor = [float(np.mean(self.squares[mine])) ** HASTE if mine.any() else 1.0
+                  for mine in (self.source >= 2, self.source < 2)]
+        return replace(self.weighed, position=min(self.noise.position * factor[0], largest.position),
+                       angle=min(self.noise.angle * factor[1], largest.angle))
+
+
+def as_it_is(observation: Observation, noise: NoiseModel, table: StopTable) -> tuple[NoiseModel, float]:
+    """The noise with the laws that explain best what is read in ``table``, the stops freed of all effects, and the log
+    evidence that the laws bring beyond normal, independent errors (0 where these do)."""
+    noise = replace(noise, position_law=Law(), angle_law=Law(), spread=None)
+    if min(noise.dof) < LEAST_DOF:
+        return noise, 0.0
+    readings = readings_of(table)
+    suspected = _suspected(observation, noise, readings)
+    if not suspected:
+        return noise, 0.0
+    best = plain = _held(observation, noise, readings)
+    repeats, largest = Repeats(table, observation.fit.arrival), noise
+    for kind, parameter, values in suspected:
+        begin = tried = best
+        for value in values:
+            law = replace(getattr(tried.noise, kind), **{parameter: value})
+            given = replace(tried.noise, **{kind: law})
+            if parameter == 'correlation':
+                # A parabola in time takes more of what is correlated: the repeats are asked anew.
+                largest = given = sized(given, repeats)
+            tried = _settled(observation, given, readings, largest)
+            if tried.evidence < best.evidence - PATIENCE:
+                break
+            if tried.evidence > max(best.evidence, begin.evidence + WORTH):
+                best = tried
+    return best.noise, best.evidence - plain.evidence
+
+
+def reweighed(observation: Observation, noise: NoiseModel, table: StopTable) -> NoiseModel:
+    """The noise with its sizes, none above what it has, and with what single arrivals are wider by, as ``table``, the
+    stops freed of all effects, shows them under its laws."""
+    return _settled(observation, noise, readings_of(table), noise).noise
+
+
+def log_evidence(observation: Observation, noise: NoiseModel, table: StopTable) -> float:
+    """Log evidence of a noise, but for a constant of the log, for ``table``, the stops freed of all effects."""
+    return _held(observation, noise, readings_of(table)).evidence
+
+
+def _settled(observation: Observation, noise: NoiseModel, readings: np.ndarray, largest: NoiseModel) -> _Held:
+    """The noise with sizes and spread settled under its laws."""
+    held = _held(observation, noise, readings)
+    for _ in range(SWEEPS):
+        before = held.evidence
+        held = _held(observation, held.next_within(largest), readings)
+        if held.evidence < before + STEADY:
+            break
+    return held
+
+
+def _held(observation: Observation, noise: NoiseModel, readings: np.ndarray) -> _Held:
+    white, basis, data, volume = projection(observation, observation.fit, noise, readings)
+    found = [errors_of(latent, basis, data)
+             for latent in latents(observation.table, noise, observation.fit.arrival, white)]
+    wider, tails, squares, source = weighed(noise, found, len(observation.table))
+    return _Held(noise, volume - 0.5 * float(data @ data) + tails, wider, source, squares)
+
+
+def _suspected(observation: Observation, noise: NoiseModel, readings: np.ndarray) -> list[tuple[str, str, tuple]]:
+    """The laws' parameters that the errors' scores speak for: name of the law, parameter, values to try."""
+    white, basis, data, _ = projection(observation, observation.fit, noise, readings)
+    scores: dict[str, list] = {'angle_law': [], 'position_law': []}
+    pairs: dict[str, list] = {'angle_law': [], 'position_law': []}
+    for latent in latents(observation.table, noise, observation.fit.arrival, white):
+        along = latent.columns.T @ data[latent.at]
+        lost = latent.columns.T @ basis[latent.at]
+        spread = latent.columns.T @ latent.columns - lost @ lost.T
+        seen = np.maximum(np.diag(spread), 1e-12)
+        score = along / np.sqrt(seen)
+        for name, mine in (('angle_law', latent.source < 2), ('position_law', latent.source >= 2)):
+            scores[name].append(score[mine & (seen > 0.05)])
+            next_ = np.flatnonzero(mine[:-1] & (latent.source[1:] == latent.source[:-1])
+                                   & (seen[:-1] > 0.05) & (seen[1:] > 0.05))
+            share = spread[next_, next_ + 1] / np.sqrt(seen[next_] * seen[next_ + 1])
+            pairs[name].append(np.stack([score[next_] * score[next_ + 1] - share, 1.0 + share**2]))
+    found = []
+    for name in scores:
+        product, variance = np.concatenate(pairs[name], axis=1)
+        if np.sum(product) > HINT * np.sqrt(np.sum(variance)):
+            found.append((name, 'correlation', CORRELATIONS))
+    for name in scores:
+        score = np.concatenate(scores[name])
+        if _tails(score) > HINT:
+            found.append((name, 'dof', DOFS))
+    return found
+
+
+def _tails(score: np.ndarray) -> float:
+    """Log likelihood of Student's t beyond that of the normal distribution, each of the size that suits best."""
+    if len(score) < LEAST_DOF:
+        return 0.0
+    normal = float(np.sum(stats.norm.logpdf(score, scale=np.sqrt(np.mean(score**2)))))
+    middle = np.median(np.abs(score)) / 0.6745
+    return max(float(np.sum(stats.t.logpdf(score, dof, scale=middle * factor)))
+               for dof in DOFS[1:] for factor in (0.8, 0.9, 1.0)) - normal

@@ -1,0 +1,75 @@
+"""The noise of a log in words: its laws, its steps, and where it is not what the log's description says."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from stepdiag_ros.estimate.noise import Law, NoiseModel
+from stepdiag_ros.gap.inference.joint import Joint
+
+FAR = 3.0
+"""Times the noise that the description states from which it is spoken of: a maker's guess is good to two."""
+ALIKE = 1.3
+"""Times the noise of white samples from which what the samples add inside the dwells is spoken of."""
+
+
+def rms(size: float, law: Law) -> float:
+    """Standard deviation of errors whose ``size`` is the scale of their law."""
+    return size * float(np.sqrt(law.dof / (law.dof - 2.0))) if np.isfinite(law.dof) else size
+
+
+def law_of(noise: NoiseModel) -> dict:
+    """The noise of arrivals as ``gap.json`` has it; ``dof`` None: normal."""
+    return {name: {'dof': law.dof if np.isfinite(law.dof) else None, 'correlation': law.correlation}
+            for name, law in (('position', noise.position_law), ('angle', noise.angle_law))}
+
+
+def stated(joint: Joint, steps: np.ndarray) -> tuple[str, ...]:
+    """What there is to say of the noise; ``steps`` (c,) [m] in which readings move, 0: in none."""
+    return tuple((*_laws(joint.noise), *_inside(joint), *_steps(steps), *_beyond_description(joint)))
+
+
+def _laws(noise: NoiseModel) -> Iterator[str]:
+    for what, law in (("an axis's error at each arrival", noise.position_law),
+                      ("the mirror's angle at each arrival", noise.angle_law)):
+        if np.isfinite(law.dof):
+            yield (f"noise: {what} has heavy tails (Student's t with about {law.dof:.2g} degrees of freedom); it is "
+                   'weighed as such')
+        if law.correlation:
+            yield f'noise: {what} goes with the one before (correlation about {law.correlation:.2g})'
+
+
+def _inside(joint: Joint) -> Iterator[str]:
+    names = [*(['displacement'] * joint.fit.model.beams), 'spot x', 'spot y']
+    for name, factor in zip(names, joint.parity.bin_scale, strict=True):
+        if factor > ALIKE:
+            yield (f'noise: {name}: means over parts of a dwell scatter {factor:.2g} times as much as independent '
+                   'samples would make them')
+
+
+def _steps(steps: np.ndarray) -> Iterator[str]:
+    names = [*(['displacement'] * (len(steps) - 2)), 'spot x', 'spot y']
+    for name, width in zip(names, steps, strict=True):
+        if width:
+            yield f'noise: {name}: readings move in steps of {width * 1e6:.3g} µm'
+
+
+def _beyond_description(joint: Joint) -> Iterator[str]:
+    """Where the noise seen is far from the one that the description states: either is worth knowing."""
+    log, table, noise = joint.observation.log, joint.observation.table, joint.noise
+    said = log.description.noise
+    pairs = [("an axis's error at each arrival", rms(noise.position, noise.position_law),
+              said.position_repeatability, noise.dof[0], 'm'),
+             ("the mirror's angle at each arrival", rms(noise.angle, noise.angle_law),
+              said.angle_repeatability, noise.dof[1], 'rad'),
+             ('a sample of the displacement', _median(table.displacement_scatter), said.displacement, len(table), 'm'),
+             ('a sample of the spot', _median(table.spot_scatter), said.spot, len(table), 'm')]
+    for what, seen, stated_, dof, unit in pairs:
+        if dof and stated_ > 0.0 and seen > FAR * stated_:
+            yield (f'the log is noisier than its description: {what} scatters by {seen:.2g} {unit}, '
+                   f'{seen / stated_:.2g} times the {stated_:.2g} {unit} stated')
+
+
+def _median(scatter: np.ndarray) -> float:
+    scatter = scatter[np.isfinite(scatter)]
+    return float(np.median(scatter)) if len(scatter) else 0.0

@@ -1,0 +1,150 @@
+"""The samples of a log without those that say nothing of where the machine is.
+
+A sample without signal, one that repeats the reading before it because the instrument was asked too soon, and a lone
+spike are no readings: they become NaN, which all that follows leaves out.  How many there were is stated.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from stepdiag_ros.model.log import DONE, DWELL, CalibrationLog, Samples
+
+DARK = 0.1
+"""Share of the light of most samples below which a detector tells no place."""
+SPIKE = 7.0
+"""Standard deviations by which a spike stands out of both its neighbours, to one side."""
+ALONE = 10.0
+"""Times the next step that a spike at a dwell's end is off."""
+AGAIN = 1e-3
+"""Share of readings equal to the last but one above which readings move in steps: equal neighbours then say nothing."""
+STANDING = 0.3
+"""Share of neighbours in the dwells that are equal to the last bit, from which readings may move in steps."""
+WHOLE = 0.8
+"""Share of the differences between readings that are whole steps."""
+LEAST_TOLD = 0.005
+"""Share of the samples below which what is left out is not spoken of."""
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """Shares of one sensor's samples in the dwells: without signal, repeated, spikes."""
+
+    dark: float
+    repeated: float
+    spikes: float
+
+    def words(self, sensor: str) -> str:
+        """What was left out, '' where it is hardly anything."""
+        parts = [f'{100.0 * share:.2g} % {what}' for share, what in (
+            (self.dark, 'without signal'), (self.repeated, 'repeating the reading before'),
+            (self.spikes, 'single spikes')) if share >= LEAST_TOLD]
+        return f'{sensor}: samples left out: {", ".join(parts)}' if parts else ''
+
+
+def clean(log: CalibrationLog) -> tuple[CalibrationLog, tuple[str, ...]]:
+    """The log with NaN for samples that are no readings, and what was left out in words."""
+    displacement, first = _clean(log, log.displacement, log.displacement.health <= 0.0)
+    spot, second = _clean(log, log.spot, _dark(log.spot.health))
+    words = (first.words('interferometer'), second.words('position sensor'))
+    return replace(log, displacement=displacement, spot=spot), tuple(w for w in words if w)
+
+
+def quantum(samples: Samples, rows: np.ndarray, run: np.ndarray) -> np.ndarray:
+    """Step [m] in which each column of a sensor's readings moves (k,), 0 where noise hides any; ``rows`` (n, 2): the
+    samples of each dwell, ``run`` (n,) its run.
+
+    Each run counts from where it was reset, so only differences within a run are whole multiples of a step.
+    """
+    result = np.zeros(samples.values.shape[1])
+    for k in range(len(result)):
+        dwells = [samples.values[lo:hi, k] for lo, hi in rows]
+        dwells = [x[np.isfinite(x)] for x in dwells]
+        steps = np.abs(np.concatenate([np.zeros(0), *(np.diff(x) for x in dwells)]))
+        if not len(steps) or np.mean(steps == 0.0) < STANDING:
+            continue
+        levels = [np.diff(np.unique(np.concatenate([dwells[i] for i in np.flatnonzero(run == r)])))
+                  for r in np.unique(run)]
+        apart = np.concatenate([np.zeros(0), *levels])
+        apart = apart[apart > 1e-12]
+        if not len(apart):
+            continue
+        least = float(np.median(apart[apart < 1.5 * apart.min()]))
+        if np.mean(np.abs(apart / least - np.rint(apart / least)) < 0.05) > WHOLE:
+            result[k] = least
+    return result
+
+
+def _dark(intensity: np.ndarray) -> np.ndarray:
+    """Samples (n,) without light; none where no intensity was recorded."""
+    lit = intensity[np.isfinite(intensity) & (intensity > 0.0)]
+    if 2 * len(lit) < len(intensity) or not len(lit):
+        return np.zeros(len(intensity), bool)
+    return ~(intensity > DARK * np.median(lit))
+
+
+def _clean(log: CalibrationLog, samples: Samples, dark: np.ndarray) -> tuple[Samples, LeftOut]:
+    if not len(samples):
+        return samples, LeftOut(0.0, 0.0, 0.0)
+    values = np.where(dark[:, None], np.nan, samples.values)
+    used = np.isfinite(samples.values).any(axis=0)
+    dwell = _dwell_of(log, samples)
+    inside = dwell >= 0
+    dark = inside & ~np.isfinite(values[:, used]).all(axis=1)
+    repeated = _repeated(values[:, used], dwell)
+    values[repeated] = np.nan
+    spikes = _spikes(values[:, used], dwell, samples.setup)
+    values[spikes] = np.nan
+    count = max(int(inside.sum()), 1)
+    return replace(samples, values=values), LeftOut(dark.sum() / count, repeated.sum() / count, spikes.sum() / count)
+
+
+def _dwell_of(log: CalibrationLog, samples: Samples) -> np.ndarray:
+    """Number (n,) of the dwell in which each sample was taken; −1: in none."""
+    events = log.steps
+    order = np.argsort(events.time_ns, kind='stable')
+    phase, time = events.phase[order], events.time_ns[order]
+    last = np.searchsorted(time, samples.time_ns, side='right') - 1
+    resting = (last >= 0) & (phase[np.maximum(last, 0)] == DWELL) & (phase[np.maximum(last, 0)] != DONE)
+    return np.where(resting, last, -1)
+
+
+def _repeated(values: np.ndarray, dwell: np.ndarray) -> np.ndarray:
+    """Samples (n,) that repeat the one before to the last bit, where readings do not move in steps."""
+    again = np.zeros(len(values), bool)
+    if len(values) < 3:
+        return again
+    resting = (dwell[2:] >= 0) & (dwell[2:] == dwell[:-2])
+    same = (values[1:] == values[:-1]).all(axis=1)
+    returned = (values[2:] == values[:-2]).any(axis=1) & ~same[1:] & ~same[:-1]
+    if not resting.any() or np.mean(returned[resting]) > AGAIN:
+        return again
+    again[1:] = same & (dwell[1:] >= 0) & (dwell[1:] == dwell[:-1])
+    return again
+
+
+def _spikes(values: np.ndarray, dwell: np.ndarray, setup: np.ndarray) -> np.ndarray:
+    """Samples (n,) in a dwell that stand out of both their neighbours to one side, by far more than noise does."""
+    out = np.zeros(len(values), bool)
+    # Neighbours are those that are left: what is without signal stands between none.
+    for k in range(values.shape[1]):
+        kept = np.flatnonzero(np.isfinite(values[:, k]) & (dwell >= 0))
+        if len(kept) < 3:
+            continue
+        x, own = values[kept, k], dwell[kept]
+        step = np.where(own[1:] == own[:-1], np.diff(x), np.nan)
+        # What stands out at either end of a dwell has one neighbour; it must leave the next step far behind, as
+        # nothing that settles does.
+        before, after = np.append(np.nan, step), np.append(-step, np.nan)
+        stands = np.where(before * after > 0.0, np.minimum(np.abs(before), np.abs(after)), 0.0)
+        size = np.concatenate([[np.nan, np.nan], np.abs(step), [np.nan, np.nan]])
+        first = np.isnan(before) & (size[2:-1] > ALONE * size[3:])
+        last = np.isnan(after) & (size[1:-2] > ALONE * size[:-3])
+        stands = np.where(first, size[2:-1], np.where(last, size[1:-2], stands))
+        for s in np.unique(setup[kept]):
+            mine = setup[kept] == s
+            noise = np.abs(step[mine[1:]])
+            noise = noise[np.isfinite(noise) & (noise > 0.0)]
+            if len(noise):
+                out[kept[mine & (stands > SPIKE * np.median(noise) / (0.6745 * np.sqrt(2.0)))]] = True
+    return out

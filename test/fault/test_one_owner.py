@@ -1,0 +1,135 @@
+"""One namespace, one owner; a description belongs to its calibration; the network is loopback by default."""
+
+import json
+import os
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+from stepdiag_ros.bag.reader import read_log
+from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.nodes.ownership import CELL, Ownership
+
+DEMO = (Path(__file__).resolve().parents[2] / 'cells' / 'demo.yaml').read_text(encoding='utf-8')
+STEPDIAG = [sys.executable, '-m', 'stepdiag_ros.cli.main']
+
+
+class Up:
+    """``stepdiag up`` in a process of its own; a context manager."""
+
+    def __init__(self, cell: Path, folder: Path, **environment: str):
+        self.lines: list[str] = []
+        self.runtime = folder / 'run'
+        self.process = subprocess.Popen(
+            [*STEPDIAG, 'up', str(cell), '--bag', str(folder / 'first'), '--runtime', str(self.runtime)], text=True,
+            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, env=os.environ | environment)
+        self._reader = threading.Thread(target=lambda: self.lines.extend(self.process.stdout), daemon=True)
+        self._reader.start()
+
+    def __enter__(self) -> 'Up':
+        end = time.monotonic() + 90.0
+        while not any('calibrate with' in line for line in self.lines):
+            assert self.process.poll() is None and time.monotonic() < end, self.lines
+            time.sleep(0.1)
+        return self
+
+    def __exit__(self, *_exception) -> None:
+        self.process.terminate()
+        self.process.wait(60.0)
+        self._reader.join()
+        self.process.stdout.close()
+
+    def tree(self) -> list[int]:
+        """Process ids of all that it has started."""
+        found, front = [], [self.process.pid]
+        while front:
+            one = front.pop()
+            for task in Path(f'/proc/{one}/task').glob('*/children'):
+                front += [int(word) for word in task.read_text().split()]
+            found.append(one)
+        return found
+
+
+@pytest.fixture
+def small(tmp_path: Path) -> Path:
+    path = tmp_path / 'demo.yaml'
+    path.write_text(DEMO, encoding='utf-8')
+    return path
+
+
+def test_a_second_owner_is_refused_and_the_kernel_frees_what_a_killed_one_held(monkeypatch):
+    monkeypatch.setenv('ROS_DOMAIN_ID', '77')
+    holder = subprocess.Popen(
+        [sys.executable, '-c', 'import time; from stepdiag_ros.nodes.ownership import *; '
+                               'o = Ownership("/owned", CELL); print("held", flush=True); time.sleep(60)'],
+        stdout=subprocess.PIPE, text=True)
+    try:
+        assert holder.stdout.readline() == 'held\n'
+        with pytest.raises(StepdiagError, match='/owned is up already in ROS domain 77'):
+            Ownership('owned', CELL)
+        Ownership('/other', CELL).release()
+        monkeypatch.setenv('ROS_DOMAIN_ID', '78')
+        Ownership('/owned', CELL).release()
+    finally:
+        holder.kill()
+        holder.communicate()
+    monkeypatch.setenv('ROS_DOMAIN_ID', '77')
+    Ownership('/owned', CELL).release()
+
+
+def test_a_second_up_is_refused_in_one_line(ros_domain, small, tmp_path):
+    with Up(small, tmp_path) as first:
+        before = first.tree()
+        second = subprocess.run([*STEPDIAG, 'up', str(small), '--bag', str(tmp_path / 'second')],
+                                capture_output=True, text=True, timeout=60.0)
+        assert second.returncode == 2
+        assert [line for line in second.stderr.splitlines() if 'is up already' in line] == second.stderr.splitlines()
+        assert not (tmp_path / 'second').exists() and sorted(first.tree()) == sorted(before)
+
+
+def test_a_running_cell_is_calibrated_with_other_steps_and_then_with_its_own(ros_domain, small, tmp_path):
+    with Up(small, tmp_path):
+        for name, more in (('two', ['--steps', '2']), ('own', [])):
+            done = subprocess.run([*STEPDIAG, 'calibrate', '/demo', '--setups', 'lin_z', '--bag', str(tmp_path / name),
+                                   '--dwell', '0.1', '--repeats', '1', '--json', *more],
+                                  capture_output=True, text=True, timeout=120.0)
+            assert done.returncode == 0, done.stdout + done.stderr
+            assert json.loads(done.stdout)['evaluation'] is not None
+    assert read_log(tmp_path / 'two').description.plan.steps == 2
+    assert read_log(tmp_path / 'own').description.plan.steps == 4
+
+
+def _open_sockets(pids: list[int]) -> list[str]:
+    """UDP addresses of processes that are not on loopback."""
+    mine = set()
+    for pid in pids:
+        for entry in Path(f'/proc/{pid}/fd').iterdir():
+            try:
+                mine.add(os.readlink(entry))
+            except OSError:
+                continue
+    found = []
+    for line in Path('/proc/net/udp').read_text().splitlines()[1:]:
+        words = line.split()
+        if f'socket:[{words[9]}]' in mine and not words[1].startswith('0100007F:'):
+            found.append(words[1])
+    return found
+
+
+@pytest.mark.parametrize(('name', 'value'), [('ROS_AUTOMATIC_DISCOVERY_RANGE', 'SUBNET'),
+                                             ('ROS_STATIC_PEERS', '192.0.2.1')])
+def test_the_network_is_loopback_whatever_the_environment_says(ros_domain, small, tmp_path, name, value):
+    with Up(small, tmp_path, **{name: value}) as up:
+        assert _open_sockets(up.tree()) == []
+        assert any(f'not followed: {name}={value}' in line for line in up.lines), up.lines
+        assert any('network: loopback' in line for line in up.lines)
+
+
+def test_an_open_network_is_said_loudly(ros_domain, small, tmp_path):
+    small.write_text(DEMO + '\nnetwork: open\n', encoding='utf-8')
+    with Up(small, tmp_path, ROS_AUTOMATIC_DISCOVERY_RANGE='LOCALHOST', FASTRTPS_DEFAULT_PROFILES_FILE='') as up:
+        assert any('WARNING: the network is OPEN' in line for line in up.lines), up.lines

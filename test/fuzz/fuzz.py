@@ -1,0 +1,101 @@
+"""The fuzzer: ``make fuzz TIME=3600``, or ``python test/fuzz/fuzz.py --seconds 60``.
+
+Turns about mutated bags, descriptions, logs, cell files and tables, and keeps every input that made a command
+do what no command may: a traceback, a hang, much memory, JSON that is none, more than one line of complaint.
+Inputs that were found stand in ``--out``, each with the command line beside it.  Exit status 1 if there are any.
+"""
+
+import argparse
+import random
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent))
+import harness
+import inputs
+
+import bags
+
+
+class Fuzzer:
+    """Draws inputs from a seed, runs commands on them, keeps the findings."""
+
+    def __init__(self, seed: int, out: Path):
+        self.rng = random.Random(seed)
+        self.out = out
+        self.runs = 0
+        self.statuses: dict[int, int] = {}
+        self.found: dict[str, str] = {}
+        self._folder = tempfile.TemporaryDirectory(prefix='stepdiag-fuzz-')
+        self.place = Path(self._folder.name)
+        harness.warm_up()
+        self.sound = dict(bags.small_bags(self.place))
+
+    def try_file(self, data: bytes, ending: str, commands: tuple[str, ...], what: str) -> list[str]:
+        """Run the commands on a file that holds ``data``; what is wrong, a line each."""
+        said = []
+        with tempfile.TemporaryDirectory(dir=self.place) as name:
+            folder = Path(name)
+            given = folder / f'given{ending}'
+            given.write_bytes(data)
+            for command in commands:
+                outcome = harness.run(harness.arguments(command, given, folder))
+                self.runs += 1
+                self.statuses[outcome.status] = self.statuses.get(outcome.status, 0) + 1
+                if fault := harness.judge(outcome, len(data)):
+                    said.append(f'{command}: {what}: {fault}')
+                    self._keep(data, ending, command, fault)
+        return said
+
+    def _keep(self, data: bytes, ending: str, command: str, fault: str) -> None:
+        kind = f'{command}: {fault[-120:]}'
+        if kind in self.found:
+            return
+        self.out.mkdir(parents=True, exist_ok=True)
+        file = self.out / f'{len(self.found):04d}_{command}{ending}'
+        file.write_bytes(data)
+        file.with_suffix('.txt').write_text(f'stepdiag {command} {file.name}\n{fault}\n', encoding='utf-8')
+        self.found[kind] = str(file)
+        print(f'FOUND {file}: {fault}', flush=True)
+
+    def turn(self) -> None:
+        """One input of each kind."""
+        rng = self.rng
+        few = tuple(rng.sample(harness.COMMANDS, 2))
+        self.try_file(bags.mutated(rng.choice(list(self.sound.values())), rng), '.mcap', few, 'mutated bag')
+        self.try_file(inputs.odd_log(rng, self.sound['diagonals']), '.mcap', tuple(rng.sample(harness.COMMANDS, 2)),
+                      'odd log')
+        self.try_file(inputs.odd_yaml(rng, bags.CELL).encode('utf-8', 'surrogatepass'), '.yaml', ('simulate',), 'cell')
+        self.try_file(inputs.odd_table(rng).encode('utf-8', 'surrogatepass'), '_x.csv', ('import',), 'table')
+
+    def close(self) -> None:
+        self._folder.cleanup()
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument('--seconds', type=float, default=60.0, help='how long (default: 60)')
+    parser.add_argument('--seed', type=int, default=None, help='what is drawn (default: another each time)')
+    parser.add_argument('--out', type=Path, default=Path('build/fuzz'), help='where findings go (default: build/fuzz)')
+    parser.add_argument('--attacks', action='store_true', help='the ready-made attacks alone')
+    given = parser.parse_args()
+    seed = random.SystemRandom().randrange(1 << 32) if given.seed is None else given.seed
+    print(f'seed {seed}, {given.seconds:g} s', flush=True)
+    fuzzer, end = Fuzzer(seed, given.out), time.monotonic() + given.seconds
+    try:
+        if given.attacks:
+            for name, make in bags.attacks().items():
+                fuzzer.try_file(make(), '.mcap', ('info', 'recover', 'evaluate', 'report'), name)
+        while not given.attacks and time.monotonic() < end:
+            fuzzer.turn()
+    finally:
+        fuzzer.close()
+    by_status = ', '.join(f'{count} with status {status}' for status, count in sorted(fuzzer.statuses.items()))
+    print(f'{fuzzer.runs} runs ({by_status}), {len(fuzzer.found)} findings')
+    return 1 if fuzzer.found else 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,159 @@
+"""Runs one command in a process of its own, under limits, and judges what it did.
+
+Every module is imported once; each run is a fork, so that a thousand runs cost a thousand forks and not a
+thousand imports.
+"""
+
+import contextlib
+import json
+import os
+import resource
+import signal
+import sys
+import tempfile
+import time
+import traceback
+from dataclasses import dataclass
+from pathlib import Path
+
+for name in ('OPENBLAS_NUM_THREADS', 'OMP_NUM_THREADS'):
+    os.environ[name] = '1'
+os.environ['MPLBACKEND'] = 'Agg'
+
+CPU_S = 30
+WALL_S = 240.0
+MEMORY = 1 << 30
+ADDRESSES = 4 << 30
+COMMANDS = ('info', 'recover', 'evaluate', 'compare', 'gap', 'map', 'report', 'replay', 'uncertainty')
+#: What stands beside a command that is not an error: the statuses it may end with.
+STATUSES = (0, 1, 2)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a run ended: exit status (negative: by that signal), what it wrote, seconds of processor, memory [byte]."""
+
+    argv: tuple[str, ...]
+    status: int
+    out: str
+    err: str
+    cpu_s: float
+    memory: int
+
+
+def warm_up() -> None:
+    """Import what the commands import, once for all forks."""
+    import matplotlib.pyplot  # noqa: F401
+
+    import stepdiag_ros.cli.compare
+    import stepdiag_ros.cli.evaluate
+    import stepdiag_ros.cli.gap
+    import stepdiag_ros.cli.import_
+    import stepdiag_ros.cli.info
+    import stepdiag_ros.cli.map
+    import stepdiag_ros.cli.recover
+    import stepdiag_ros.cli.replay
+    import stepdiag_ros.cli.report
+    import stepdiag_ros.cli.simulate
+    import stepdiag_ros.cli.uncertainty
+    import stepdiag_ros.report.evaluation_page
+    import stepdiag_ros.report.gap_page  # noqa: F401
+    from stepdiag_ros.effects import all_effects
+    all_effects()
+
+
+def arguments(command: str, given: Path, folder: Path) -> list[str]:
+    """The command line that runs ``command`` on the input."""
+    bag = str(given)
+    return {'info': ['info', bag, '--json'], 'recover': ['recover', bag, '--to', str(folder / 'mended'), '--json'],
+            'evaluate': ['evaluate', bag, '--json'], 'compare': ['compare', bag, '--json'],
+            'gap': ['gap', bag, '--out', str(folder / 'gap'), '--json'], 'map': ['map', bag, '--json'],
+            'report': ['report', bag, '--out', str(folder / 'report'), '--json'],
+            'replay': ['replay', bag, '--json'], 'uncertainty': ['uncertainty', bag, '--json'],
+            'import': ['import', bag, '--to', str(folder / 'imported'), '--json'],
+            'simulate': ['simulate', bag, '--out', str(folder / 'made'), '--json']}[command]
+
+
+def run(argv: list[str]) -> Outcome:
+    """Run ``stepdiag ARGV`` in a fork."""
+    with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        child = os.fork()
+        if child == 0:
+            _in_child(argv, out.fileno(), err.fileno())
+        status, usage = _wait(child)
+        texts = []
+        for file in (out, err):
+            file.seek(0)
+            texts.append(file.read().decode('utf-8', 'replace'))
+    return Outcome(tuple(argv), status, *texts, usage.ru_utime + usage.ru_stime, usage.ru_maxrss * 1024)
+
+
+def _in_child(argv: list[str], out: int, err: int) -> None:
+    status = 70
+    try:
+        os.setsid()
+        os.dup2(out, 1)
+        os.dup2(err, 2)
+        sys.stdout = open(1, 'w', encoding='utf-8', errors='surrogateescape', closefd=False)
+        sys.stderr = open(2, 'w', encoding='utf-8', errors='surrogateescape', closefd=False)
+        resource.setrlimit(resource.RLIMIT_AS, (ADDRESSES, ADDRESSES))
+        resource.setrlimit(resource.RLIMIT_CPU, (CPU_S, CPU_S + 5))
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+        resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 30, 1 << 30))
+        from stepdiag_ros.cli.main import main
+        try:
+            status = main(argv)
+        except SystemExit as end:
+            status = end.code if isinstance(end.code, int) else 1
+        sys.stdout.flush()
+        sys.stderr.flush()
+    except BaseException:
+        with contextlib.suppress(BaseException):
+            os.write(2, traceback.format_exc().encode('utf-8', 'replace'))
+    finally:
+        os._exit(status)
+
+
+def _wait(child: int) -> tuple[int, resource.struct_rusage]:
+    end = time.monotonic() + WALL_S
+    while True:
+        pid, status, usage = os.wait4(child, os.WNOHANG)
+        if pid:
+            return os.waitstatus_to_exitcode(status), usage
+        if time.monotonic() > end:
+            os.kill(child, signal.SIGKILL)
+            end = float('inf')
+        time.sleep(0.002)
+
+
+def judge(outcome: Outcome, size: int) -> str:
+    """What is wrong with a run on an input of ``size`` bytes; empty: nothing."""
+    if outcome.status < 0:
+        return f'ended by signal {-outcome.status} after {outcome.cpu_s:.0f} s and {outcome.memory >> 20} MiB'
+    if 'Traceback' in outcome.err or outcome.status not in STATUSES:
+        return f'status {outcome.status}: {outcome.err.strip()[-300:]}'
+    if outcome.memory > max(MEMORY, 10 * size):
+        return f'took {outcome.memory >> 20} MiB'
+    if '\x1b' in outcome.out + outcome.err:
+        return 'an escape sequence reached the terminal'
+    if outcome.status == 2:
+        lines = outcome.err.strip().splitlines()
+        if len(lines) != 1 or not lines[0].startswith('stepdiag: '):
+            return f'status 2 with {len(lines)} lines: {outcome.err.strip()[-300:]}'
+    elif 'Warning' in outcome.err:
+        return f'a warning of a library: {outcome.err.strip()[-300:]}'
+    if outcome.status == 0:
+        return _bad_json(outcome.out)
+    return ''
+
+
+def _bad_json(text: str) -> str:
+    def refuse(word: str) -> None:
+        raise ValueError(f'{word} is not JSON')
+    try:
+        json.loads(text, parse_constant=refuse)
+    except ValueError as error:
+        return f'no valid JSON: {error}'
+    return ''

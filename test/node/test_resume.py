@@ -1,0 +1,69 @@
+"""A calibration survives its nodes: whoever dies is started again, and the run that was broken off is repeated."""
+
+import os
+import signal
+
+import numpy as np
+import pytest
+
+from stepdiag_ros.bag.reader import read_log
+from stepdiag_ros.bag.source import open_bag
+from stepdiag_ros.estimate import evaluate
+from stepdiag_ros.model.log import DONE
+from stepdiag_ros.nodes.bringup import Bringup
+
+RUNS = ('ppp/0/+', 'ppp/0/-', 'lin_x/0/+', 'lin_x/0/-')
+
+
+def first_names(run_ids) -> tuple[str, ...]:
+    return tuple('/'.join(run_id.split('/')[:3]) for run_id in run_ids)
+
+
+@pytest.fixture(scope='module')
+def undisturbed(module_domain, tmp_path_factory, write_cell):
+    folder = tmp_path_factory.mktemp('undisturbed')
+    with Bringup(write_cell(folder), bag=folder / 'log', runtime=folder / 'run') as cell:
+        assert cell.operator.calibrate().succeeded
+    return evaluate(read_log(folder / 'log')), read_log(folder / 'log').description
+
+
+def agree(one, other) -> None:
+    """Every error of both within the expanded uncertainty (k = 2) of their difference, but for one in twenty."""
+    away = []
+    for name in ('EXX', 'EYX', 'EZX'):
+        if one.has(name) and other.has(name):
+            a, b = one.to_json_dict()['errors'][name], other.to_json_dict()['errors'][name]
+            away += list(np.abs(np.subtract(a['value'], b['value']))
+                         > 2.0 * np.hypot(a['sigma'], b['sigma']) + 1e-12)
+    assert away and np.mean(away) <= 0.05
+
+
+@pytest.mark.parametrize('node', ['psd_driver', 'interferometer_driver', 'recorder', 'evaluation_solver',
+                                  'step_sequencer'])
+def test_a_calibration_goes_on_where_a_node_s_death_broke_it_off(ros_domain, cell_file, tmp_path, undisturbed, node):
+    killed = []
+    with Bringup(cell_file, bag=tmp_path / 'log', runtime=tmp_path / 'run') as cell:
+        def kill(feedback) -> None:
+            if feedback.run_id == 'ppp/0/-' and feedback.stop >= 6 and not killed:
+                killed.append(feedback.run_id)
+                os.kill(cell.pids()[node], signal.SIGKILL)
+        outcome = cell.operator.calibrate(dwell_s=0.5, feedback=kill, meanwhile=cell.watch)
+        assert killed and cell.restarts == 1
+        assert outcome.succeeded, outcome.message
+        assert first_names(outcome.run_ids) == RUNS
+        live = cell.operator.evaluate()
+        assert cell.operator.recorder.bag == str(tmp_path / 'log')
+    log = read_log(tmp_path / 'log')
+    solution, description = undisturbed
+    assert log.description == description
+    done = {run: set(log.steps.index[(log.steps.run == k) & (log.steps.phase == DONE)])
+            for k, run in enumerate(log.steps.run_ids)}
+    assert all(done[run] == done[RUNS[0] if 'ppp' in run else RUNS[2]] for run in outcome.run_ids)
+    if node == 'recorder':
+        assert len(open_bag(tmp_path / 'log').files) == 2
+        assert any('lost before the recorder' in w for w in log.warnings)
+    assert (tmp_path / 'log' / 'log_0.mcap').exists()
+    again = evaluate(log)
+    agree(again, solution)
+    if node != 'recorder':     # the solver has received what the recorder has not
+        assert live['dof'] == again.to_json_dict()['dof']

@@ -1,0 +1,205 @@
+"""``stepdiag compensate`` and ``stepdiag verify`` as a user runs them, on logs of virtual machines."""
+
+import json
+
+import numpy as np
+import pytest
+import yaml
+
+from stepdiag_ros.bag.export import write_log
+from stepdiag_ros.bag.import_csv import import_csv
+from stepdiag_ros.bag.reader import read_log
+from stepdiag_ros.cli.main import main
+from stepdiag_ros.compensate.compensation import compensation
+from stepdiag_ros.compensate.control import Place
+from stepdiag_ros.compensate.controls import CONTROLS
+from stepdiag_ros.compensate.taken import left_of
+from stepdiag_ros.estimate import evaluate
+from stepdiag_ros.virtual.cell import Cell, parse_cell
+from stepdiag_ros.virtual.offline import simulate_log
+
+from ..conftest import DEMO
+
+ORIGIN = [-0.5, 0.1, -0.3]
+
+
+def cell_of(effects: dict | None = None, seed: int = 20, tool: list | None = None, without: str = '#',
+            origin: list | None = ORIGIN, compensated: bool = True, errors=None) -> Cell:
+    text = yaml.safe_load(DEMO.read_text(encoding='utf-8'))
+    text['seed'] = seed
+    text['sampling'] |= {'interferometer': 200.0, 'psd': 200.0, 'in_motion': False}
+    text['motion'] |= {'dwell': 0.1}
+    text['air'] |= {} if compensated else {'compensated': False, 'sensors': []}
+    text['effects'] = effects or {}
+    if origin is not None:
+        text['machine']['origin'] = origin
+    if tool is not None:
+        text['machine']['tool'] = tool
+    text['setups'] = {name: body for name, body in text['setups'].items() if not name.startswith(without)}
+    if errors is not None:
+        text['geometry'] = {
+            'curves': {n: {'position': np.asarray(c.position).tolist(), 'value': np.asarray(c.value).tolist()}
+                       for n, c in errors.curves.items()},
+            'squareness': {n: float(v) for n, v in errors.square.items()}}
+    return parse_cell(yaml.safe_dump(text, sort_keys=False), str(DEMO))
+
+
+def bag_of(cell: Cell, folder) -> str:
+    write_log(simulate_log(cell), folder)
+    return str(folder)
+
+
+@pytest.fixture(scope='module')
+def place(tmp_path_factory):
+    """Folder with ``before``, its tables of two controls, and ``after_KIND``: measured with the tables in force."""
+    folder = tmp_path_factory.mktemp('loop')
+    before = cell_of()
+    bag = bag_of(before, folder / 'before')
+    for kind in ('linuxcnc', 'heidenhain'):
+        tables = folder / kind
+        assert main(['compensate', bag, '--format', kind, '--out', str(tables)]) == 0
+        files = {file.name: file.read_text() for file in tables.iterdir() if file.suffix in ('.comp', '.ini', '.COM')}
+        taken = CONTROLS[kind].read(files, Place(before.description.machine, np.array(ORIGIN)))
+        bag_of(cell_of(errors=left_of(before.geometry, taken), seed=99), folder / f'after_{kind}')
+    return folder
+
+
+@pytest.mark.parametrize('kind', ['linuxcnc', 'heidenhain'])
+def test_the_loop_closes_as_predicted(place, kind, capsys):
+    """Measure, make tables, put them in force, measure: the machine is better, and as much as was said."""
+    capsys.readouterr()
+    assert main(['verify', str(place / 'before'), str(place / f'after_{kind}'), '--tolerance', '12um', 'EYY=6um',
+                 '--prediction', str(place / kind / 'prediction.json'), '--out', str(place / 'v'), '--json']) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert answer['decision'] == 'conforms' and answer['prediction']['as_predicted'], answer['prediction']
+    figures = {figure['name']: figure for figure in answer['figures']}
+    assert figures['volumetric']['after'] < 0.6 * figures['volumetric']['before']
+    assert {'E', 'B', 'EXX', 'EA0Z'} <= set(figures)
+    assert all(figure['U_after'] > 0.0 for figure in figures.values())
+    page = (place / 'v' / 'index.html').read_text(encoding='utf-8')
+    assert 'conforms' in page and '<svg' in page and 'as predicted' in page
+
+
+def test_tables_that_were_not_loaded_are_seen_and_undecided_is_told(place, capsys):
+    bag = str(place / 'before')
+    prediction = str(place / 'heidenhain' / 'prediction.json')
+    assert main(['verify', bag, bag, '--tolerance', '6um', '--prediction', prediction, '--out', str(place / 'w')]) == 1
+    out = capsys.readouterr().out
+    assert 'NOT as predicted' in out and 'does not conform' in out
+    answer = json.loads((place / 'w' / 'verify.json').read_text())
+    largest = next(f['after'] for f in answer['figures'] if f['name'] == 'volumetric')
+    # Neither inside its tolerance by U nor outside: undecided, with a status of its own.
+    assert main(['verify', bag, bag, '--tolerance', f'{1e6 * largest:.4f}um', '--out', str(place / 'w')]) == 4
+    assert 'undecided' in capsys.readouterr().out
+
+
+def test_what_lies_beside_the_tables(place):
+    folder = place / 'linuxcnc'
+    prediction = json.loads((folder / 'prediction.json').read_text(encoding='utf-8'))
+    assert prediction['written'] and prediction['after']['largest_m'] < prediction['before']['largest_m']
+    assert prediction['after']['U_m'] > 0.0 and prediction['not_carried_m']['EAX'] > 1e-6
+    readme = (folder / 'README.txt').read_text(encoding='utf-8')
+    assert 'The way back' in readme and 'To load' in readme
+    assert (place / 'heidenhain' / 'README.txt').read_text(encoding='utf-8').startswith('NOTE: sign')
+    assert (folder / 'prediction.png').stat().st_size > 20_000
+    back = [line.split() for line in (folder / 'before' / 'x.comp').read_text().splitlines()]
+    assert all(float(trim) == 0.0 for row in back for trim in row[1:])
+    # In machine coordinates: the table of X begins where the volume does.
+    assert float((folder / 'x.comp').read_text().split()[0]) == 1e3 * ORIGIN[0]
+
+
+def test_lost_motion_goes_into_the_trims(tmp_path):
+    """And out of the positioning: a run is zeroed where its first stop was reached from behind."""
+    cell = cell_of({'backlash': {'B': [4e-6, 0.0, 0.0]}})
+    bag = bag_of(cell, tmp_path / 'bag')
+    assert main(['compensate', bag, '--format', 'linuxcnc', '--out', str(tmp_path / 'tables')]) == 0
+    rows = np.array([[float(v) for v in line.split()]
+                     for line in (tmp_path / 'tables' / 'x.comp').read_text().splitlines()])
+    assert rows[:, 1] - rows[:, 2] == pytest.approx(4e-3, abs=4e-4)
+    prediction = json.loads((tmp_path / 'tables' / 'prediction.json').read_text())
+    assert prediction['reversal_m'].keys() == {'X'} and prediction['reversal_m']['X']['U'] > 0.0
+
+
+def test_a_log_of_one_axis_makes_one_file(tmp_path):
+    table = tmp_path / 'stage_x.csv'
+    rows = [f'{cycle},{way},{target},{1e-3 * (1.5 * target ** 2 + 0.02 * way):.6f}' for cycle in (1, 2, 3)
+            for way, targets in ((1, range(5)), (-1, reversed(range(5)))) for target in targets]
+    table.write_text('cycle,direction,target_mm,deviation_mm\n' + '\n'.join(rows) + '\n')
+    log = import_csv(table, 'x').log
+    for kind, files in (('linuxcnc', {'x.comp', 'joints.ini'}), ('sinumerik', {'x_eec.mpf'}), ('isg', {'x.csv'})):
+        found = compensation(evaluate(log), log.description.machine, CONTROLS[kind], np.zeros(3)).checked()
+        assert set(found.files) == files
+        assert {'EYY', 'EZZ'} <= set(found.unmeasured) and not found.whole_volume
+        assert found.worst_after[0] < 0.01 * found.worst_before[0]
+
+
+@pytest.fixture(scope='module')
+def refused(tmp_path_factory):
+    folder = tmp_path_factory.mktemp('refused')
+    return {'no linear': bag_of(cell_of(without='lin'), folder / 'no_linear'),
+            'vacuum': bag_of(cell_of(compensated=False), folder / 'vacuum'),
+            'no place': bag_of(cell_of(origin=None), folder / 'no_place'),
+            'other': bag_of(cell_of(tool=[0.0, 0.0, -0.1]), folder / 'other')}
+
+
+def one_line(capsys) -> str:
+    err = capsys.readouterr().err
+    assert err.startswith('stepdiag: ') and err.count('\n') == 1, err
+    return err
+
+
+def test_reasons_not_to_write_tables(refused, tmp_path, capsys):
+    out = tmp_path / 'tables'
+    base = ['--format', 'linuxcnc', '--out', str(out)]
+    assert main(['compensate', refused['no linear'], *base]) == 2
+    line = one_line(capsys)
+    assert 'EYY' in line and 'lin_y' in line and '--partial' in line
+    assert main(['compensate', refused['no place'], *base]) == 2
+    assert '--origin' in one_line(capsys)
+    assert not out.exists()
+    assert main(['compensate', refused['no linear'], '--format', 'sinumerik', '--out', str(out), '--partial']) == 0
+    assert {p.name for p in out.glob('*.mpf')} == {'cec.mpf'}
+
+
+def test_lengths_without_air_are_neither_compensated_nor_verified(refused, tmp_path, capsys):
+    bag = refused['vacuum']
+    assert not read_log(bag).environment
+    assert main(['compensate', bag, '--format', 'isg', '--out', str(tmp_path / 't')]) == 2
+    assert 'not corrected for air' in one_line(capsys)
+    assert main(['verify', bag, bag, '--tolerance', '9um', '--out', str(tmp_path / 'v')]) == 2
+    assert 'not corrected for air' in one_line(capsys)
+
+
+@pytest.mark.parametrize(('arguments', 'said'), [
+    (['--origin', '1,2'], '--origin'), (['--line', '0.1,0.1,nan'], '--line'), (['--line', '9,9,9'], 'reference line'),
+    (['--line', '0,0,0', '--workpiece', '0,0,0'], 'give one of them'), (['--present', 'nowhere.comp'], 'nowhere.comp'),
+    (['--tool', 'long'], '--tool')])
+def test_bad_options_cost_one_line(place, tmp_path, capsys, arguments, said):
+    capsys.readouterr()
+    assert main(['compensate', str(place / 'before'), '--format', 'linuxcnc', '--out', str(tmp_path / 't'),
+                 *arguments]) == 2
+    assert said in one_line(capsys)
+
+
+def test_a_folder_with_other_things_in_it_is_left_alone(place, tmp_path, capsys):
+    (tmp_path / 'mine.txt').write_text('keep')
+    assert main(['compensate', str(place / 'before'), '--format', 'isg', '--out', str(tmp_path)]) == 2
+    assert 'holds other files' in one_line(capsys)
+    assert [p.name for p in tmp_path.iterdir()] == ['mine.txt']
+
+
+@pytest.mark.parametrize(('arguments', 'said'), [
+    (['--tolerance', '12'], '--tolerance'), (['--tolerance', 'EXX=5urad'], 'EXX=5urad'),
+    (['--tolerance', 'EQQ=5um'], 'EQQ'), (['--tolerance', '5um', '6um'], 'twice'),
+    (['--tolerance', '5um', '--prediction', 'nowhere.json'], 'nowhere.json')])
+def test_bad_questions_to_verify_cost_one_line(place, tmp_path, capsys, arguments, said):
+    capsys.readouterr()
+    bag = str(place / 'before')
+    assert main(['verify', bag, bag, '--out', str(tmp_path / 'v'), *arguments]) == 2
+    assert said in one_line(capsys)
+
+
+def test_two_machines_are_not_compared(place, refused, tmp_path, capsys):
+    assert main(['verify', str(place / 'before'), refused['other'], '--tolerance', '5um', '--out',
+                 str(tmp_path / 'v')]) == 2
+    assert 'machine.tool differs' in one_line(capsys)

@@ -1,0 +1,131 @@
+"""Knowing less never gives a smaller uncertainty; and what is claimed is kept."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from stepdiag_ros.estimate.evaluate import evaluate
+from stepdiag_ros.estimate.gauge import to_reference_lines
+from stepdiag_ros.estimate.methods import run_all
+from stepdiag_ros.estimate.solution import Solution
+from stepdiag_ros.model.log import Samples
+from stepdiag_ros.model.machine import Curve, GeometricErrors
+
+from .vacuum import cell, describing, log_of, without_topics
+
+OPEN = 1e-4
+"""[m, rad]: an error that is no better known than this is open, and what holds it is the estimator's width."""
+
+
+def keeping(log, mask):
+    columns = ('time_ns', 'run', 'setup', 'repeat', 'direction', 'index', 'axis', 'commanded', 'phase')
+    return replace(log, steps=replace(log.steps, **{name: getattr(log.steps, name)[mask] for name in columns}))
+
+
+def without_setup(log, name):
+    return keeping(log, np.array([log.steps.setup_names[i] != name for i in log.steps.setup]))
+
+
+def without_sigma(log, quantity):
+    air = log.description.air
+    if air is None:
+        return log
+    return describing(log, air=replace(air, sigma={k: v for k, v in air.sigma.items() if k != quantity}))
+
+
+TOPICS = ('air_temperature', 'air_pressure', 'humidity', *(f'scale_temperature/{axis}' for axis in 'xyz'))
+KNOWLEDGE = {
+    **{name: lambda log, n=name: without_topics(log, n) for name in TOPICS},
+    'air': lambda log: describing(log, air=None),
+    **{f'air.sigma.{q}': lambda log, q=q: without_sigma(log, q) for q in ('temperature', 'pressure', 'humidity')},
+    'material': lambda log: describing(log, scales={}),
+    'material.x': lambda log: describing(log, scales={k: v for k, v in log.description.scales.items() if k != 'x'}),
+    'budget': lambda log: describing(log, budget=None)}
+READINGS = {
+    **{name: lambda log, n=name: without_setup(log, n) for name in ('lin_x', 'lin_y', 'lin_z', 'nnp')},
+    'spots': lambda log: replace(log, spot=Samples.empty(2)),
+    'repeats': lambda log: keeping(log, log.steps.repeat == 0),
+    'backward': lambda log: keeping(log, log.steps.direction > 0)}
+INPUTS = KNOWLEDGE | READINGS
+
+
+@pytest.fixture(scope='module')
+def full():
+    return log_of(cell())
+
+
+@pytest.mark.parametrize('seed', range(6))
+def test_every_uncertainty_grows_or_stays(full, seed):
+    """Inputs go one after the other, in drawn order.
+
+    What readings there are also says how noisy they are: that estimate differs from subset to subset by some
+    per cent, and so may U.
+    """
+    log, gone = full, []
+    before = evaluate(log)
+    for name in np.random.default_rng(seed).permutation(list(INPUTS))[:6]:
+        log = INPUTS[name](log)
+        gone.append(str(name))
+        after = evaluate(log)
+        less = dict(zip(after.names, after.sigma, strict=True))
+        for key, sigma in zip(before.names, before.sigma, strict=True):
+            if key in less and 0.0 < sigma < OPEN:
+                assert less[key] > 0.94 * sigma, f'{key} without {", ".join(gone)}'
+        before = after
+
+
+@pytest.mark.parametrize('name', sorted(KNOWLEDGE))
+def test_what_is_known_about_a_log_only_helps(full, name):
+    known, less = evaluate(full), evaluate(KNOWLEDGE[name](full))
+    assert np.all(less.sigma >= (1.0 - 5e-3) * known.sigma)
+
+
+def test_no_method_is_certain_without_repeats(full):
+    results, _ = run_all(READINGS['repeats'](READINGS['backward'](full)))
+    assert len(results) >= 6
+    for method, result in results.items():
+        if not isinstance(result, Solution):
+            assert min(result.sigma_m.values()) > 1e-8, method
+            continue
+        for name in {n for n, _ in result.names}:
+            assert result.sigma[[i for i, (n, _) in enumerate(result.names) if n == name]].max() > 1e-8, (method, name)
+        assert result.traceability.air == 'topics'
+        if method != 'enhanced':
+            assert any('noise that the cell declares' in warning for warning in result.warnings)
+
+
+def trial(seed):
+    """Pulls of a drawn cell: its air, sensors, scales' material and detector zeros are off as the budget says."""
+    rng = np.random.default_rng(1000 + seed)
+    of = cell(('psd_zero: 0.0', 'psd_zero: 1.0e-6'), seed=seed)
+    by_cell = seed % 2 == 1
+    air = of.air
+    if by_cell:
+        air = replace(air, temperature=air.temperature + 0.5 * rng.standard_normal(),
+                      pressure=air.pressure + 100.0 * rng.standard_normal(), sensors=('scale',))
+    curves = dict(of.geometry.curves)
+    for axis, letter in enumerate('XYZ'):
+        own, material = curves[f'E{letter * 2}'], of.description.scales[letter.lower()]
+        slope = (material.expansion + material.sigma * rng.standard_normal()) * (air.scale_temperature[axis] - 20.0)
+        curves[f'E{letter * 2}'] = Curve(own.position, own.value + slope * np.asarray(own.position))
+    log = log_of(replace(of, air=air, geometry=GeometricErrors(curves, of.geometry.square)))
+    half = {'air_temperature': 0.1, 'air_pressure': 30.0, 'humidity': 0.03}
+    log = replace(log, environment={name: replace(series, value=series.value + rng.uniform(-1.0, 1.0)
+                                                  * half.get(name, 0.1)) for name, series in log.environment.items()})
+    solution, truth = evaluate(log), to_reference_lines(of.geometry)
+    assert solution.traceability.air == ('cell' if by_cell else 'topics')
+    found = []
+    for (name, knot), value, sigma in zip(solution.names, solution.value, solution.sigma, strict=True):
+        if knot != 0:
+            true = truth.square[name] if knot < 0 else float(
+                truth.curves[name](np.asarray(solution.positions[name])[[knot]])[0])
+            found.append((value - true) / sigma)
+    return np.array(found)
+
+
+def test_intervals_hold_the_truth():
+    """Monte Carlo of whole cells: of the k = 2 intervals 95 % and more hold the truth."""
+    every = np.array([trial(seed) for seed in range(16)])
+    assert np.mean(np.abs(every) < 2.0) > 0.93
+    assert np.sqrt(np.mean(every**2)) > 0.5    # and they are not so wide that they say nothing
