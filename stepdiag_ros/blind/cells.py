@@ -20,6 +20,7 @@ from stepdiag_ros.model.description import (
 from stepdiag_ros.model.machine import AXES, CURVES, Curve, GeometricErrors
 from stepdiag_ros.model.sensor import Misalignment
 from stepdiag_ros.virtual.cell import Air, Cell, Detector, Instruments, Motion, Sampling
+from stepdiag_ros.virtual.noise import NoiseLaw, NoiseLaws, Spread
 
 KINDS = ('varied', 'field')
 CHAINS = ('XFYZ', 'YFXZ', 'XYFZ', 'FYXZ', 'FZXY')
@@ -89,6 +90,25 @@ def draw_cell(rng: np.random.Generator, kind: str, small: bool = False) -> tuple
                             rng.uniform(0.0, 1.5),
                             1_700_000_000_000_000_000 + int(rng.integers(60_000_000)) * 1_000_000_000)
     return cell, conditions
+
+
+def untidy_law(rng: np.random.Generator, noise: Noise) -> NoiseLaws:
+    """Noise as instruments have it: tails, correlation, steps, dropouts, spikes, duplicates, late samples."""
+    def sensor(sigma: float) -> NoiseLaw:
+        return NoiseLaw(
+            dof=_log_uniform(rng, 3.0, 10.0) if rng.random() < 0.5 else np.inf,
+            correlation=float(rng.uniform(0.2, 0.8)) if rng.random() < 0.4 else 0.0,
+            quantum=float(sigma * rng.uniform(0.3, 2.0)) if rng.random() < 0.4 else 0.0,
+            dropouts=_log_uniform(rng, 0.005, 0.1) if rng.random() < 0.4 else 0.0, burst=int(rng.integers(1, 11)),
+            spikes=_log_uniform(rng, 1e-4, 3e-3) if rng.random() < 0.3 else 0.0,
+            spike_size=_log_uniform(rng, 8.0, 100.0),
+            duplicates=float(rng.uniform(0.01, 0.1)) if rng.random() < 0.3 else 0.0,
+            late=float(rng.uniform(0.05, 0.5)) if rng.random() < 0.3 else 0.0, delay=_log_uniform(rng, 5e-4, 5e-3))
+
+    def arrivals() -> Spread:
+        return Spread(dof=_log_uniform(rng, 3.0, 8.0) if rng.random() < 0.5 else np.inf,
+                      correlation=float(rng.uniform(0.2, 0.7)) if rng.random() < 0.4 else 0.0)
+    return NoiseLaws(sensor(noise.displacement), sensor(noise.spot), arrivals(), arrivals())
 
 
 def _setups(rng: np.random.Generator, field: bool, machine: Machine) -> dict[str, Setup]:

@@ -33,7 +33,8 @@ def measure(cell: Cell, conditions: Conditions, effects: Sequence[Hidden] = (),
         conditions.belief, strict=True)))
     return replace(
         log, description=replace(log.description, noise=believed),
-        displacement=replace(log.displacement, health=np.clip(np.rint(health), 1.0, 100.0)),
+        displacement=replace(log.displacement, health=np.where(
+            log.displacement.health > 0.0, np.clip(np.rint(health), 1.0, 100.0), 0.0)),
         spot=replace(log.spot, health=intensity),
         environment=_environment(log, effects, conditions.start_ns), source=cell.source)
 

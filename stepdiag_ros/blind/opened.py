@@ -16,6 +16,9 @@ WORLDS, SETTLED = 'worlds.json', 'settled.json'
 MARK = '<!-- results -->'
 ROWS = (
     ('false_alarms', 'false alarms on null logs', '0 of 300', True),
+    ('false_alarms_untidy', 'the same with untidy noise', '≤ 1 of 300', True),
+    ('false_alarms_live', 'the same, live logs', '0 of 30', True),
+    ('false_alarms_loaded', 'the same, live logs on a busy computer', '0 of 30', True),
     ('detection', 'detection', '≥ 99 %', True),
     ('first_right', 'right effect first, among separable ones', '≥ 97 %', True),
     ('first_right_all', 'right effect first, all', '–', True),

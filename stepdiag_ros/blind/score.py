@@ -90,7 +90,10 @@ def wilson(hits: int, count: int, z: float = 1.96) -> tuple[float, float]:
 
 def score(cases: Sequence[Case]) -> dict[str, Any]:
     """All figures of the table."""
-    null = [c for c in cases if c.category == 'null']
+    nulls = [c for c in cases if c.category == 'null']
+    live = [c for c in nulls if c.truth.get('live')]
+    null = [c for c in nulls if not c.truth.get('live') and not c.truth.get('noise_law')]
+    untidy = [c for c in nulls if c.truth.get('noise_law')]
     known = [c for c in cases if c.category in ('single', 'pair') and c.weakest >= COUNTS_FROM]
     single = [c for c in known if c.category == 'single']
     pair = [c for c in known if c.category == 'pair']
@@ -98,6 +101,9 @@ def score(cases: Sequence[Case]) -> dict[str, Any]:
     separable = [c for c in single if c.separable]
     figures: dict[str, Any] = {
         'false_alarms': share(null, lambda c: c.alarmed),
+        'false_alarms_untidy': share(untidy, lambda c: c.alarmed),
+        'false_alarms_live': share([c for c in live if not c.truth['loaded']], lambda c: c.alarmed),
+        'false_alarms_loaded': share([c for c in live if c.truth['loaded']], lambda c: c.alarmed),
         'detection': share(known + outside, lambda c: c.alarmed),
         'first_right': share(separable, first_right),
         'first_right_all': share(single, first_right),

@@ -7,6 +7,7 @@ of ``DIR/sealed/truth.json``, which nothing but :mod:`stepdiag_ros.blind.opened`
 import hashlib
 import json
 import os
+import sys
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ import numpy as np
 
 from stepdiag_ros.bag.export import write_log
 from stepdiag_ros.blind.cells import KINDS
+from stepdiag_ros.blind.live import write_live
 from stepdiag_ros.blind.outside import OUTSIDE
 from stepdiag_ros.blind.pool import side_by_side
 from stepdiag_ros.blind.vocabulary import NAMES
@@ -29,8 +31,14 @@ NOT_TOGETHER = ({'psd_gain', 'ambient_light'},)
 
 
 def orders(purpose: str, seed: int, counts: dict[str, int], world: str = 'varied',
-           small: bool = False) -> list[Order]:
-    """The orders of a set in the order of its logs, every effect about equally often."""
+           small: bool = False, untidy: float = 0.0) -> list[Order]:
+    """The orders of a set in the order of its logs, every effect about equally often.
+
+    ``untidy``: share of the simulated worlds whose noise is as instruments have it; ``counts['live']`` logs come last,
+    measured through the running graph, every second one on a busy computer.
+    """
+    if not 0.0 <= untidy <= 1.0:
+        raise StepdiagError(f'--untidy {untidy:g} is no share; give a number from 0 to 1')
     if purpose not in PURPOSES:
         raise StepdiagError(f'--purpose {purpose!r} is unknown; choose one of {", ".join(PURPOSES)}')
     if world not in KINDS:
@@ -43,14 +51,17 @@ def orders(purpose: str, seed: int, counts: dict[str, int], world: str = 'varied
     for first in _evenly(rng, NAMES, counts.get('pair', 0)):
         others = [n for n in NAMES if n != first and {n, first} not in NOT_TOGETHER]
         wanted.append(('pair', (first, str(rng.choice(others)))))
-    return [Order(purpose, seed, number + 1, *wanted[place], world, small)
-            for number, place in enumerate(rng.permutation(len(wanted)))]
+    simulated = [Order(purpose, seed, number + 1, *wanted[place], world, small, untidy)
+                 for number, place in enumerate(rng.permutation(len(wanted)))]
+    return simulated + [Order(purpose, seed, len(wanted) + number + 1, 'null', (), world, small, live=True,
+                              loaded=number % 2 == 1) for number in range(counts.get('live', 0))]
 
 
 def kind_order(purpose: str, seed: int, entry: dict[str, Any]) -> Order:
     """The order that the log of a truth's entry was made from."""
     return Order(purpose, seed, entry['number'], entry['category'],
-                 tuple(e['name'] for e in entry['effects']), entry['world'], entry['small'])
+                 tuple(e['name'] for e in entry['effects']), entry['world'], entry['small'],
+                 entry.get('untidy', 0.0))
 
 
 def _evenly(rng: np.random.Generator, names: Iterable[str], count: int) -> list[str]:
@@ -68,7 +79,7 @@ def seal(out: Path, todo: list[Order], processes: int = 2, progress: bool = True
     """Write the set; returns the SHA-256 of the truth.  Logs that are there are kept and made again
     only in memory where their truth is missing."""
     if not todo:
-        raise StepdiagError('blind seal: nothing to seal; give --null, --single, --pair or --outside')
+        raise StepdiagError('blind seal: nothing to seal; give --null, --single, --pair, --outside or --live')
     if (out / MANIFEST).exists():
         raise StepdiagError(f'{out}: is sealed already; give another --out')
     (out / LOGS).mkdir(parents=True, exist_ok=True)
@@ -78,9 +89,15 @@ def seal(out: Path, todo: list[Order], processes: int = 2, progress: bool = True
     missing = [name for name in names if not (parts / f'{name}.json').exists()]
     # A fresh process for every world: nothing of one log can be left over in the next.
     os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
-    jobs = {name: (names[name], str(out / LOGS / name), str(parts / f'{name}.json')) for name in missing}
+    jobs = {name: (names[name], str(out / LOGS / name), str(parts / f'{name}.json'))
+            for name in missing if not names[name].live}
     for _ in side_by_side(_one, jobs, processes, 'sealed' if progress else '', fresh=True):
         pass
+    for name in missing:   # one at a time: each has the computer, or what its load leaves of it, for itself
+        if names[name].live:
+            write_live(names[name], out / LOGS / name, parts / f'{name}.json')
+            if progress:
+                print(f'{name}: measured live', file=sys.stderr, flush=True)
     truth = {'schema': SCHEMA, 'purpose': todo[0].purpose, 'seed': todo[0].seed,
              'logs': {name: json.loads((parts / f'{name}.json').read_text()) for name in names}}
     text = to_json(truth, sort_keys=True)

@@ -5,12 +5,12 @@ thresholds were tuned on can never be what they are judged on.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from stepdiag_ros.blind.cells import Conditions, draw_cell, without_sensor_noise, without_weather
+from stepdiag_ros.blind.cells import Conditions, draw_cell, untidy_law, without_sensor_noise, without_weather
 from stepdiag_ros.blind.hidden import Hidden
 from stepdiag_ros.blind.logs import measure, stage_of
 from stepdiag_ros.blind.outside import OUTSIDE
@@ -18,6 +18,7 @@ from stepdiag_ros.blind.visibility import Visibility, Yardstick
 from stepdiag_ros.blind.vocabulary import VOCABULARY
 from stepdiag_ros.model.log import CalibrationLog
 from stepdiag_ros.virtual.cell import Cell
+from stepdiag_ros.virtual.noise import NoiseLaws
 from stepdiag_ros.virtual.truth import truth
 
 PURPOSES = {'develop': 1, 'sealed': 2}
@@ -31,7 +32,11 @@ ATTEMPTS = 10
 
 @dataclass(frozen=True)
 class Order:
-    """What one log is to be: its number, what acts, in which kind of world."""
+    """What one log is to be: its number, what acts, in which kind of world.
+
+    ``untidy``: probability of noise as instruments have it; ``live``: measured through the running graph,
+    ``loaded``: while all cores are busy.
+    """
 
     purpose: str
     seed: int
@@ -40,6 +45,9 @@ class Order:
     kinds: tuple[str, ...] = ()
     world: str = 'varied'
     small: bool = False
+    untidy: float = 0.0
+    live: bool = False
+    loaded: bool = False
 
 
 @dataclass(frozen=True)
@@ -80,6 +88,7 @@ def make(order: Order) -> SealedWorld:
 
 def _attempt(order: Order, rng: np.random.Generator, last: bool) -> SealedWorld | None:
     cell, conditions = draw_cell(rng, order.world, order.small)
+    cell = _untidy(order, cell)
     kinds = [kind_of(name) for name in order.kinds]
     if any(kind.name == 'air_refraction_drift' for kind in kinds):
         cell = without_weather(cell)
@@ -107,6 +116,14 @@ def _attempt(order: Order, rng: np.random.Generator, last: bool) -> SealedWorld 
         effects.append(effect)
         seen.append(visible)
     return _finish(order, cell, conditions, yardstick, tuple(effects), tuple(seen))
+
+
+def _untidy(order: Order, cell: Cell) -> Cell:
+    """The cell with untidy noise, if it falls so; draws of its own, so that all else is as without."""
+    rng = np.random.default_rng(np.random.SeedSequence([PURPOSES[order.purpose], order.seed, order.number, 1, 1]))
+    if rng.random() >= order.untidy:
+        return cell
+    return replace(cell, noise_law=untidy_law(rng, cell.description.noise))
 
 
 def _acts_inside(effects: Sequence[Hidden]) -> str | None:
@@ -156,6 +173,7 @@ def _finish(order: Order, cell, conditions, yardstick, effects, seen) -> SealedW
         'effects': [{'name': e.name, 'outside': e.outside, **e.describe(),
                      'visibility': {'stops': v.stops, 'inside': v.inside, 'total': v.total}}
                     for e, v in zip(effects, seen, strict=True)],
+        'untidy': order.untidy, 'noise_law': None if cell.noise_law == NoiseLaws() else asdict(cell.noise_law),
         'noise': vars(cell.description.noise), 'errors': truth(cell)['errors'],
         'misalignments': truth(cell)['misalignments']}
     if effects:

@@ -23,6 +23,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     seal.add_argument('--single', type=int, default=0, help='logs with one effect of the vocabulary')
     seal.add_argument('--pair', type=int, default=0, help='logs with two')
     seal.add_argument('--outside', type=int, default=0, help='logs with an effect from outside it')
+    seal.add_argument('--live', type=int, default=0,
+                      help='logs without an effect that are measured through the running graph, every second one on a '
+                           'busy computer (a minute or two each)')
+    seal.add_argument('--untidy', type=float, default=0.0, metavar='SHARE',
+                      help='share of the simulated worlds with untidy noise: heavy tails, correlation, steps, '
+                           'dropouts, spikes, duplicates, late samples (0)')
     seal.add_argument('--purpose', default='sealed',
                       help='sealed, or develop: to tune on, never the same logs (default: sealed)')
     seal.add_argument('--world', default='varied',
@@ -52,8 +58,8 @@ def run(args: argparse.Namespace) -> int:
 
 def _seal(args: argparse.Namespace) -> int:
     from stepdiag_ros.blind.seal import orders, seal
-    counts = {name: getattr(args, name) for name in ('null', 'single', 'pair', 'outside')}
-    todo = orders(args.purpose, args.seed, counts, args.world, args.small)
+    counts = {name: getattr(args, name) for name in ('null', 'single', 'pair', 'outside', 'live')}
+    todo = orders(args.purpose, args.seed, counts, args.world, args.small, args.untidy)
     digest = seal(args.out, todo, args.processes, not args.quiet)
     print(f'{len(todo)} logs in {args.out / "logs"}\ntruth sealed, SHA-256 {digest}')
     return 0

@@ -89,12 +89,24 @@ def bent_by(setup: np.ndarray, distance: np.ndarray, read: np.ndarray) -> Bent |
     def left(unknowns: np.ndarray) -> np.ndarray:
         return (_response(spots(unknowns[2:]), *unknowns[:2] * HARDEST) - read[used]).ravel()
 
+    def slopes(unknowns: np.ndarray) -> np.ndarray:
+        own, cross = unknowns[:2] * HARDEST
+        lay = spots(unknowns[2:])
+        result = np.zeros((*read[used].shape, len(unknowns)))
+        result[:, :, 0], result[:, :, 1] = lay**3 * HARDEST, lay * lay[:, ::-1] ** 2 * HARDEST
+        start = 0
+        for k, basis in enumerate(bases):
+            rows = slice(start, start + len(basis))
+            start = rows.stop
+            result[rows, :, 2 + 4 * k:6 + 4 * k] = _slopes(basis, lay[rows], own, cross)
+        return result.reshape(-1, len(unknowns))
+
     lines = [np.linalg.lstsq(basis, read[rows], rcond=None)[0] for basis, rows in zip(bases, groups, strict=True)]
     straight = np.sum(left(np.concatenate([[0.0, 0.0], np.ravel(lines)]))**2)
     best = None
     for size in -np.geomspace(0.01, 1.0, TRIED):
         begin = [_line(basis, read[rows], size * HARDEST) for basis, rows in zip(bases, groups, strict=True)]
-        found = least_squares(left, np.concatenate([[size, size], np.ravel(begin)]), max_nfev=200)
+        found = least_squares(left, np.concatenate([[size, size], np.ravel(begin)]), slopes, method='lm', max_nfev=200)
         if -1.0 <= found.x[0] < 0.0 and abs(found.x[1]) <= 1.0 and (best is None or found.cost < best.cost):
             best = found
     if best is None or 2.0 * best.cost > STRAIGHTER**2 * straight:
@@ -110,6 +122,16 @@ def _response(spot: np.ndarray, own: float, cross: float) -> np.ndarray:
     return spot * (1.0 + own * square + cross * square[:, ::-1])
 
 
+def _slopes(basis: np.ndarray, spot: np.ndarray, own: float, cross: float) -> np.ndarray:
+    """Derivatives (n, 2, 4) of what is read of spots (n, 2) by the line (2, 2) on ``basis`` (n, 2) that they lie on."""
+    square = spot**2
+    by_spot = np.zeros((len(spot), 2, 2))
+    for k in (0, 1):
+        by_spot[:, k, k] = 1.0 + 3.0 * own * square[:, k] + cross * square[:, 1 - k]
+        by_spot[:, k, 1 - k] = 2.0 * cross * spot[:, 0] * spot[:, 1]
+    return np.einsum('nkx,nb->nkbx', by_spot, basis).reshape(len(spot), 2, 4)
+
+
 def _line(basis: np.ndarray, read: np.ndarray, bending: float) -> np.ndarray:
     """The line (2, 2) of spots that follows the readings of a setup best through a detector bent by ``bending``.
 
@@ -123,12 +145,15 @@ def _line(basis: np.ndarray, read: np.ndarray, bending: float) -> np.ndarray:
     def left(line: np.ndarray) -> np.ndarray:
         return (_response(basis @ line.reshape(2, 2), bending, bending) - read).ravel()
 
+    def slopes(line: np.ndarray) -> np.ndarray:
+        return _slopes(basis, basis @ line.reshape(2, 2), bending, bending).reshape(-1, 4)
+
     order, found = np.argsort(basis[:, 1]), []
     for share in SHARES:
         count = max(round(share * len(read)), 2)
         for rows in (order[:count], order[-count:]):
             line = np.linalg.lstsq(basis[rows], near[rows], rcond=None)[0]
-            found.append(least_squares(left, line.ravel(), max_nfev=50))
+            found.append(least_squares(left, line.ravel(), slopes, method='lm', max_nfev=50))
     return min(found, key=lambda one: one.cost).x.reshape(2, 2)
 
 

@@ -209,10 +209,11 @@ def _bins(log: CalibrationLog, table: StopTable) -> tuple[np.ndarray, np.ndarray
             if columns.start == 0:
                 time[i] = np.bincount(place, since * 1e-9, BINS) / count
             differences.setdefault(int(table.setup[i]), []).append(
-                (i, np.median(np.abs(np.diff(values, axis=0)), axis=0), 1.0 / np.mean(1.0 / count)))
+                (i, np.mean(np.abs(np.diff(values, axis=0)), axis=0), 1.0 / np.mean(1.0 / count)))
         # The noise of one sample from neighbours in time, which creep and slow motion leave alone.
         for alike in differences.values():
-            middle = np.median([d for _, d, _ in alike], axis=0) / (0.6745 * np.sqrt(2.0))
+            # The mean, not the median: readings in steps of a converter often differ by none at all.
+            middle = np.median([d for _, d, _ in alike], axis=0) * np.sqrt(np.pi) / 2.0
             for i, _, count in alike:
                 sigma[i, columns] = np.maximum(middle, 1e-12) / np.sqrt(count)
     return bins, sigma, time

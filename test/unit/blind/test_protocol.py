@@ -5,17 +5,21 @@ import json
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from stepdiag_ros.bag.reader import read_log
 from stepdiag_ros.blind.answer import answer
 from stepdiag_ros.blind.judge import judge_floors
+from stepdiag_ros.blind.live import draw_text
 from stepdiag_ros.blind.opened import into_page, load, open_set
 from stepdiag_ros.blind.seal import LOGS, MANIFEST, SEALED, orders, seal
 from stepdiag_ros.blind.settle import settle
 from stepdiag_ros.blind.vocabulary import NAMES
+from stepdiag_ros.blind.world import Order, make
 from stepdiag_ros.cli.main import main
 from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.virtual.cell import parse_cell
 
 COUNTS = {'null': 1, 'single': 1, 'outside': 1}
 
@@ -164,3 +168,22 @@ def test_further_runs_of_the_same_answers_are_not_done_again(copy: Path) -> None
     kept = {**first, 'logs': [{**row, 'settled': 'kept'} for row in first['logs']]}
     (copy / 'settled.json').write_text(json.dumps(kept))
     assert settle(copy, processes=1) == kept['logs']
+
+
+def test_untidy_noise_is_drawn_besides_all_else() -> None:
+    """The same machine with and without; the share is kept."""
+    tidy, untidy = (make(Order('develop', 9, 4, 'null', (), 'varied', True, share)) for share in (0.0, 1.0))
+    assert tidy.truth['noise_law'] is None and untidy.truth['noise_law'] is not None
+    assert tidy.truth['errors'] == untidy.truth['errors'] and tidy.truth['noise'] == untidy.truth['noise']
+    np.testing.assert_array_equal(tidy.log.steps.time_ns, untidy.log.steps.time_ns)
+
+
+def test_live_logs_come_last_and_every_second_is_loaded() -> None:
+    todo = orders('develop', 9, {'null': 2, 'live': 4}, untidy=0.5)
+    assert [order.live for order in todo] == [False] * 2 + [True] * 4
+    assert [order.loaded for order in todo[2:]] == [False, True, False, True]
+    assert [order.number for order in todo] == [1, 2, 3, 4, 5, 6]
+    texts = {draw_text(order) for order in todo[2:]}
+    assert len(texts) == 4
+    for text in texts:
+        assert parse_cell(text).effects == {}
