@@ -6,7 +6,6 @@ installed shows before its ``main`` could say anything.
 
 import importlib
 import sys
-from functools import partial
 
 from stepdiag_ros.guard.missing import missing
 
@@ -22,10 +21,36 @@ def run(node: str) -> int:
         return 2
 
 
-interferometer_driver = partial(run, 'interferometer_driver')
-psd_driver = partial(run, 'psd_driver')
-step_sequencer = partial(run, 'step_sequencer')
-evaluation_solver = partial(run, 'evaluation_solver')
-recorder = partial(run, 'recorder')
-gap_monitor = partial(run, 'gap_monitor')
-bringup = partial(run, 'bringup')
+def interferometer_driver() -> int:
+    """The exit status of the node `interferometer_driver`."""
+    return run('interferometer_driver')
+
+
+def psd_driver() -> int:
+    """The exit status of the node `psd_driver`."""
+    return run('psd_driver')
+
+
+def step_sequencer() -> int:
+    """The exit status of the node `step_sequencer`."""
+    return run('step_sequencer')
+
+
+def evaluation_solver() -> int:
+    """The exit status of the node `evaluation_solver`."""
+    return run('evaluation_solver')
+
+
+def recorder() -> int:
+    """The exit status of the node `recorder`."""
+    return run('recorder')
+
+
+def gap_monitor() -> int:
+    """The exit status of the node `gap_monitor`."""
+    return run('gap_monitor')
+
+
+def bringup() -> int:
+    """The exit status of the node `bringup`."""
+    return run('bringup')

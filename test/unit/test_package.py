@@ -85,8 +85,10 @@ def pinned(file: str) -> dict[str, str]:
 def stated() -> dict[str, tuple[str, str]]:
     """Name -> (floor, ceiling) of what setup.py asks for."""
     tree = ast.parse((ROOT / 'setup.py').read_text())
-    [value] = [node.value for node in tree.body if isinstance(node, ast.Assign) and node.targets[0].id == 'REQUIRES']
-    parts = (line.replace('>=', ' ').replace(',<', ' ').split() for line in ast.literal_eval(value))
+    given = {node.targets[0].id: ast.literal_eval(node.value) for node in tree.body
+             if isinstance(node, ast.Assign) and node.targets[0].id in ('REQUIRES', 'EXTRAS')}
+    lines = [*given['REQUIRES'], *(line for extra in given['EXTRAS'].values() for line in extra)]
+    parts = (line.replace('>=', ' ').replace(',<', ' ').split() for line in lines)
     return {name: (floor, ceiling) for name, floor, ceiling in parts}
 
 

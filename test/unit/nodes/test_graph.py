@@ -63,9 +63,6 @@ def test_what_a_user_must_set_for_a_real_machine_is_a_key_of_the_cell_file(tmp_p
     assert sequencer['origin'] == [-0.8, 0.0, -0.5] and sequencer['stand'] == 30.0
     assert sequencer['setup_codes'] == ['ppp=M103'] and not sequencer['ask_operator']
     assert content['/**/psd_driver']['ros__parameters']['mode'] == 'poll'
-    # The virtual machine counts from its volume's corner, whatever the real one does.
-    content = yaml.safe_load(write_graph(real, ENDPOINTS, tmp_path).parameters_file.read_text())
-    assert content['/**/step_sequencer']['ros__parameters']['origin'] == [0.0, 0.0, 0.0]
 
 
 def test_codes_that_are_no_m_codes_of_ones_own_are_refused():
