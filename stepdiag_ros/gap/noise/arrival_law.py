@@ -87,8 +87,8 @@ def as_it_is(observation: Observation, noise: NoiseModel, table: StopTable) -> t
 
 
 def suspicion(observation: Observation, noise: NoiseModel, table: StopTable) -> float:
-    """Log evidence, by the single errors' scores alone, that the arrivals' noise has another law than a tidy one; 0 where
-    nothing speaks for one.  ``table``: the stops freed of all effects."""
+    """Log evidence, by the single errors' scores alone, that the arrivals' noise has another law than a tidy one; 0
+    where nothing speaks for one.  ``table``: the stops freed of all effects."""
     noise = replace(noise, position_law=Law(), angle_law=Law(), spread=None)
     if min(noise.dof) < LEAST_DOF:
         return 0.0

@@ -128,7 +128,8 @@ def _closing(joint: Joint, place: Joint, parts: list[np.ndarray], name: str) -> 
     freedom = max(after.freedom, 1)
     distances = {kind: Distance(before.errors[kind], rms, after.floors[kind], after.widths[kind])
                  for kind, rms in after.errors.items()}
-    return Closing(before.chi2 / freedom, after.chi2 / freedom, after.count, float(sum(joint.noise.dof)), name, distances)
+    return Closing(before.chi2 / freedom, after.chi2 / freedom, after.count, float(sum(joint.noise.dof)), name,
+                   distances)
 
 
 def _left(joint: Joint) -> float:

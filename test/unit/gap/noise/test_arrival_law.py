@@ -8,7 +8,7 @@ from scipy import stats
 
 from stepdiag_ros.effects import all_effects, effect_class
 from stepdiag_ros.estimate.enhanced import readings_of
-from stepdiag_ros.estimate.noise import Law, run_covariance, arrivals
+from stepdiag_ros.estimate.noise import Law, arrivals, run_covariance
 from stepdiag_ros.estimate.noise_law import Errors, Latent, weighed
 from stepdiag_ros.gap import diagnose
 from stepdiag_ros.gap.inference.select_effects import noise_of
@@ -96,7 +96,7 @@ def test_untidy_noise_is_no_cause(case, law, seed):
 
 
 def test_a_slip_is_no_tail(case):
-    """A step that stays makes tails where noise may have them; it is found all the same, in tidy noise and in untidy."""
+    """A step that stays makes tails where noise may have them; it is found all the same, in tidy noise and untidy."""
     slip = effect_class('count_slip')(jump=6e-6, arrival=20)
     for law in ('{}', T3):
         found = diagnose(case.untidy(law, slip, seed=2), [kind() for kind in all_effects().values()])

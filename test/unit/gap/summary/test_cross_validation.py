@@ -71,7 +71,8 @@ def test_the_gap_is_the_error_of_held_out_readings(case):
     joint = case.diagnose(effect_class('backlash')(B=[4e-6, 0.0, 3e-6])).joint
     found, fit, table = closing(joint), joint.fit, joint.observation.table
     assert found.channel == 'displacement' and found.after_m < found.before_m
-    assert found.after_m == pytest.approx(found.floor_m, rel=0.25)
+    # A prediction from one other repeat has that one's noise too.
+    assert found.floor_m < found.after_m < np.sqrt(2.0) * found.floor_m
     squares, count = 0.0, 0
     for repeat in (0, 1):
         train = np.repeat(table.repeat != repeat, fit.residual.shape[1])
@@ -80,7 +81,8 @@ def test_the_gap_is_the_error_of_held_out_readings(case):
         rest = (readings - fit.model.predict(fit.theta)).ravel()
         white = [w for w in joint.parity._white if train[w.rows[0]]]
         columns = np.concatenate([w(jacobian) for w in white])
-        step = np.linalg.solve(columns.T @ columns + fit.precision, columns.T @ np.concatenate([w(rest) for w in white]))
+        along = columns.T @ np.concatenate([w(rest) for w in white])
+        step = np.linalg.solve(columns.T @ columns + fit.precision, along)
         error = (rest - jacobian @ step).reshape(fit.residual.shape)[:, 0]
         for run in np.unique(table.run[table.repeat == repeat]):
             own = error[table.run == run]
