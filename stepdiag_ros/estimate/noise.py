@@ -194,7 +194,8 @@ def moves(numbers: np.ndarray) -> np.ndarray:
 
 
 def run_covariance(rows: np.ndarray, position: float, angle: float, sensor: np.ndarray,
-                   arrival: np.ndarray, numbers: np.ndarray, correlation: tuple[float, float] = (0.0, 0.0)) -> np.ndarray:
+                   arrival: np.ndarray, numbers: np.ndarray,
+                   correlation: tuple[float, float] = (0.0, 0.0)) -> np.ndarray:
     """Covariance of all readings of the stops ``rows`` of a run (k·c, k·c) [m²], order [stop, channel].
 
     ``arrival`` (5, n, c): derivatives by a turn about u, v and by a shift along X, Y, Z; ``correlation`` of an

@@ -1,8 +1,8 @@
 """How the errors of arrivals are distributed: heavy tails and correlation, estimated from the log.
 
 Real arrivals are not drawn from one normal distribution: now and then one is far off, and a stop may err as the one
-before it did.  Each error is taken to be normal with a variance of its own, ``σ²/w``, ``w`` from a gamma distribution of
-mean one, which makes it Student's t of ν degrees of freedom (Lange, Little & Taylor, J. Am. Stat. Assoc. 84, 1989);
+before it did.  Each error is taken to be normal with a variance of its own, ``σ²/w``, ``w`` from a gamma distribution
+of mean one, which makes it Student's t of ν degrees of freedom (Lange, Little & Taylor, J. Am. Stat. Assoc. 84, 1989);
 neighbours are correlated by ρ.  Whatever is a cause stays outside of this: a tail is symmetric, has no memory and
 does not come back in the next repeat.  So σ, ν and ρ are estimated from what differs between the repeats of a setup,
 of each run a parabola in time taken off.
@@ -172,7 +172,8 @@ class Repeats:
         """The noise held against the repeats; what single errors are wider by is found beside it."""
         sources, squares, spread = [], [], np.ones((5, self._arrival.shape[1]))
         for table, rows, readings, shared in self._setups:
-            own = replace(noise, sensor=noise.sensor[rows], spread=None if noise.spread is None else noise.spread[:, rows])
+            own = replace(noise, sensor=noise.sensor[rows],
+                          spread=None if noise.spread is None else noise.spread[:, rows])
             present, arrival = np.isfinite(readings), self._arrival[:, rows]
             white = whiteners(table, own, arrival, present)
             if not white:
@@ -193,7 +194,7 @@ class Repeats:
 
 
 def _shared(table: StopTable) -> np.ndarray:
-    """Columns (n·c, k): what each channel shares at a stop in one direction, and a parabola in time of each traverse."""
+    """Columns (n·c, k): what each channel shares at a stop in one direction, and a parabola in time of each pass."""
     channels = table.displacement.shape[1] + 2
     place = np.unique(np.stack([table.direction, table.index]), axis=1, return_inverse=True)[1].ravel()
     pass_ = np.unique(np.stack([table.run, table.direction, table.repeat]), axis=1, return_inverse=True)[1].ravel()

@@ -70,8 +70,8 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
              for name in dict.fromkeys(a.effect.name for a in joint.active) if name in best.key]
     untimed = set() if log.description.timed else {f.name for f in found if effects[f.name].needs_times}
     found = [f for f in found if f.name not in untimed]
-    names = {UNKNOWN if name in untimed else name: names[name] for name in sorted(names, key=untimed.__contains__)} \
-        if untimed else names
+    if untimed:
+        names = {**{n: p for n, p in names.items() if n not in untimed}, UNKNOWN: max(names[n] for n in untimed)}
     beside = [*([_late(late)] if late else []),
               *([_shaking(effects, disturbances.unrest.displacement)] if shakes else [])]
     outside = {f.name: f.probability for f in beside}
@@ -90,7 +90,7 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
                     f'({np.sqrt(how_far.after):.2g} times the noise is left)')
     hint = None if best.members or leftover else hint_of(sets, len(effects) + 1, screen)
     doubtful = hint.found if hint else best
-    groups = confused(sets, doubtful)
+    groups = tuple(group for group in confused(sets, doubtful) if not untimed & set(group))
     words, run = advise(joint, rivals_of(screen, effects, sets, doubtful, groups, hint is not None), groups,
                         bool(leftover), hint.settles if hint else None)
     return Diagnosis(

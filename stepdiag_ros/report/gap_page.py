@@ -343,7 +343,7 @@ def _small_print(diagnosis: Diagnosis) -> str:
             'are fitted together.</p>'
             f'<p>Noise, {source}: each arrival of an axis errs by {quantity(noise.position, "m")}, the '
             f'mirror\'s angle by {quantity(noise.angle, "rad")} (one standard deviation). The gap is the '
-            'root mean square of what is foretold wrongly of one length, in the units of its noise times '
-            f'the noise floor; reduced χ² on {escape(gap.held_out)}: {plain(gap.before)} before, '
-            f'{plain(gap.after)} after, over {gap.count} readings. Values ± one standard deviation; all of '
-            'it is in <code>gap.json</code> beside this page.</p></footer>')
+            f'root mean square of the {gap.channel} read less the {gap.channel} predicted by a fit without these '
+            f'readings ({escape(gap.held_out)}). In units of what the prediction expects of itself, the reduced χ² is '
+            f'{plain(gap.before)} before, {plain(gap.after)} after, over {gap.count} readings. '
+            'Values ± one standard deviation; all of it is in <code>gap.json</code> beside this page.</p></footer>')

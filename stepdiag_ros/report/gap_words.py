@@ -215,8 +215,12 @@ def how_far(diagnosis: Diagnosis) -> str:
                     'It shows in what many stops have in common.'))
     share = closed_share(diagnosis)
     rest = 'what is left is noise' if gap.after < NOISE_LIKE else \
-        f'what is left is still {np.sqrt(gap.after):.1f} times the noise'
-    return (f'With {"it" if len(diagnosis.effects) == 1 else "them"} in the simulator the gap falls from '
+        f'what is left is still {gap.after_m / max(gap.floor_m, 1e-300):.1f} times the noise'
+    if gap.gap.width > gap.floor_m:
+        rest = (f'what is left is {gap.after_m / max(gap.floor_m, 1e-300):.1f} times the noise; what was fitted leaves '
+                f'the forecast uncertain by {micrometres(gap.gap.width)}')
+    where = ' of the spot' if gap.channel == 'spot' else ''
+    return (f'With {"it" if len(diagnosis.effects) == 1 else "them"} in the simulator the gap{where} falls from '
             f'{micrometres(gap.before_m)} to {micrometres(gap.after_m)} (noise alone: '
             f'{micrometres(gap.floor_m)}): {closed_percent(share or 0.0)} of it is gone, {rest}.')
 

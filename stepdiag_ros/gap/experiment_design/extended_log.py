@@ -115,8 +115,9 @@ class Longer:
         new_noise = joint.noise.sensor[rows] / longer[:, None]
         new_noise[:, -2:] /= run.light
         spread = joint.noise.spread
-        noise = replace(joint.noise, sensor=np.concatenate([joint.noise.sensor, new_noise]), spread=None if spread is None
-                        else np.concatenate([spread, np.ones((len(spread), len(new_noise)))], axis=1))
+        if spread is not None:
+            spread = np.concatenate([spread, np.ones((len(spread), len(new_noise)))], axis=1)
+        noise = replace(joint.noise, sensor=np.concatenate([joint.noise.sensor, new_noise]), spread=spread)
         parameters = parameters_of(log.description, table)
         first, new = old.parameters.offset_first, len(table.run_ids) - old.parameters.runs
         theta = np.concatenate([old.theta[:first], [0.0, 0.0, *run.mirror_turn_rad], old.theta[first:],

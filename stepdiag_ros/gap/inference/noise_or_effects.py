@@ -2,8 +2,8 @@
 
 Tails, and errors that go with those before, look like causes where noise is taken to be normal and independent;
 and a cause looks like tails to a noise that may have them.  So both are tried: effects beside normal noise, and
-effects beside the noise whose laws explain the log best without any.  Of each, machine and set-up at their widths, the log
-evidence of what it leaves is taken, the price of its effects' freedom paid; the larger decides.
+effects beside the noise whose laws explain the log best without any.  Of each, machine and set-up at their widths,
+the log evidence of what it leaves is taken, the price of its effects' freedom paid; the larger decides.
 """
 
 from collections import Counter
@@ -18,9 +18,11 @@ from stepdiag_ros.gap.inference.candidates import Screen
 from stepdiag_ros.gap.inference.joint import Joint, fit_jointly, freed, refitted, size_of, unexplained
 from stepdiag_ros.gap.inference.search import EffectSet, log_prior
 from stepdiag_ros.gap.inference.select_effects import noise_of, settle
-from stepdiag_ros.gap.noise.arrival_law import as_it_is, log_evidence
+from stepdiag_ros.gap.noise.arrival_law import as_it_is, log_evidence, suspicion
 from stepdiag_ros.gap.preprocess.observe import Observation, sane_fit
 
+FAR = 1.5
+"""Times the evidence by which tails are suspected that one effect must explain, to be no matter of tails."""
 Settled = tuple[Joint, Joint, list[EffectSet], Screen]
 
 
@@ -29,6 +31,9 @@ def settle_in_noise(observation: Observation, effects: Mapping[str, Effect]) -> 
     tidy = noise_of(observation)
     alone = fit_jointly(observation, [], tidy)
     plain: Settled = alone, *settle(alone, effects)
+    hint = suspicion(observation, tidy, observation.table)
+    if not hint or _settles(plain, hint):
+        return plain
     noise, gain = as_it_is(observation, tidy, observation.table)
     if gain < SUSPICION:
         return plain
@@ -38,6 +43,13 @@ def settle_in_noise(observation: Observation, effects: Mapping[str, Effect]) -> 
     if not plain[1].active:
         return other
     return max(other, plain, key=lambda found: total_evidence(*found[1:]))
+
+
+def _settles(plain: Settled, hint: float) -> bool:
+    """Whether a single effect explains far more than tails could, ``hint``, and leaves none."""
+    _, joint, sets, _ = plain
+    return len(sets[0].key) == 1 and bool(joint.active) and sets[0].log_bayes > FAR * hint \
+        and not suspicion(joint.observation, joint.noise, freed(joint.observation.table, joint.active))
 
 
 def total_evidence(joint: Joint, sets: list[EffectSet], screen: Screen) -> float:

@@ -72,8 +72,11 @@ class Parity:
         # Laid out column by column, as they come and as the triangular solver takes them.
         result = np.zeros((self.stops, len(flat)), order='F')
         for white in self._white:
-            part = white(flat.T)
-            result[start:start + len(part)] = part
+            # A run's rows lie side by side in every column: gathered so, they are read in order.
+            part = flat[:, white.rows].T
+            there = part.any(axis=0)
+            result[start:start + len(part), there] = linalg.solve_triangular(
+                white.factor, part[:, there], lower=True, overwrite_b=True, check_finite=False)
             start += len(part)
         return result
 
@@ -88,9 +91,17 @@ class Parity:
 
     def bin_part(self, inside: np.ndarray) -> np.ndarray:
         """White contrasts of bins: (k, n, b, c) → (N − stops, k)."""
-        contrasts = self._contrast @ inside
-        white = contrasts / (self.bin_scale * self._bin_sigma)
-        return white[:, self._bin_present].T
+        white = (self._contrast @ inside) * self._bin_weight
+        return white.reshape(len(inside), -1)[:, self._bin_places].T
+
+    @cached_property
+    def _bin_places(self) -> np.ndarray:
+        """Flat places of the contrasts (n, h, c) that are there."""
+        return np.flatnonzero(self._bin_present)
+
+    @cached_property
+    def _bin_weight(self) -> np.ndarray:
+        return 1.0 / (self.bin_scale * self._bin_sigma)
 
     @cached_property
     def own_share(self) -> np.ndarray:
@@ -151,7 +162,7 @@ class Parity:
 def projection(observation: Observation, result: Fit, noise: NoiseModel,
                readings: np.ndarray) -> tuple[list[Whitener], np.ndarray, np.ndarray, float]:
     """Whiteners, one a run; orthonormal directions (N, r) that the fit can imitate; white data (N,) without them, the
-    unknowns' own departures last; logarithm of the volume that noise and unknowns leave, −½ ln|C| − ½ ln|JᵀC⁻¹J + P|."""
+    unknowns' own departures last; −½ ln|C| − ½ ln|JᵀC⁻¹J + P|, the logarithm of what noise and unknowns leave open."""
     present = result.present
     white = whiteners(observation.table, noise, result.arrival, present)
     # The unknowns are held to their widths as in the fit: else errors of metres, along directions that the

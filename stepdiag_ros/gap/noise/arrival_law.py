@@ -33,7 +33,7 @@ PATIENCE = 6.0
 WORTH = 4.0
 """Log evidence that one more parameter of a law must bring: half the logarithm of some thousand readings."""
 HINT = 3.0
-"""Log evidence, or standard deviations, of what a law would explain in the errors' scores, from which it is tried."""
+"""Log evidence, by the errors' scores alone, from which a law is tried."""
 LEAST_DOF = 8
 """Degrees of freedom of the repeats below which no law can be told."""
 
@@ -65,17 +65,17 @@ def as_it_is(observation: Observation, noise: NoiseModel, table: StopTable) -> t
     if min(noise.dof) < LEAST_DOF:
         return noise, 0.0
     readings = readings_of(table)
-    suspected = _suspected(observation, noise, readings)
+    suspected = [hint for hint in _hints(observation, noise, readings) if hint.evidence > HINT]
     if not suspected:
         return noise, 0.0
     best = plain = _held(observation, noise, readings)
     repeats, largest = Repeats(table, observation.fit.arrival), noise
-    for kind, parameter, values in suspected:
+    for hint in suspected:
         begin = tried = best
-        for value in values:
-            law = replace(getattr(tried.noise, kind), **{parameter: value})
-            given = replace(tried.noise, **{kind: law})
-            if parameter == 'correlation':
+        for value in hint.values:
+            law = replace(getattr(tried.noise, hint.law), **{hint.parameter: value})
+            given = replace(tried.noise, **{hint.law: law})
+            if hint.parameter == 'correlation':
                 # A parabola in time takes more of what is correlated: the repeats are asked anew.
                 largest = given = sized(given, repeats)
             tried = _settled(observation, given, readings, largest)
@@ -84,6 +84,15 @@ def as_it_is(observation: Observation, noise: NoiseModel, table: StopTable) -> t
             if tried.evidence > max(best.evidence, begin.evidence + WORTH):
                 best = tried
     return best.noise, best.evidence - plain.evidence
+
+
+def suspicion(observation: Observation, noise: NoiseModel, table: StopTable) -> float:
+    """Log evidence, by the single errors' scores alone, that the arrivals' noise has another law than a tidy one; 0
+    where nothing speaks for one.  ``table``: the stops freed of all effects."""
+    noise = replace(noise, position_law=Law(), angle_law=Law(), spread=None)
+    if min(noise.dof) < LEAST_DOF:
+        return 0.0
+    return sum(hint.evidence for hint in _hints(observation, noise, readings_of(table)) if hint.evidence > HINT)
 
 
 def reweighed(observation: Observation, noise: NoiseModel, table: StopTable) -> NoiseModel:
@@ -116,8 +125,18 @@ def _held(observation: Observation, noise: NoiseModel, readings: np.ndarray) -> 
     return _Held(noise, volume - 0.5 * float(data @ data) + tails, wider, source, squares)
 
 
-def _suspected(observation: Observation, noise: NoiseModel, readings: np.ndarray) -> list[tuple[str, str, tuple]]:
-    """The laws' parameters that the errors' scores speak for: name of the law, parameter, values to try."""
+@dataclass(frozen=True)
+class _Hint:
+    """A ``parameter`` of a ``law`` and the values to try; ``evidence`` for it by the errors' scores alone."""
+
+    law: str
+    parameter: str
+    values: tuple[float, ...]
+    evidence: float
+
+
+def _hints(observation: Observation, noise: NoiseModel, readings: np.ndarray) -> list[_Hint]:
+    """What the errors' scores say for each parameter of each law."""
     white, basis, data, _ = projection(observation, observation.fit, noise, readings)
     scores: dict[str, list] = {'angle_law': [], 'position_law': []}
     pairs: dict[str, list] = {'angle_law': [], 'position_law': []}
@@ -136,13 +155,9 @@ def _suspected(observation: Observation, noise: NoiseModel, readings: np.ndarray
     found = []
     for name in scores:
         product, variance = np.concatenate(pairs[name], axis=1)
-        if np.sum(product) > HINT * np.sqrt(np.sum(variance)):
-            found.append((name, 'correlation', CORRELATIONS))
-    for name in scores:
-        score = np.concatenate(scores[name])
-        if _tails(score) > HINT:
-            found.append((name, 'dof', DOFS))
-    return found
+        alike = float(np.sum(product) / np.sqrt(max(np.sum(variance), 1.0)))
+        found.append(_Hint(name, 'correlation', CORRELATIONS, 0.5 * max(alike, 0.0)**2))
+    return found + [_Hint(name, 'dof', DOFS, _tails(np.concatenate(scores[name]))) for name in scores]
 
 
 def _tails(score: np.ndarray) -> float:

@@ -26,7 +26,7 @@ def law_of(noise: NoiseModel) -> dict:
 
 def stated(joint: Joint, steps: np.ndarray) -> tuple[str, ...]:
     """What there is to say of the noise; ``steps`` (c,) [m] in which readings move, 0: in none."""
-    return tuple((*_laws(joint.noise), *_inside(joint), *_steps(steps), *_beyond_description(joint)))
+    return (*_laws(joint.noise), *_inside(joint), *_steps(steps), *_beyond_description(joint))
 
 
 def _laws(noise: NoiseModel) -> Iterator[str]:

@@ -103,6 +103,9 @@ def bent_by(setup: np.ndarray, distance: np.ndarray, read: np.ndarray) -> Bent |
 
     lines = [np.linalg.lstsq(basis, read[rows], rcond=None)[0] for basis, rows in zip(bases, groups, strict=True)]
     straight = np.sum(left(np.concatenate([[0.0, 0.0], np.ravel(lines)]))**2)
+    # A line through any such detector reads as a cubic in the distance: no bending leaves less than cubics do.
+    if _cubics(distance, read, groups) > STRAIGHTER**2 * straight:
+        return None
     best = None
     for size in -np.geomspace(0.01, 1.0, TRIED):
         begin = [_line(basis, read[rows], size * HARDEST) for basis, rows in zip(bases, groups, strict=True)]
@@ -114,6 +117,16 @@ def bent_by(setup: np.ndarray, distance: np.ndarray, read: np.ndarray) -> Bent |
     lay = np.full(read.shape, np.nan)
     lay[used] = spots(best.x[2:])
     return Bent(*(float(k) for k in best.x[:2] * HARDEST), lay)
+
+
+def _cubics(distance: np.ndarray, read: np.ndarray, groups: list[np.ndarray]) -> float:
+    """What is left, squared, of the ``read`` spots (n, 2) of all groups by cubics in the ``distance`` (n,) of each."""
+    total = 0.0
+    for rows in groups:
+        far = distance[rows] - distance[rows].mean()
+        basis, _ = np.linalg.qr(np.vander(far / max(np.abs(far).max(), 1e-12), 4))
+        total += float(np.sum((read[rows] - basis @ (basis.T @ read[rows]))**2))
+    return total
 
 
 def _response(spot: np.ndarray, own: float, cross: float) -> np.ndarray:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from stepdiag_ros.model.log import DONE, DWELL, CalibrationLog, Samples
+from stepdiag_ros.model.log import DWELL, CalibrationLog, Samples
 
 DARK = 0.1
 """Share of the light of most samples below which a detector tells no place."""
@@ -105,7 +105,7 @@ def _dwell_of(log: CalibrationLog, samples: Samples) -> np.ndarray:
     order = np.argsort(events.time_ns, kind='stable')
     phase, time = events.phase[order], events.time_ns[order]
     last = np.searchsorted(time, samples.time_ns, side='right') - 1
-    resting = (last >= 0) & (phase[np.maximum(last, 0)] == DWELL) & (phase[np.maximum(last, 0)] != DONE)
+    resting = (last >= 0) & (phase[np.maximum(last, 0)] == DWELL)
     return np.where(resting, last, -1)
 
 

@@ -21,6 +21,8 @@ from stepdiag_ros.estimate.noise import Whitener
 from stepdiag_ros.gap.inference.joint import Joint, inverse, widths
 
 RESET_WIDTH_M = 1e-4
+ONCE = 0.05
+"""Share of an effect's columns outside the part held out below which the effect happened in that part alone."""
 TOO_WIDE = 0.5
 """A forecast that is uncertain by more than this share of the gap says nothing of how far it closes."""
 
@@ -128,7 +130,8 @@ def _closing(joint: Joint, place: Joint, parts: list[np.ndarray], name: str) -> 
     freedom = max(after.freedom, 1)
     distances = {kind: Distance(before.errors[kind], rms, after.floors[kind], after.widths[kind])
                  for kind, rms in after.errors.items()}
-    return Closing(before.chi2 / freedom, after.chi2 / freedom, after.count, float(sum(joint.noise.dof)), name, distances)
+    return Closing(before.chi2 / freedom, after.chi2 / freedom, after.count, float(sum(joint.noise.dof)), name,
+                   distances)
 
 
 def _left(joint: Joint) -> float:
@@ -170,6 +173,7 @@ def _foretold(joint: Joint, parts: list[np.ndarray], with_effects: bool) -> _For
         design = np.concatenate([design, np.concatenate([w(columns) for w in white])], axis=1)
         bare = np.concatenate([bare, columns[rows]], axis=1)
         precision = linalg.block_diag(precision, np.diag(widths(a.form for a in joint.active) ** -2.0))
+    sizes = np.concatenate([np.zeros(0), *(a.coefficients / a.form.scale for a in joint.active)])
     residual = np.concatenate([w(plain) for w in white])
     total, freedom, count = 0.0, 0, 0
     sums = {kind: np.zeros(4) for kind in ('displacement', 'spot')}
@@ -181,6 +185,11 @@ def _foretold(joint: Joint, parts: list[np.ndarray], with_effects: bool) -> _For
         total += chi2
         freedom += int(flag.sum()) - resets
         count += int(flag.sum())
+        once = np.flatnonzero(np.linalg.norm(design[~flag], axis=0) < ONCE * np.linalg.norm(design, axis=0))
+        once = once[once >= joint.fit.parameters.size]
+        # What happened once, in the part held out, nothing can predict: it is taken as the whole log shows it.
+        expected[once] = sizes[once - joint.fit.parameters.size]
+        covariance[once], covariance[:, once] = 0.0, 0.0
         error = plain[rows[flag]] - bare[flag] @ expected
         wide = bare[flag] @ covariance
         for kind, sums_of in sums.items():

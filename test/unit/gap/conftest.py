@@ -41,6 +41,11 @@ class Case:
     def log(self, *effects: Effect) -> CalibrationLog:
         return simulate_log(self.cell, effects=list(effects))
 
+    def untidy(self, law: str, *effects: Effect, seed: int = 11) -> CalibrationLog:
+        """A log whose noise follows the cell file's ``noise_law``."""
+        text = TEXT.replace('seed: 11', f'seed: {seed}') + f'noise_law: {law}\n'
+        return simulate_log(parse_cell(text), effects=list(effects))
+
     def observe(self, *effects: Effect) -> Observation:
         return observe(self.log(*effects))
 

@@ -69,7 +69,7 @@ def test_what_lives_in_one_group_cannot_differ_between_groups(case):
 
 def test_a_bad_forecast_is_seen_beyond_its_scatter():
     def gain(ratio, count=530):
-        return excess_forecast(Closing(ratio, ratio, count, 530.0, 'repeat 1', 0.0, 0.0, 0.0))[0]
+        return excess_forecast(Closing(ratio, ratio, count, 530.0, 'repeat 1', {}))[0]
     assert gain(0.8) == 0.0
     assert gain(1.0 + 3.0 * np.sqrt(2.0 / 530)) < SCATTER_ALARM < gain(1.8)
     assert gain(1.6, 20) < SCATTER_ALARM

@@ -6,7 +6,8 @@ import pytest
 from stepdiag_ros.bag.import_csv import import_csv
 from stepdiag_ros.effects import all_effects, effect_class
 from stepdiag_ros.gap import diagnose
-from stepdiag_ros.gap.summary.cross_validation import Closing, closing, closing_over_setups
+from stepdiag_ros.gap.summary.cross_validation import Closing, Distance, closing, closing_over_setups
+from stepdiag_ros.model.description import Description
 
 
 def test_every_repeat_is_foretold_once(case):
@@ -50,8 +51,49 @@ def test_the_last_cycles_of_an_only_run_are_foretold_from_those_before(tmp_path)
     assert found.closing.after == pytest.approx(1.0, abs=5.0 * np.sqrt(2.0 / 36))
 
 
+def of_distance(noise_dof, **distance):
+    return Closing(1.5, 1.3, 900, noise_dof, 'each repeat', {'displacement': Distance(**distance)})
+
+
 def test_what_a_badly_known_noise_may_make_is_not_left_over():
-    def left(noise_dof):
-        return Closing(1.5, 1.3, 900, noise_dof, 'each repeat', 0.0, 0.0, 0.0).left
-    assert left(1e5) == pytest.approx(0.6)
-    assert left(300.0) == 0.0
+    sharp = {'before': 2e-6, 'after': 1.8e-6, 'floor': 1e-6, 'width': 1e-7}
+    assert of_distance(1e5, **sharp).left == pytest.approx(0.6)
+    assert of_distance(300.0, **sharp).left == 0.0
+
+
+def test_a_forecast_as_wide_as_the_gap_closes_nothing():
+    wide = of_distance(300.0, before=7e-5, after=6.9e-5, floor=2e-5, width=6e-5)
+    assert wide.left == pytest.approx((6.9**2 - 4.0) / (49.0 - 4.0))
+
+
+def test_the_gap_is_the_error_of_held_out_readings(case):
+    """Against a second way: the misfit of lengths of one repeat, foretold by hand from the other."""
+    joint = case.diagnose(effect_class('backlash')(B=[4e-6, 0.0, 3e-6])).joint
+    found, fit, table = closing(joint), joint.fit, joint.observation.table
+    assert found.channel == 'displacement' and found.after_m < found.before_m
+    # A prediction from one other repeat has that one's noise too.
+    assert found.floor_m < found.after_m < np.sqrt(2.0) * found.floor_m
+    squares, count = 0.0, 0
+    for repeat in (0, 1):
+        train = np.repeat(table.repeat != repeat, fit.residual.shape[1])
+        jacobian, added = fit.jacobian.toarray(), sum(a.contribution for a in joint.active)
+        readings = np.concatenate([table.displacement, table.spot], axis=1) - added
+        rest = (readings - fit.model.predict(fit.theta)).ravel()
+        white = [w for w in joint.parity._white if train[w.rows[0]]]
+        columns = np.concatenate([w(jacobian) for w in white])
+        along = columns.T @ np.concatenate([w(rest) for w in white])
+        step = np.linalg.solve(columns.T @ columns + fit.precision, along)
+        error = (rest - jacobian @ step).reshape(fit.residual.shape)[:, 0]
+        for run in np.unique(table.run[table.repeat == repeat]):
+            own = error[table.run == run]
+            squares, count = squares + np.sum((own - own.mean())**2), count + len(own) - 1
+    # By hand the effects are taken as fitted to all of the log.
+    assert found.after_m == pytest.approx(np.sqrt(squares / count), rel=0.1)
+
+
+def test_a_table_with_made_up_times_names_no_cause_that_times_tell(shared):
+    log = import_csv(shared / 'real_data' / 'stage_b_x_back.csv').log
+    assert not log.description.timed and not Description.from_yaml(log.description.to_yaml()).timed
+    found = diagnose(log, [kind() for kind in all_effects().values()])
+    assert not found.effects and 'made up' in found.leftover
+    assert found.closing.after_m > 0.9 * found.closing.before_m > found.closing.floor_m

@@ -1,0 +1,113 @@
+"""Arrivals with heavy tails or correlation are noise of another law, and causes stay causes."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from stepdiag_ros.effects import all_effects, effect_class
+from stepdiag_ros.estimate.enhanced import readings_of
+from stepdiag_ros.estimate.noise import Law, arrivals, run_covariance
+from stepdiag_ros.estimate.noise_law import Errors, Latent, weighed
+from stepdiag_ros.gap import diagnose
+from stepdiag_ros.gap.inference.select_effects import noise_of
+from stepdiag_ros.gap.noise.arrival_law import as_it_is
+from stepdiag_ros.gap.preprocess.observe import observe
+
+T3 = '{position: {dof: 3}, angle: {dof: 3}}'
+ALIKE = '{position: {correlation: 0.6}, angle: {correlation: 0.6}}'
+
+
+def law_of(log):
+    observation = observe(log)
+    return as_it_is(observation, noise_of(observation), observation.table)
+
+
+def test_normal_independent_arrivals_stay_so(case):
+    for seed in (1, 2):
+        noise, gain = law_of(case.untidy('{}', seed=seed))
+        assert noise.tidy and noise.spread is None and gain == 0.0
+
+
+def test_tails_are_found_with_the_scale_that_was_drawn(case):
+    noise, gain = law_of(case.untidy(T3, seed=2))
+    assert gain > 40.0
+    assert noise.position_law.dof <= 5.0 and noise.angle_law.dof <= 5.0
+    # Drawn with standard deviations of 0.3 µm and 0.2 µrad: scales of those over √3.
+    assert noise.position == pytest.approx(3e-7 / np.sqrt(3.0), rel=0.25)
+    assert noise.angle == pytest.approx(2e-7 / np.sqrt(3.0), rel=0.25)
+    assert noise.spread.shape == (5, noise.sensor.shape[0]) and noise.spread.max() > 3.0
+
+
+def test_correlation_is_found_with_its_size(case):
+    noise, gain = law_of(case.untidy(ALIKE, seed=2))
+    assert gain > 40.0 and noise.angle_law.correlation in (0.45, 0.6, 0.75)
+    assert noise.angle == pytest.approx(2e-7, rel=0.2)
+
+
+def test_the_log_evidence_of_tails_is_that_of_the_integral():
+    """One error alone, seen through normal noise: against the integral over Student's t."""
+    dof, middle, wide = 4.0, 5.0, 0.3
+    told = 1.0 / (1.0 + wide)   # 1/v = 1/V − 1, so 1 − V = 1/(1 + v)
+    latent = Latent(np.zeros((1, 1)), np.eye(1), np.array([2]), [np.array([0])], slice(0, 1))
+    errors = Errors(latent, np.array([middle * told]), np.array([1.0 - told]))
+    noise = replace(_plain(), position_law=Law(dof))
+    _, evidence, _, _ = weighed(noise, [errors], 1)
+    x = np.linspace(-60.0, 60.0, 200_001)
+    density = np.trapezoid(stats.t.pdf(x, dof) * stats.norm.pdf(x, middle, np.sqrt(wide)), x)
+    assert evidence == pytest.approx(np.log(density) - stats.norm.logpdf(middle, 0.0, np.sqrt(1.0 + wide)), abs=0.01)
+
+
+def _plain():
+    from stepdiag_ros.estimate.noise import NoiseModel
+    return NoiseModel(3e-7, 2e-7, np.ones((1, 3)), 'drawn')
+
+
+def test_correlated_arrivals_by_drawing(case):
+    """The covariance of a run against 20 000 drawn AR(1) arrivals."""
+    observation = case.observe()
+    table, arrival, rho = observation.table, observation.fit.arrival, 0.6
+    rows = np.flatnonzero(table.run == 0)[:7]
+    numbers, draws = arrivals(table), 20_000
+    sensor = np.full((len(table), 3), 1e-9)
+    covariance = run_covariance(rows, 3e-7, 0.0, sensor, arrival, numbers, (rho, 0.0))
+    rng = np.random.default_rng(3)
+    values = 1e-9 * rng.standard_normal((draws, len(rows), 3))
+    for axis in range(3):
+        _, own = np.unique(numbers[rows, axis], return_inverse=True)
+        error = rng.standard_normal((draws, own.max() + 1))
+        for k in range(1, error.shape[1]):
+            error[:, k] = rho * error[:, k - 1] + np.sqrt(1.0 - rho**2) * error[:, k]
+        values += 3e-7 * error[:, own, None] * arrival[2 + axis][rows]
+    drawn = np.cov(values.reshape(draws, -1), rowvar=False)
+    sigma = np.sqrt(np.diag(covariance))
+    assert np.abs((drawn - covariance) / sigma[:, None] / sigma).max() < 0.05
+
+
+@pytest.mark.parametrize(('law', 'seed'), [(T3, 3), (ALIKE, 1)])
+def test_untidy_noise_is_no_cause(case, law, seed):
+    """Both have been a cause of certainty 1.0 to a noise that was taken to be normal and independent."""
+    found = diagnose(case.untidy(law, seed=seed), [kind() for kind in all_effects().values()])
+    assert found.verdict == 'no_gap', (found.effects, found.leftover)
+    assert not found.joint.noise.tidy
+    assert any('noise:' in line for line in found.warnings)
+    assert 0.8 < found.closing.after < 1.25
+
+
+def test_a_slip_is_no_tail(case):
+    """A step that stays makes tails where noise may have them; it is found all the same, in tidy noise and untidy."""
+    slip = effect_class('count_slip')(jump=6e-6, arrival=20)
+    for law in ('{}', T3):
+        found = diagnose(case.untidy(law, slip, seed=2), [kind() for kind in all_effects().values()])
+        assert [e.name for e in found.effects] == ['count_slip'] and not found.leftover
+
+
+def test_spread_widens_only_what_it_says(case):
+    observation = case.observe()
+    noise = noise_of(observation)
+    spread = np.ones((5, len(observation.table)))
+    assert np.array_equal(noise.spread_of(observation.fit.arrival), observation.fit.arrival)
+    wider = replace(noise, spread=2.0 * spread).spread_of(observation.fit.arrival)
+    assert np.array_equal(wider, 2.0 * observation.fit.arrival)
+    assert readings_of(observation.table).shape == wider.shape[1:]

@@ -1,0 +1,70 @@
+"""Samples that are no readings are left out, and nothing else is."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from stepdiag_ros.effects import all_effects, effect_class
+from stepdiag_ros.estimate.reduce import reduce_log
+from stepdiag_ros.gap import diagnose
+from stepdiag_ros.gap.preprocess.samples import clean, quantum
+
+
+def test_a_tidy_log_is_left_as_it_is(case):
+    log = case.log(effect_class('servo_settling')(amp=5e-6, tau=0.02))
+    found, words = clean(log)
+    assert not words
+    assert np.array_equal(found.displacement.values, log.displacement.values)
+    assert np.array_equal(found.spot.values, log.spot.values)
+
+
+def test_spots_without_light_are_no_readings(case):
+    """A detector without light reads anything: here its middle."""
+    log = case.log()
+    dark = np.random.default_rng(1).random(len(log.spot)) < 0.08
+    spot = replace(log.spot, values=np.where(dark[:, None], 0.0, log.spot.values),
+                   health=np.where(dark, 1e-3, log.spot.health))
+    found, words = clean(replace(log, spot=spot))
+    assert np.array_equal(np.isnan(found.spot.values[:, 0]), dark)
+    assert 'position sensor' in words[0] and 'without signal' in words[0]
+    answer = diagnose(replace(log, spot=spot), [kind() for kind in all_effects().values()])
+    assert answer.verdict == 'no_gap' and answer.closing.after_m < np.sqrt(2.0) * answer.closing.floor_m
+
+
+def test_a_log_without_intensity_is_believed(case):
+    log = case.log()
+    assert not clean(replace(log, spot=replace(log.spot, health=np.zeros(len(log.spot)))))[1]
+
+
+def test_lone_spikes_are_found_at_the_ends_of_dwells_too(case):
+    log = case.log()
+    table = reduce_log(log)
+    values, at = log.displacement.values.copy(), []
+    for k, (lo, hi) in enumerate(table.displacement_rows[::5]):
+        at.append((lo, hi - 1, (lo + hi) // 2)[k % 3])
+    values[at] += 3e-7
+    found, _ = clean(replace(log, displacement=replace(log.displacement, values=values)))
+    assert np.array_equal(np.flatnonzero(np.isnan(found.displacement.values[:, 0])), np.sort(at))
+
+
+def test_repeated_readings_are_left_out_but_not_readings_in_steps(case):
+    log = case.log()
+    table = reduce_log(log)
+    values = log.spot.values.copy()
+    lo = table.spot_rows[::3, 0] + 4
+    values[lo] = values[lo - 1]
+    found, words = clean(replace(log, spot=replace(log.spot, values=values)))
+    assert np.array_equal(np.flatnonzero(np.isnan(found.spot.values[:, 0])), np.sort(lo)) and 'repeating' in words[0]
+    coarse = np.round(log.spot.values / 3e-7) * 3e-7
+    found, _ = clean(replace(log, spot=replace(log.spot, values=coarse)))
+    assert np.isfinite(found.spot.values).all()
+
+
+@pytest.mark.parametrize('width', [2e-8, 5e-8])
+def test_steps_of_lengths_that_are_counted_from_each_reset(case, width):
+    """Four and ten times as large as a sample's noise."""
+    log = case.untidy(f'{{displacement: {{quantum: {width}}}}}')
+    table = reduce_log(log)
+    assert quantum(log.displacement, table.displacement_rows, table.run) == pytest.approx([width], rel=1e-3)
+    assert not quantum(log.spot, table.spot_rows, table.run).any()
