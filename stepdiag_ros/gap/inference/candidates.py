@@ -275,10 +275,11 @@ class Screen:
                    if self.candidates[m.candidate].form.source}
         settled = {effect for effect, _ in sources}
         decoys: dict[tuple[str, int], list[int]] = {}
+        wanted = {effect for effect in {candidate.effect for candidate in self.candidates} if asked(effect)}
         for number, candidate in enumerate(self.candidates):
             if candidate.decoy:
                 decoys.setdefault((candidate.family, len(candidate.form.columns)), []).append(number)
-            if not asked(candidate.effect):
+            if candidate.effect not in wanted:
                 continue
             if candidate.decoy and candidate.family in present:
                 continue  # beside the name its decoys are no rivals

@@ -8,7 +8,7 @@ set, are free: what is left is what nothing in the set can explain.
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -46,12 +46,12 @@ class EffectSet:
     log_bayes: float
     refused: str = ''
 
-    @property
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """Names in rising order, one for each form."""
         return tuple(sorted(m.effect for m in self.members))
 
-    @property
+    @cached_property
     def key(self) -> frozenset:
         return frozenset(m.effect for m in self.members)
 
