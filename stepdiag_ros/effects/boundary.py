@@ -23,15 +23,16 @@ ACTING = ('before_pose', 'before_light', 'after_light')
 def checked(kind: type[Effect], path: str) -> type[Effect]:
     """``kind``, found in ``path``, with its attributes checked and its methods wrapped."""
     for p in kind.parameters:
-        if not isinstance(p, Parameter) or not np.all(np.isfinite([p.low, p.high])) or p.low > p.high or p.size < 1:
-            raise StepdiagError(f'{path}: {kind.__name__}.parameters holds {p!r}; give Parameter(name, unit, low, high) '
-                                'with finite low <= high')
+        if not isinstance(p, Parameter) or not np.all(np.isfinite([p.low, p.high])) or p.low > p.high:
+            raise StepdiagError(f'{path}: {kind.__name__}.parameters holds {p!r}; give '
+                                'Parameter(name, unit, low, high) with finite low <= high')
     for method in ACTING:
         _wrap(kind, path, method, _acting)
     _wrap(kind, path, 'appearance', _appearing)
     _wrap(kind, path, 'decoys', _appearing)
     _wrap(kind, path, 'clock_offset', _offset)
     _wrap(kind, path, 'environment', _environment)
+    _wrap(kind, path, 'guess', _guessing)
     return kind
 
 
@@ -99,16 +100,26 @@ def _appearing(where: str, call: Callable, view: StopView) -> list[Form]:
     return [_form(where, form, view) for form in forms]
 
 
+def _guessing(where: str, call: Callable, fitted: object) -> Mapping[str, object]:
+    values = call()
+    if not isinstance(values, Mapping) or not all(np.all(np.isfinite(np.asarray(v, float))) for v in values.values()
+                                                  if not isinstance(v, str)):
+        raise StepdiagError(f'{where}: gives {values!r}; return a dict of finite parameters by name, empty to leave '
+                            'them to the fit')
+    return values
+
+
 def _form(where: str, form: object, view: StopView) -> Form:
     if not isinstance(form, Form):
         raise StepdiagError(f'{where}: its list holds a {type(form).__name__}; return Form objects')
     said = f'form {form.label!r}: '
     if not isinstance(form.label, str) or not form.label:
         raise StepdiagError(f'{where}: a form has the label {form.label!r}; say in words how the effect appears')
-    count = len(form.names)
-    if not count or isinstance(form.names, str) or not all(isinstance(name, str) for name in form.names):
-        raise StepdiagError(f'{where}: {said}names is {form.names!r}; give a tuple with one name for each coefficient')
-    stops, channels = view.reading.shape
+    named = isinstance(form.names, tuple | list) and form.names and all(isinstance(name, str) for name in form.names)
+    if not named:
+        raise StepdiagError(f'{where}: {said}names is {form.names!r}; give a tuple with one name for each '
+                            'coefficient')
+    count, (stops, channels) = len(form.names), view.reading.shape
     meaning = (f'{count} coefficient{"s" * (count > 1)} as in names, {stops} stops, {channels} channels (lengths, spot '
                'x, spot y)')
     _array(where, f'{said}columns', form.columns, (count, stops, channels), f'these are {meaning}')

@@ -89,8 +89,9 @@ def check_effect(kind: type[Effect], seed: int = 1) -> Checked:
     forms = _with_times(kind(**values).appearance(acting.view), values)
     problems = []
     if sigma < SEEN:
-        problems.append(f'with the drawn parameters it changes the log by {sigma:.2g} σ only, even raised {MOST_RAISED:g} '
-                        'times; check what before_pose, before_light and after_light change, or the bounds of parameters')
+        problems.append(f'with the drawn parameters it changes the log by {sigma:.2g} σ only, even raised '
+                        f'{MOST_RAISED:g} times; check what before_pose, before_light and after_light change, or the '
+                        'bounds of parameters')
     if not forms:
         problems.append('appearance gives no form for this log, so no diagnosis can find it; give one')
         return Checked(kind.name, values, sigma, '', 1.0, None, None, {}, {}, tuple(problems))
@@ -99,11 +100,13 @@ def check_effect(kind: type[Effect], seed: int = 1) -> Checked:
     # Forms as good as the best may say the size more plainly: one coefficient for one parameter.
     ratio, ratio_sigma, sized = _ratio(kind, values, forms, lefts, target, space)
     if sigma >= SEEN and lefts[best] > max(MOST_LEFT, APART / sigma):
-        problems.append(f'its best form ({forms[best].label}) leaves {100 * lefts[best]:.0f} % of what it does; correct the '
-                        'columns (sign, direction, where its course begins: view.elapsed is moment.seconds) or add a form')
+        problems.append(f'its best form ({forms[best].label}) leaves {100 * lefts[best]:.0f} % of what it does; '
+                        'correct the columns (sign, direction, where its course begins: view.elapsed is moment.seconds) or '
+                        'add a form')
     if ratio is not None and not SIZES[0] <= ratio <= SIZES[1] and abs(ratio - 1.0) > APART * ratio_sigma:
-        problems.append(f'{sized} is estimated {ratio:.2f} ± {ratio_sigma:.2f} times as large as it was given; correct the '
-                        'columns, which are changes per unit of the coefficient, or their course in time')
+        problems.append(f'{sized} is estimated {ratio:.2f} ± {ratio_sigma:.2f} times as large as it was given; correct '
+                        'the columns, which are changes per unit of the coefficient, or their course in time (counted '
+                        'from the beginning of the log: view.elapsed)')
     confounded = {}
     for name, other in all_effects().items():
         rests = [left_by(target, space.project(form)) for form in other().appearance(acting.view)]
@@ -112,8 +115,8 @@ def check_effect(kind: type[Effect], seed: int = 1) -> Checked:
     diagnosis = diagnose(simulate_log(cell, effects=[kind(**values)]), [*(k() for k in all_effects().values()), kind()])
     named = {name: float(p) for name, p in diagnosis.ranking.items() if p >= 0.01}
     if sigma >= SEEN and not confounded and named.get(kind.name, 0.0) < 0.5:
-        problems.append(f'the diagnosis of its own log gives it a probability of {named.get(kind.name, 0.0):.2f}; give forms '
-                        'of the right size (scale) and course')
+        problems.append(f'the diagnosis of its own log gives it a probability of {named.get(kind.name, 0.0):.2f}; give '
+                        'forms of the right size (scale) and course')
     return Checked(kind.name, values, sigma, forms[best].label, lefts[best], ratio, ratio_sigma, confounded, named,
                    tuple(problems))
 

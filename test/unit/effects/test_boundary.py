@@ -42,10 +42,11 @@ def of(tmp_path, text):
     ("[Form('constant', -view.by_shift[2:], 'amp', np.full(1, 1e-6))]", "names is 'amp'; give a tuple"),
     ("[Form('constant', -view.by_shift[2:], ('amp',), 1e-6)]", r'scale is float of shape \(\), wanted'),
     ("[Form('constant', -view.by_shift[2:], ('amp',), np.zeros(1))]", 'scale holds 0; give sizes above 0'),
-    ("[Form('constant', -view.by_shift[2:], ('amp',), np.ones(1), inside=-view.by_shift[2:])]", r'inside is \(1, \d+, 3\)'),
+    ("[Form('constant', -view.by_shift[2:], ('amp',), np.ones(1), inside=-view.by_shift[2:])]",
+     r'inside is \(1, \d+, 3\)'),
     ("Form('constant', -view.by_shift[2:], ('amp',), np.ones(1))", 'gives Form; return a list of Form'),
     ('[view.by_shift]', 'holds a ndarray; return Form objects'),
-    ('[view.by_shift @ np.ones(7)]', r'\(line 16\): ValueError: .*stepdiag effect check')])
+    ('[view.by_shift @ np.ones(7)]', r'\(line 15\): ValueError: .*stepdiag effect check')])
 def test_what_appearance_gives(bench, tmp_path, form, words):
     kind = of(tmp_path, SOUND.replace(FORM, form))
     with pytest.raises(StepdiagError, match=words) as caught:
@@ -66,7 +67,7 @@ def test_a_form_that_is_tuned_is_checked_too(bench, tmp_path):
     ('moment.turn[0] = np.nan', r'moment.turn is nan at \[0, 0\], 3 of \d+ numbers are not finite'),
     ('moment.spot = moment.shift', 'moment.spot is set before there is one; change it in after_light'),
     ('moment.shift = None', 'moment.shift is NoneType'),
-    ('moment.shift = moment.shift - np.ones(7)', r'\(line 13\): ValueError: .*effect check')])
+    ('moment.shift = moment.shift - np.ones(7)', r'\(line 12\): ValueError: .*effect check')])
 def test_what_the_physical_face_writes(bench, tmp_path, change, words):
     kind = of(tmp_path, SOUND.replace('moment.shift = moment.shift - self.amp * np.array([0.0, 0.0, 1.0])', change))
     with pytest.raises(StepdiagError, match=words) as caught:
