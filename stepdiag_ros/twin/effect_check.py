@@ -101,10 +101,10 @@ def check_effect(kind: type[Effect], seed: int = 1) -> Checked:
     ratio, ratio_sigma, sized = _ratio(kind, values, forms, lefts, target, space)
     if sigma >= SEEN and lefts[best] > max(MOST_LEFT, APART / sigma):
         problems.append(f'its best form ({forms[best].label}) leaves {100 * lefts[best]:.0f} % of what it does; '
-                        'correct the columns (sign, direction, where its course begins: view.elapsed is moment.seconds) or '
-                        'add a form')
+                        'correct the columns (sign, direction, where its course begins: view.elapsed is '
+                        'moment.seconds) or add a form')
     if ratio is not None and not SIZES[0] <= ratio <= SIZES[1] and abs(ratio - 1.0) > APART * ratio_sigma:
-        problems.append(f'{sized} is estimated {ratio:.2f} ± {ratio_sigma:.2f} times as large as it was given; correct '
+        problems.append(f'{sized} is estimated {ratio:.3f} ± {ratio_sigma:.3f} times as large as it was given; correct '
                         'the columns, which are changes per unit of the coefficient, or their course in time (counted '
                         'from the beginning of the log: view.elapsed)')
     confounded = {}
