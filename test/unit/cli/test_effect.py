@@ -48,7 +48,7 @@ def test_a_batch_goes_on_after_a_nan_in_one_bag(example, tmp_path, capsys):
     from stepdiag_ros.virtual.offline import simulate_log
 
     example.write_text(example.read_text().replace(
-        'along_z = -view.by_shift[2:]', "along_z = -view.by_shift[2:] * (np.nan if len(view.run_ids) == 2 else 1.0)"))
+        'along_z = -view.by_shift[2:]', "along_z = -view.by_shift[2:] * (np.nan if len(view.run_ids) == 4 else 1.0)"))
     cell = parse_cell(CELL, 'cell.yaml')
     for name, setups in (('bad', ('lin_x',)), ('good', ('ppp', 'npp', 'pnp', 'nnp'))):
         write_log(simulate_log(cell, setups=setups), tmp_path / name)
