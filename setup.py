@@ -59,5 +59,8 @@ setup(
             f'stepdiag = {NAME}.cli.main:main',
             *(f'{node} = {NAME}.start:{node}' for node in NODES),
         ],
+        f'{NAME}.interferometers': [f'ids3010 = {NAME}.devices.ids3010:from_settings'],
+        f'{NAME}.position_sensors': [f'modbus = {NAME}.devices.modbus_psd:from_settings'],
+        f'{NAME}.controls': [f'linuxcnc_rsh = {NAME}.devices.linuxcnc_rsh:from_settings'],
     },
 )

@@ -17,6 +17,7 @@ from stepdiag_ros.estimate.noise import NoiseModel, sensor_noise
 from stepdiag_ros.gap.inference.parity import parity
 from stepdiag_ros.gap.preprocess.observe import Observation, observe
 from stepdiag_ros.model.description import Noise
+from stepdiag_ros.twin.effect_check import left_by
 
 
 def apart(made: SealedWorld, bare: Observation) -> dict[str, float]:
@@ -31,15 +32,6 @@ def apart(made: SealedWorld, bare: Observation) -> dict[str, float]:
     target = space.project(change)[:, 0]
     left = {}
     for name, kind in all_effects().items():
-        rests = [_rest(target, space.project(form)) for form in kind().appearance(bare.view)]
+        rests = [left_by(target, space.project(form)) for form in kind().appearance(bare.view)]
         left[name] = float(min(rests, default=np.linalg.norm(target)))
     return left
-
-
-def _rest(target: np.ndarray, columns: np.ndarray) -> float:
-    """Norm of what the columns leave of the target."""
-    norms = np.linalg.norm(columns, axis=0)
-    columns = columns[:, norms > 1e-9 * max(norms.max(initial=0.0), 1e-300)]
-    stacked = np.column_stack([columns / np.linalg.norm(columns, axis=0), target])
-    # The last of the triangle's diagonal is what the columns before leave of the last one.
-    return float(abs(np.linalg.qr(stacked, mode='r')[-1, -1]))

@@ -149,6 +149,10 @@ def diagnose_bag(job: Job) -> Outcome:
         return _diagnose_bag(job)
     except StepdiagError as error:
         return Outcome(job.name, error=str(error))
+    except (ArithmeticError, ValueError, MemoryError) as error:
+        # Numbers that no check caught, numpy.linalg's errors among them: the other bags are still done.
+        return Outcome(job.name, error=f'{job.bag}: cannot be diagnosed: {type(error).__name__}: {error}; look at the '
+                                       f'bag with `stepdiag info {job.bag}`')
 
 
 def _diagnose_bag(job: Job) -> Outcome:

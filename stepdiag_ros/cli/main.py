@@ -33,6 +33,7 @@ COMMANDS: tuple[tuple[str, str, str], ...] = (
     ('uncertainty', 'uncertainty', 'an uncertainty budget carried to every error and to any point'),
     ('map', 'map', 'the volumetric error that a solution predicts'),
     ('gap', 'gap', 'where log and simulator disagree, why, and how far it closes'),
+    ('effect', 'effect', 'check an effect of your own: simulate it, find it, say with what it is confounded'),
     ('blind', 'blind', 'seal, answer and open the blind check of the diagnosis'),
     ('report', 'report', 'figures, sheets and pages of an evaluation'),
     ('compensate', 'compensate', 'compensation tables for a control that cannot harm'),

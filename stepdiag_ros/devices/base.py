@@ -77,6 +77,9 @@ class Interferometer(Protocol):
     def read_block(self, samples: int, period_s: float) -> DisplacementBlock:
         """Take ``samples`` samples ``period_s`` apart; blocks about their product."""
 
+    def shift_time(self, step_s: float) -> None:
+        """The host's clock has jumped by ``step_s`` [s] since the last block."""
+
     def environment(self) -> dict[str, float]:
         """``air_temperature`` [°C], ``air_pressure`` [Pa], ``humidity`` [0..1]; absent: no sensor.
 
@@ -95,6 +98,9 @@ class SpotSensor(Protocol):
 
     def read_block(self, samples: int, period_s: float) -> SpotBlock:
         """Take ``samples`` samples ``period_s`` apart; blocks about their product."""
+
+    def shift_time(self, step_s: float) -> None:
+        """The host's clock has jumped by ``step_s`` [s] since the last block."""
 
 
 class MotionController(Protocol):

@@ -14,8 +14,9 @@ answer (:mod:`~stepdiag_ros.devices.timing`).
 import math
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -311,3 +312,8 @@ class Ids3010:
                 or not all(isinstance(value, int | float | str | bool) for value in result):
             raise self._link.fail(f'answers nonsense ({str(answer)[:60]!r}); restart it')
         return result
+
+
+def from_settings(settings: Mapping[str, Any]) -> Ids3010:
+    """A client by the settings ``host``, ``port``, ``beams``, ``timeout`` [s] of the interferometer's node."""
+    return Ids3010(settings['host'], settings['port'], settings['beams'], settings['timeout'])

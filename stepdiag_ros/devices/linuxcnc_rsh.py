@@ -7,6 +7,8 @@
 
 import re
 import time
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
@@ -275,3 +277,10 @@ class _All(tuple):
 
     def __bool__(self) -> bool:
         return len(self) > 0 and all(self)
+
+
+def from_settings(settings: Mapping[str, Any]) -> LinuxCncRsh:
+    """A client by the settings of the sequencer: ``host``, ``port``, ``origin`` [m], ``setup_codes``, ``timeout`` [s],
+    ``watch_port``."""
+    return LinuxCncRsh(settings['host'], settings['port'], settings['origin'], settings['setup_codes'],
+                       timeout_s=settings['timeout'], watch_port=settings['watch_port'])

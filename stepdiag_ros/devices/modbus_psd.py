@@ -11,6 +11,8 @@ counter now and then (LabJack, *Correlating Scan Times to Host Time*).
 import inspect
 import logging
 import time
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from pymodbus.client import ModbusTcpClient
@@ -285,3 +287,10 @@ class ModbusPsd:
         self._link.close()
         self._period_s, self._next_s = 0.0, None
         return DeviceError(f'{self._where}: {what}')
+
+
+def from_settings(settings: Mapping[str, Any]) -> ModbusPsd:
+    """A client by the settings of the detector's node: ``host``, ``port``, ``stream_port``, ``optics``, ``channels``,
+    ``mode``, ``timeout`` [s]."""
+    return ModbusPsd(settings['host'], settings['port'], settings['stream_port'], settings['optics'],
+                     settings['channels'], settings['mode'], settings['timeout'])

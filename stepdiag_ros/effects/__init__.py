@@ -10,6 +10,7 @@ from collections.abc import Iterable
 from types import ModuleType
 
 from stepdiag_ros.effects.base import Effect
+from stepdiag_ros.effects.boundary import checked
 from stepdiag_ros.errors import StepdiagError
 
 VOCABULARY = (
@@ -18,6 +19,8 @@ VOCABULARY = (
     'psd_rotation', 'ambient_light', 'scale_thermal_expansion', 'structural_thermal_drift', 'backlash',
     'servo_settling', 'non_rigid_coupling', 'squareness_drift', 'vibration', 'clock_skew')
 """Names of the wire contract, in its order."""
+_OWN: dict[str, type[Effect]] = {}
+"""Effects of the user's own by name, as last read from their files: what people are told of them is in the class."""
 
 
 def effect_class(name: str) -> type[Effect]:
@@ -26,6 +29,12 @@ def effect_class(name: str) -> type[Effect]:
         raise StepdiagError(f'{name!r}: there is no effect of this name; names are {", ".join(VOCABULARY)}, '
                             'or give the file of one of your own')
     return _in_module(importlib.import_module(f'stepdiag_ros.effects.{name}'))[0]
+
+
+def short_title(name: str) -> str:
+    """A few words for people for the effect of this name: what its class says, else the name itself."""
+    kind = effect_class(name) if name in VOCABULARY else _OWN.get(name)
+    return kind.short if kind is not None and kind.short else name.replace('_', ' ').capitalize()
 
 
 def effects_in_file(path: str) -> list[type[Effect]]:
@@ -55,6 +64,7 @@ def effects_in_file(path: str) -> list[type[Effect]]:
         if kind.name in VOCABULARY:
             raise StepdiagError(f'{path}: {kind.name} is a name of the vocabulary; give your effect its own')
         kind.file = spec.origin
+        _OWN[kind.name] = checked(kind, spec.origin)
     return found
 
 

@@ -6,10 +6,12 @@ that air fills, dead path included, is read as displacement.  1 K is about −0.
 The spot does not notice.
 """
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 
+from stepdiag_ros.effects.adoption import Fitted
 from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
 from stepdiag_ros.effects.patterns import Drawn, drawn_size, follow, on_lengths, recorded, saturating
 from stepdiag_ros.effects.timeforms import ROUGHNESS, courses
@@ -26,6 +28,7 @@ NOTICEABLE = 2.0e-8
 
 class AirRefractionDrift(Effect):
     name = 'air_refraction_drift'
+    short = 'Air along the laser beam changes'
     needs_times = True
     title = 'The air changes while the laser measures, and the reading is not corrected for it.'
     parameters = (Parameter('dT', 'K', -5.0, 5.0, meaning='rise of the air temperature in the end'),
@@ -82,3 +85,11 @@ class AirRefractionDrift(Effect):
         if not np.isfinite(ratio).all() or ratio.std() < NOTICEABLE:
             return None
         return ratio
+
+    def guess(self, fitted: Fitted) -> Mapping[str, object]:
+        view = fitted.view
+        signature = view.zeros(1)
+        signature[0, :, :view.beams] = view.distance
+        sizes, tau = fitted.exponential(signature, view.time - view.time.min())
+        kelvin = refractive_index(21.0, 101325.0, 0.5) / refractive_index(20.0, 101325.0, 0.5) - 1.0
+        return {'dT': float(sizes[0] / kelvin), 'dP': 0.0, 'tau': tau}

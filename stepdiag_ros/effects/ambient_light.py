@@ -22,6 +22,7 @@ NOTICEABLE = 2.0e-4
 
 class AmbientLight(Effect):
     name = 'ambient_light'
+    short = 'Room light on the spot sensor'
     title = 'Changing room light on the position sensor pulls the spot towards its centre.'
     parameters = (Parameter('level', '1', 0.0, 0.2, meaning='background at the start, as a share of the beam'),
                   Parameter('swing', '1', 0.0, 0.2, meaning='most that comes and goes on top of it'),

@@ -4,13 +4,17 @@ Play, friction and wind-up leave an axis behind on the side it came from: by hal
 against its last motion.  Reported is the whole reversal error B of each axis (ISO 230-2).
 """
 
+from collections.abc import Mapping
+
 import numpy as np
 
+from stepdiag_ros.effects.adoption import Fitted
 from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
 
 
 class Backlash(Effect):
     name = 'backlash'
+    short = 'Backlash (lost motion on reversal)'
     title = 'An axis stops at a different place depending on the direction it came from.'
     parameters = (Parameter('B', 'm', 0.0, 3e-5, 3, 'reversal error of X, Y, Z'),)
     sources = ('ISO 230-2, reversal error B',)
@@ -55,6 +59,10 @@ class Backlash(Effect):
                               + tuple(f'{AXES[a]} along {AXES[b]}' for a, b in others) + names,
                               np.full(3 + 3 * WAVES + len(others) + len(begin), 3e-6)))
         return forms
+
+    def guess(self, fitted: Fitted) -> Mapping[str, object]:
+        values = fitted.values
+        return {'B': [max(values.get(axis, 0.0), 0.0) for axis in 'XYZ']}
 
 
 AXES = ('X', 'Y', 'Z')

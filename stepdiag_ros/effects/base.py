@@ -10,12 +10,16 @@ against the other.
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from stepdiag_ros.model.description import Description
 from stepdiag_ros.model.log import STOOD
 from stepdiag_ros.model.mirror_form import MirrorForm
+
+if TYPE_CHECKING:
+    from stepdiag_ros.effects.adoption import Fitted
 
 
 @dataclass(frozen=True)
@@ -204,6 +208,8 @@ class Effect:
     name: str = ''
     title: str = ''
     """What happens, for a machinist, in one sentence."""
+    short: str = ''
+    """The same in a few words, for headlines and tables; empty: made of the name."""
     parameters: tuple[Parameter, ...] = ()
     """Of :meth:`act`; ``Effect(**values)`` takes them by name."""
     sources: tuple[str, ...] = ()
@@ -219,6 +225,10 @@ class Effect:
     """Whether its course in time is what it is known by: of a log whose times were made up, no claim."""
     file: str = ''
     """The Python file of the user's own that holds it; empty: it is one of the vocabulary."""
+    by_chance: bool = False
+    """Whether it acts with a phase of its own in each log, so that a cell that has it cannot take it off."""
+    not_adopted: str = ''
+    """Why no cell file can hold what a log shows of it, in words; empty: it can."""
     repeatable: bool = False
     """Whether it may act more than once in a log, each time in a form of its own."""
 
@@ -275,6 +285,11 @@ class Effect:
     def appearance(self, view: StopView) -> list[Form]:
         """The forms in which the effect may appear in this log; none where it cannot be seen."""
         return []
+
+    def guess(self, fitted: 'Fitted') -> Mapping[str, object]:
+        """Rough parameters of the physical face, by name, with which it does what a log was ``fitted`` with; those left
+        out begin in the middle of their bounds."""
+        return {}
 
     def decoys(self, view: StopView) -> list[Form]:
         """Forms as rich as the effect's that it cannot take: what they explain as well is not its doing.

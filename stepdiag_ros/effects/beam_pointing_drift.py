@@ -5,8 +5,11 @@ and with where the beams strike a tilted mirror; the returning spot walks by abo
 a mirror's turn but by what the geometry leaves of a beam's turn: derivatives of the model tell.
 """
 
+from collections.abc import Mapping
+
 import numpy as np
 
+from stepdiag_ros.effects.adoption import Fitted
 from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
 from stepdiag_ros.effects.patterns import Drawn, by_setup, drawn_size, follow, saturating, settlings
 from stepdiag_ros.effects.timeforms import courses
@@ -17,6 +20,7 @@ FASTEST_S = 20.0
 
 class BeamPointingDrift(Effect):
     name = 'beam_pointing_drift'
+    short = 'Laser beam turns slowly'
     needs_times = True
     title = 'The laser beam slowly changes its direction.'
     parameters = (Parameter('amp', 'rad', -1e-4, 1e-4, 2, 'turn about u, v reached in the end'),
@@ -53,3 +57,6 @@ class BeamPointingDrift(Effect):
             forms += [follow(view, course, own, names, 1e-5, 'rad', 'each run on its own')
                       for course in settlings(view.run_time, FASTEST_S)[:1]]
         return forms
+
+    def guess(self, fitted: Fitted) -> Mapping[str, object]:
+        return fitted.course(fitted.view.by_laser)

@@ -13,6 +13,7 @@ from stepdiag_ros.effects.patterns import Drawn, drawn_size
 
 class ClockSkew(Effect):
     name = 'clock_skew'
+    short = "A sensor's clock is off"
     title = "A sensor's clock is not the control's: its samples are stamped too late or too early."
     parameters = (Parameter('interferometer', 's', -0.2, 0.2, meaning='its stamps are late by this much'),
                   Parameter('psd', 's', -0.2, 0.2, meaning='its stamps are late by this much'))

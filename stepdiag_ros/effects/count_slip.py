@@ -4,8 +4,11 @@ The counter of an interferometer loses or wins fringes when the beam is interrup
 fast or the signal too weak.  From one stop of one run on, the displacement is wrong by one amount.
 """
 
+from collections.abc import Mapping
+
 import numpy as np
 
+from stepdiag_ros.effects.adoption import Fitted
 from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
 from stepdiag_ros.effects.patterns import Drawn, on_lengths
 
@@ -36,6 +39,7 @@ def whole_fringes(jump: float, sigma: float) -> float:
 
 class CountSlip(Effect):
     name = 'count_slip'
+    short = 'Laser lost count'
     repeatable = True
     title = 'The laser lost count once: from there to the next reset all lengths are wrong by one amount.'
     parameters = (Parameter('jump', 'm', -2e-5, 2e-5, meaning='what is added from the slip on'),
@@ -81,3 +85,10 @@ class CountSlip(Effect):
                         f'{view.run_ids[run]} from stop {stop} on{beam}', on_lengths(view, one)[None],
                         ('jump',), np.full(1, 1e-6), shape={'run': int(run), 'index': stop}))
         return forms
+
+    def guess(self, fitted: Fitted) -> Mapping[str, object]:
+        # The simulator counts moves: one at power-up, one for each mounting, one for each stop.
+        view, shape = fitted.nominal, fitted.forms[0].shape
+        stop = int(np.flatnonzero((view.run == shape['run']) & (view.index == shape['index']))[0])
+        mountings = 1 + int(np.sum(np.diff(view.setup[:stop + 1]) != 0))
+        return {'jump': float(fitted.coefficients[0][0]), 'arrival': float(stop + mountings + 1)}

@@ -27,6 +27,8 @@ MIN_STOPS = 6
 
 class CyclicNonlinearity(Effect):
     name = 'cyclic_nonlinearity'
+    short = 'Laser reading swings with the fringe'
+    not_adopted = 'its phase at a stop turns with every 0.3 µm, which no simulator can know; not adopted'
     title = 'The laser reading swings by nanometres with every fringe.'
     parameters = (Parameter('amp', 'm', 0.0, 1e-7, meaning='swing, once a fringe'),
                   Parameter('amp2', 'm', -2e-8, 2e-8, meaning='swing, twice a fringe'),

@@ -6,8 +6,11 @@ slope turns the returning beam: the spot moves by ``−2 L ∇h``.  The same mir
 the tool, shows the same shape in all setups; if it is taken off in between, each has its own.
 """
 
+from collections.abc import Mapping
+
 import numpy as np
 
+from stepdiag_ros.effects.adoption import Fitted
 from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
 from stepdiag_ros.effects.patterns import Drawn, by_setup, drawn_size
 from stepdiag_ros.model.mirror_form import quadratic_form
@@ -20,6 +23,7 @@ REACH = 0.1
 
 class MirrorCurvature(Effect):
     name = 'mirror_curvature'
+    short = 'Mirror is not flat'
     title = 'The mirror is not flat.'
     parameters = (Parameter('radius', 'm', 500.0, 20000.0, meaning='of curvature; hollow: positive, 0: flat'),
                   Parameter('astigmatism', '1', -1.0, 1.0,
@@ -78,3 +82,14 @@ class MirrorCurvature(Effect):
         column[:, spot] = (view.by_mirror[1, :, spot] * slope_u[:, -1:]
                            - view.by_mirror[0, :, spot] * slope_v[:, -1:])
         return column
+
+    def guess(self, fitted: Fitted) -> Mapping[str, object]:
+        view = fitted.view
+        u, v = view.strike[..., 0], view.strike[..., 1]
+        columns = np.stack([self._column(view, 0.5 * (u * u + v * v), u, v),
+                            self._column(view, 0.5 * (u * u - v * v), u, -v)])
+        if fitted.forms[0].names == ('curvature',):
+            columns = columns[:1]
+        sizes = fitted.solve(columns)[0]
+        mean, apart = sizes[0], sizes[1] if len(sizes) > 1 else 0.0
+        return {'radius': float(1.0 / mean), 'astigmatism': float(apart / mean)} if mean else {}

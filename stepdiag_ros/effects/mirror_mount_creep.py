@@ -5,8 +5,11 @@ whenever the mirror is mounted for a setup, by another amount.  A turn ``α u + 
 ``(−2Lβ, 2Lα)`` and the length by what the strike's lever makes of it.
 """
 
+from collections.abc import Mapping
+
 import numpy as np
 
+from stepdiag_ros.effects.adoption import Fitted
 from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
 from stepdiag_ros.effects.patterns import (
     Drawn,
@@ -32,6 +35,7 @@ LETS_GO = 1.8
 
 class MirrorMountCreep(Effect):
     name = 'mirror_mount_creep'
+    short = "Mirror's mount creeps"
     needs_times = True
     title = "The mirror's mount gives way slowly after mounting."
     parameters = (Parameter('amp', 'rad', -1e-4, 1e-4, 2, 'turn about u, v reached in the end'),
@@ -73,6 +77,10 @@ class MirrorMountCreep(Effect):
             forms += [follow(view, course, view.by_mirror, ('u', 'v'), 1e-5, 'rad', 'mounted once')
                       for course in relaxations(since, FASTEST_S)]
         return forms
+
+    def guess(self, fitted: Fitted) -> Mapping[str, object]:
+        sizes, tau = fitted.exponential(fitted.view.by_mirror, fitted.view.mount_time)
+        return {'amp': sizes.tolist(), 'tau': tau, 'spread': 0.0}
 
 
 def _further(view: StopView) -> np.ndarray:

@@ -5,11 +5,13 @@ position of axis ``b`` too.  In the simplest case it is the product of both posi
 one of them alone is an ordinary error curve of that axis, or next to it, and is absorbed.
 """
 
+from collections.abc import Mapping
 from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
 
+from stepdiag_ros.effects.adoption import Fitted
 from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
 from stepdiag_ros.effects.patterns import Drawn, drawn_size
 from stepdiag_ros.model.machine import AXES, CURVES, compose
@@ -20,6 +22,7 @@ SHIFT, TURN = 5e-6, 1e-5
 
 class NonRigidCoupling(Effect):
     name = 'non_rigid_coupling'
+    short = 'Machine bends with the position of another axis'
     title = 'The machine bends: an error of one axis depends on where another axis stands.'
     parameters = (Parameter('motion', '1', 0.0, 17.0, meaning='which error motion: EXX … ECZ, or its number'),
                   Parameter('by', '1', 0.0, 2.0, meaning='on which other axis it depends: X, Y, Z, or its number'),
@@ -99,3 +102,19 @@ class NonRigidCoupling(Effect):
             # A slide that runs out shifts and turns what carries it in more than the one motion that is seen.
             forms += [*(replace(form, beside=together) for form in mine), together]
         return forms
+
+    def guess(self, fitted: Fitted) -> Mapping[str, object]:
+        # One error motion by one other axis: the pair that comes nearest.
+        view = fitted.nominal
+        share = view.commanded / np.array(view.description.machine.volume)
+        nearest, best = np.inf, {}
+        for motion, name in enumerate(CURVES):
+            own = motion // 6
+            for other in (k for k in range(3) if k != own):
+                for power in (1.0, 2.0):
+                    product = share[:, own] * share[:, other]**power
+                    size, missed = fitted.solve((product[:, None] * view.by_motion[motion])[None])
+                    if missed < nearest - 1e-9:
+                        nearest = missed
+                        best = {'motion': name, 'by': 'XYZ'[other], 'amp': float(size[0]), 'power': power}
+        return best

@@ -4,10 +4,12 @@ Read is ``(1 + g)`` times the spot.  The gain of a lateral-effect diode is set b
 the amplifiers' resistors; a wrong length in the driver makes both axes wrong alike.
 """
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 
+from stepdiag_ros.effects.adoption import Fitted
 from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
 from stepdiag_ros.effects.patterns import Drawn, drawn_size
 from stepdiag_ros.effects.timeforms import Course, drift_form, with_constant
@@ -20,6 +22,7 @@ AGEING = 0.15
 
 class PsdGain(Effect):
     name = 'psd_gain'
+    short = "Spot sensor's scale is wrong"
     title = "The position sensor's scale is wrong."
     parameters = (Parameter('x', '1', -0.1, 0.1, meaning='gain error along u'),
                   Parameter('y', '1', -0.1, 0.1, meaning='gain error along v'))
@@ -50,6 +53,12 @@ class PsdGain(Effect):
                       replace(drift_form(view, _ageing(view.time), parts, names, scale, label, '1'),
                               names=(*names, *(f'{name} ageing' for name in names)))]
         return forms
+
+    def guess(self, fitted: Fitted) -> Mapping[str, object]:
+        view = fitted.view
+        columns = view.zeros(2)
+        columns[0, :, view.beams], columns[1, :, view.beams + 1] = view.spot_model.T
+        return dict(zip('xy', fitted.solve(columns)[0].tolist(), strict=True))
 
 
 def _ageing(time: np.ndarray) -> Course:

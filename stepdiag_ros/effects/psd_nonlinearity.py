@@ -5,10 +5,12 @@ grows with the cube of the spot, with the electrodes' shape mixed in.  Duo-later
 on its own, tetra-lateral ones across.  Sizes are given at 1 mm from the centre.
 """
 
+from collections.abc import Mapping
 from itertools import combinations_with_replacement
 
 import numpy as np
 
+from stepdiag_ros.effects.adoption import Fitted
 from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
 from stepdiag_ros.effects.patterns import Drawn, drawn_size
 
@@ -19,6 +21,7 @@ SCALE = 3e-6
 
 class PsdNonlinearity(Effect):
     name = 'psd_nonlinearity'
+    short = 'Spot sensor bends far from its centre'
     title = 'The position sensor is not linear: it bends far from its centre.'
     parameters = (Parameter('k3', '1/m²', -3e4, 3e4, meaning='read is s (1 + k3 |s|²)'),
                   Parameter('cross', '1', -1.0, 1.0,
@@ -82,3 +85,12 @@ class PsdNonlinearity(Effect):
                 columns += [self._both(view, value, None), self._both(view, None, value)]
                 names += [f'{"".join(powers)} in x', f'{"".join(powers)} in y']
         return columns, tuple(names)
+
+    def guess(self, fitted: Fitted) -> Mapping[str, object]:
+        view = fitted.view
+        x, y = view.spot_model.T
+        columns = view.zeros(2)
+        columns[0, :, view.beams], columns[0, :, view.beams + 1] = x * (x * x + y * y), y * (x * x + y * y)
+        columns[1, :, view.beams], columns[1, :, view.beams + 1] = -x * y * y, -y * x * x
+        k3, crossed = fitted.solve(columns)[0]
+        return {'k3': float(k3), 'cross': float(crossed / k3) if k3 else 0.0}

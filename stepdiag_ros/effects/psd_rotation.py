@@ -4,14 +4,18 @@ Read is the spot turned by a small angle ``θ``: ``(x − θ y, y + θ x)``, whi
 other way about ``d`` shows.
 """
 
+from collections.abc import Mapping
+
 import numpy as np
 
+from stepdiag_ros.effects.adoption import Fitted
 from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
 from stepdiag_ros.effects.patterns import Drawn, drawn_size, nearly_alike
 
 
 class PsdRotation(Effect):
     name = 'psd_rotation'
+    short = 'Spot sensor is mounted turned'
     title = 'The position sensor is mounted turned about the beam.'
     parameters = (Parameter('angle', 'rad', -0.1, 0.1, meaning='turn of the read spot from u towards v'),)
     sources = ('Dahlem et al. 2018, section 4',)
@@ -34,3 +38,6 @@ class PsdRotation(Effect):
         column = view.zeros(1)
         column[0, :, view.beams], column[0, :, view.beams + 1] = -spot[:, 1], spot[:, 0]
         return nearly_alike(view, column, ('angle',), 0.01, 'rad')
+
+    def guess(self, fitted: Fitted) -> Mapping[str, object]:
+        return {'angle': float(fitted.coefficients[0][0])}

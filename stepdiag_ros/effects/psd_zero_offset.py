@@ -4,14 +4,18 @@ The spot is read a constant away from where it is.  A constant angle would move 
 with the distance; a constant offset does not, which tells the two apart (Dahlem et al. 2018, 3a and 3b).
 """
 
+from collections.abc import Mapping
+
 import numpy as np
 
+from stepdiag_ros.effects.adoption import Fitted
 from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
 from stepdiag_ros.effects.patterns import by_setup, nearly_alike
 
 
 class PsdZeroOffset(Effect):
     name = 'psd_zero_offset'
+    short = "Spot sensor's zero is off"
     title = "The position sensor's zero is not where the beam returns at zero angle."
     parameters = (Parameter('x', 'm', -2e-3, 2e-3, meaning='offset along u'),
                   Parameter('y', 'm', -2e-3, 2e-3, meaning='offset along v'))
@@ -31,3 +35,8 @@ class PsdZeroOffset(Effect):
             own, names = by_setup(view, columns, ('x', 'y'))
             forms.append(Form('another in each setup', own, names, np.full(len(names), 3e-5)))
         return forms
+
+    def guess(self, fitted: Fitted) -> Mapping[str, object]:
+        columns, beams = fitted.nominal.zeros(2), fitted.nominal.beams
+        columns[0, :, beams] = columns[1, :, beams + 1] = 1.0
+        return dict(zip('xy', fitted.solve(columns)[0].tolist(), strict=True))

@@ -5,20 +5,26 @@ What it was at the start belongs to the positioning error; what changes during t
 scales have 8e-6/K, steel 11e-6/K.  Without sensors the course of the temperature is open.
 """
 
+from collections.abc import Mapping
+
 import numpy as np
 
+from stepdiag_ros.effects.adoption import Fitted
 from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
 from stepdiag_ros.effects.patterns import Drawn, drawn_size, each_alone, follow, recorded, saturating
 from stepdiag_ros.effects.timeforms import ROUGHNESS, courses, drift_form
 
 HELD = {'': 0.0, ', held in the middle': 0.5, ', held at the end': 1.0}
 """Where a scale may be held, as a share of its travel."""
+GLASS = 8e-6
+"""Expansion of a glass scale [1/K], by which a growth is said as a temperature."""
 NOTICEABLE = 0.03
 """Standard deviation of a scale's temperature over the log [K] that is more than its sensor's noise."""
 
 
 class ScaleThermalExpansion(Effect):
     name = 'scale_thermal_expansion'
+    short = "An axis's scale warms up"
     needs_times = True
     title = "An axis's scale warms up and grows while the log is taken."
     parameters = (Parameter('alpha', '1/K', 0.0, 2e-5, 3, 'expansion coefficient of the scales of X, Y, Z'),
@@ -101,3 +107,9 @@ class ScaleThermalExpansion(Effect):
             forms.append(Form('logged temperatures, one material', each.columns.sum(axis=0, keepdims=True),
                               ('all',), np.full(1, 1e-5), '1/K', each.inside.sum(axis=0, keepdims=True)))
         return forms
+
+    def guess(self, fitted: Fitted) -> Mapping[str, object]:
+        view = fitted.view
+        growth = view.commanded.T[:, :, None] * view.by_shift
+        sizes, tau = fitted.exponential(growth, view.time - view.time.min())
+        return {'alpha': [GLASS] * 3, 'dT': (sizes / GLASS).tolist(), 'tau': tau}

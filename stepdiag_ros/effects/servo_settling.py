@@ -5,8 +5,11 @@ away as ``exp(−t/τ)``, on the side it came from.  The mean of the dwell keeps
 the dwell the readings creep, which nothing else does in step with the moves.
 """
 
+from collections.abc import Mapping
+
 import numpy as np
 
+from stepdiag_ros.effects.adoption import Fitted
 from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
 from stepdiag_ros.effects.patterns import Drawn
 from stepdiag_ros.model.log import NONE
@@ -28,6 +31,7 @@ SWING_TAU, CREEP_TAU = 0.1, 0.3
 
 class ServoSettling(Effect):
     name = 'servo_settling'
+    short = 'Axis still creeps at the stop'
     needs_dwells = True
     title = 'An axis still creeps towards its position when the measurement at a stop begins.'
     parameters = (Parameter('amp', 'm', 0.0, 2e-5, meaning='lag when the dwell begins'),
@@ -132,3 +136,8 @@ class ServoSettling(Effect):
             else 2.0 * middle
         half = np.maximum(width, 1e-9 * abs(tau)) / (2.0 * tau)
         return np.exp(-middle / tau) * np.sinh(half) / half
+
+    def guess(self, fitted: Fitted) -> Mapping[str, object]:
+        values, shape = fitted.values, fitted.forms[0].shape
+        sizes = [values[a] for a in ('all', *'XYZ') if a in values]
+        return {'amp': float(np.mean(sizes)), 'tau': shape['tau_s']} if sizes and 'tau_s' in shape else {}

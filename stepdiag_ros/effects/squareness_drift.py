@@ -4,8 +4,11 @@ A column or a bridge that warms up on one side leans: the squareness errors are 
 as at the beginning.  What changes is a shift that grows with one axis's position and with time.
 """
 
+from collections.abc import Mapping
+
 import numpy as np
 
+from stepdiag_ros.effects.adoption import Fitted
 from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
 from stepdiag_ros.effects.patterns import Drawn, drawn_size, each_alone, follow, saturating
 from stepdiag_ros.effects.timeforms import courses
@@ -14,6 +17,7 @@ from stepdiag_ros.model.machine import CURVES, SQUARENESS, SQUARENESS_SHIFT
 
 class SquarenessDrift(Effect):
     name = 'squareness_drift'
+    short = 'Squareness changes during the log'
     needs_times = True
     title = 'The angle between two axes changes while the log is taken.'
     parameters = (Parameter('amp', 'rad', -5e-5, 5e-5, 3, 'change of EC0Y, EB0Z, EA0Z reached in the end'),
@@ -47,3 +51,6 @@ class SquarenessDrift(Effect):
         along = int(np.flatnonzero(per_metre)[0])
         motion = view.by_motion[CURVES.index(f'E{"XYZ"[along]}{"XYZ"[axis]}')]
         return per_metre[along] * view.commanded[:, [axis]] * motion
+
+    def guess(self, fitted: Fitted) -> Mapping[str, object]:
+        return fitted.course(np.stack([self._column(fitted.view, name) for name in SQUARENESS]))

@@ -4,8 +4,11 @@ A shift of the tool common to all positions, of any direction, slow against a ru
 each run's start takes away what came before it; what is left is the drift inside the runs.
 """
 
+from collections.abc import Mapping
+
 import numpy as np
 
+from stepdiag_ros.effects.adoption import Fitted
 from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
 from stepdiag_ros.effects.patterns import each_alone, follow
 from stepdiag_ros.effects.timeforms import courses
@@ -13,6 +16,7 @@ from stepdiag_ros.effects.timeforms import courses
 
 class StructuralThermalDrift(Effect):
     name = 'structural_thermal_drift'
+    short = "Machine's structure drifts"
     needs_times = True
     title = 'The tool point drifts against the workpiece as the machine structure changes temperature.'
     parameters = (Parameter('amp', 'm', -6e-5, 6e-5, 3, 'shift along X, Y, Z reached in the end'),
@@ -31,3 +35,6 @@ class StructuralThermalDrift(Effect):
         pace, axes = courses(view.elapsed, view.watches), ('X', 'Y', 'Z')
         return [follow(view, course, view.by_shift, axes, 1e-5) for course in pace] \
             + each_alone(view, pace, view.by_shift, axes, 1e-5)
+
+    def guess(self, fitted: Fitted) -> Mapping[str, object]:
+        return fitted.course(fitted.view.by_shift)

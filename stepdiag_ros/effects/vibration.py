@@ -12,6 +12,8 @@ from stepdiag_ros.effects.patterns import Drawn
 
 class Vibration(Effect):
     name = 'vibration'
+    short = 'Tool point vibrates'
+    by_chance = True
     title = 'The tool shakes against the workpiece while it should stand still.'
     parameters = (Parameter('amp', 'm', 0.0, 5e-6, 3, 'amplitude along X, Y, Z'),
                   Parameter('frequency', 'Hz', 1.0, 200.0, meaning='of the shaking'),

@@ -10,6 +10,7 @@ from std_msgs.msg import Header
 
 from stepdiag_msgs.msg import SampleTiming
 from stepdiag_msgs.srv import SelectSetup
+from stepdiag_ros.devices.registry import DEFAULT, Driver, driver
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.nodes.acquisition import Acquisition
 from stepdiag_ros.nodes.base import ERROR, OK, WARN, Health, StepdiagNode
@@ -26,6 +27,7 @@ class DriverNode(StepdiagNode):
     def __init__(self, name: str, port: int):
         super().__init__(name)
         self.text('host', '127.0.0.1', 'host name or address of the instrument', fixed=True)
+        self.text('driver', DEFAULT[self.sensor], 'name of the driver of the instrument', fixed=True)
         self.count('port', port, 'TCP port of the instrument', 1, 65535, fixed=True)
         self.number('timeout', 5.0, 'silence after which the instrument counts as stalled',
                     0.1, 120.0, 's')
@@ -36,6 +38,10 @@ class DriverNode(StepdiagNode):
         self.instrument: Any = None
         self.acquisition: Acquisition | None = None
         self.setup = self.value('setup')
+
+    def driver(self) -> Driver:
+        """The driver that the parameter names."""
+        return driver(self.sensor, self.value('driver'), f'{self.get_name()}: parameter driver')
 
     @abstractmethod
     def build(self) -> Any:

@@ -67,6 +67,7 @@ def parameters(cell: Cell, endpoints: Mapping[str, Mapping[str, Any]], descripti
     first = cell.setup_names[0]
     where = {name: dict(endpoints[name]) for name in ('interferometer', 'psd', 'cnc')}
     codes = where['cnc'].get('setup_codes') or {}
+    drivers = cell.instruments.drivers
     beams = max(len(setup.beams) for setup in cell.description.setups.values())
 
     switch: dict[str, Any] = {'serves': ['']}
@@ -83,16 +84,19 @@ def parameters(cell: Cell, endpoints: Mapping[str, Mapping[str, Any]], descripti
         'evaluation_solver': {},
         'gap_monitor': {},
         'interferometer_driver': {
+            'driver': drivers['interferometer'],
             'host': where['interferometer']['host'], 'port': where['interferometer']['port'],
             'setup': first, 'beams': beams, 'environment_period': max(0.5, float(cell.air.period)),
             **switch, **rate(sampling.interferometer)},
         'psd_driver': {
+            'driver': drivers['psd'],
             'host': where['psd']['host'], 'port': where['psd']['port'],
             'stream_port': where['psd']['stream_port'], 'setup': first,
             'channels': list(detector.channels), 'length': float(detector.length),
             'rotation': float(detector.rotation), 'gain': [float(g) for g in detector.gain],
             'zero': [float(z) for z in detector.zero], 'mode': detector.mode, **rate(sampling.psd)},
         'step_sequencer': {
+            'driver': drivers['cnc'],
             'host': where['cnc']['host'], 'port': where['cnc']['port'],
             'watch_port': where['cnc'].get('watch_port', 0),
             'origin': [float(c) for c in cell.description.machine.origin or (0.0, 0.0, 0.0)],

@@ -21,9 +21,9 @@ from std_msgs.msg import Header
 from stepdiag_msgs.msg import Displacement, SampleTiming, Step
 from stepdiag_msgs.srv import ResetDisplacement
 from stepdiag_ros.bag.schemas import DISPLACEMENT_TIMING, STEP
-from stepdiag_ros.devices.base import DisplacementBlock
+from stepdiag_ros.devices.base import DisplacementBlock, Interferometer
 from stepdiag_ros.devices.hostclock import HOST
-from stepdiag_ros.devices.ids3010 import PORT, Ids3010
+from stepdiag_ros.devices.ids3010 import PORT
 from stepdiag_ros.devices.optical_switch import PORT as SWITCH_PORT
 from stepdiag_ros.devices.optical_switch import OpticalSwitch
 from stepdiag_ros.errors import StepdiagError
@@ -85,9 +85,8 @@ class InterferometerDriver(DriverNode):
         self._quality = 0
         self._index = 1.0
 
-    def build(self) -> Ids3010:
-        return Ids3010(self.value('host'), self.value('port'), self.value('beams'),
-                       self.value('timeout'))
+    def build(self) -> Interferometer:
+        return self.driver()({name: self.value(name) for name in ('host', 'port', 'beams', 'timeout')})
 
     def configure(self) -> None:
         if self.value('switch_host'):

@@ -12,8 +12,7 @@ from std_msgs.msg import Header
 from stepdiag_msgs.msg import SampleTiming, SpotPosition
 from stepdiag_ros.bag.schemas import SPOT, SPOT_TIMING
 from stepdiag_ros.devices import t7
-from stepdiag_ros.devices.base import SpotBlock
-from stepdiag_ros.devices.modbus_psd import ModbusPsd
+from stepdiag_ros.devices.base import SpotBlock, SpotSensor
 from stepdiag_ros.devices.psd_signal import SpotOptics
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.nodes.base import WARN, Health, run_node
@@ -43,7 +42,7 @@ class PsdDriver(DriverNode):
         self._intensity = 0.0
         self._dark = 0
 
-    def build(self) -> ModbusPsd:
+    def build(self) -> SpotSensor:
         gain, zero = (self._pair(name) for name in ('gain', 'zero'))
         channels = tuple(self.value('channels'))
         if len(set(channels)) != 4 or not all(0 <= c <= 13 for c in channels):
@@ -51,8 +50,8 @@ class PsdDriver(DriverNode):
                                 'name four different analogue inputs from 0 to 13')
         optics = SpotOptics(self.value('length'), self.value('rotation'), gain, zero,
                             self.value('dark'))
-        return ModbusPsd(self.value('host'), self.value('port'), self.value('stream_port'), optics,
-                         channels, self.value('mode'), self.value('timeout'))
+        return self.driver()({**{name: self.value(name) for name in ('host', 'port', 'stream_port', 'mode', 'timeout')},
+                              'optics': optics, 'channels': channels})
 
     def _pair(self, name: str) -> tuple[float, float]:
         values = tuple(self.value(name))

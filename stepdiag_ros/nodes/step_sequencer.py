@@ -34,6 +34,7 @@ from stepdiag_msgs.srv import ResetDisplacement, SelectSetup
 from stepdiag_ros.bag.schemas import DESCRIPTION, DISPLACEMENT, SPOT, STEP, STEP_TIMING
 from stepdiag_ros.devices.hostclock import HOST
 from stepdiag_ros.devices.linuxcnc_rsh import PORT, LinuxCncRsh
+from stepdiag_ros.devices.registry import DEFAULT, driver
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.model.description import Description
 from stepdiag_ros.model.log import NONE
@@ -73,6 +74,7 @@ class StepSequencer(StepdiagNode):
     def __init__(self):
         super().__init__('step_sequencer')
         self.text('host', '127.0.0.1', 'host name or address of the machine control', fixed=True)
+        self.text('driver', DEFAULT['cnc'], 'name of the driver of the machine control', fixed=True)
         self.count('port', PORT, 'TCP port of the machine control', 1, 65535, fixed=True)
         self.count('watch_port', 0, "TCP port of the control's watchdog; 0: it has none", 0, 65535, fixed=True)
         self.number('timeout', 5.0, 'silence after which the control counts as stalled',
@@ -157,9 +159,9 @@ class StepSequencer(StepdiagNode):
         if len(origin) != 3:
             raise StepdiagError(f'step_sequencer: parameter origin is {list(origin)}; '
                                 'give three coordinates in metres')
-        self.controller = LinuxCncRsh(self.value('host'), self.value('port'), origin,
-                                      _codes(self.value('setup_codes')),
-                                      timeout_s=self.value('timeout'), watch_port=self.value('watch_port'))
+        self.controller = driver('cnc', self.value('driver'), 'step_sequencer: parameter driver')(
+            {**{name: self.value(name) for name in ('host', 'port', 'timeout', 'watch_port')}, 'origin': origin,
+             'setup_codes': _codes(self.value('setup_codes'))})
         if self.value('lost_client') not in (NEXT_STOP, AT_ONCE):
             raise StepdiagError(f'step_sequencer: parameter lost_client is {self.value("lost_client")!r}; '
                                 f'choose {NEXT_STOP} or {AT_ONCE}')

@@ -4,31 +4,10 @@ import re
 
 import numpy as np
 
+from stepdiag_ros.effects import short_title
 from stepdiag_ros.model.description import LINEAR, path_of
 
-NAMES = {
-    'air_refraction_drift': 'Air along the laser beam changes',
-    'cyclic_nonlinearity': 'Laser reading swings with the fringe',
-    'count_slip': 'Laser lost count',
-    'beam_pointing_drift': 'Laser beam turns slowly',
-    'mirror_curvature': 'Mirror is not flat',
-    'mirror_mount_creep': "Mirror's mount creeps",
-    'psd_zero_offset': "Spot sensor's zero is off",
-    'psd_gain': "Spot sensor's scale is wrong",
-    'psd_nonlinearity': 'Spot sensor bends far from its centre',
-    'psd_rotation': 'Spot sensor is mounted turned',
-    'ambient_light': 'Room light on the spot sensor',
-    'scale_thermal_expansion': "An axis's scale warms up",
-    'structural_thermal_drift': "Machine's structure drifts",
-    'backlash': 'Backlash (lost motion on reversal)',
-    'servo_settling': 'Axis still creeps at the stop',
-    'non_rigid_coupling': 'Machine bends with the position of another axis',
-    'squareness_drift': 'Squareness changes during the log',
-    'vibration': 'Tool point vibrates',
-    'clock_skew': "A sensor's clock is off",
-    'unknown': 'Something that is not in the list',
-    'nothing': 'Nothing wrong',
-}
+WITHOUT_EFFECT = {'unknown': 'Something that is not in the list', 'nothing': 'Nothing wrong'}
 SHORT_CHANNELS = {'displacement': 'length', 'spot_x': 'spot x', 'spot_y': 'spot y'}
 AXIS_STARTS = {'p': '0', 'n': 'far end'}
 
@@ -41,8 +20,8 @@ SCALES = {'m': ((1e-7, 1e-9, 'nm'), (1e-3, 1e-6, 'µm'), (1.0, 1e-3, 'mm'), (np.
 
 
 def title(name: str) -> str:
-    """An effect's name for people; a user's own effect by its own name."""
-    return NAMES.get(name, name.replace('_', ' ').capitalize())
+    """An effect's name for people."""
+    return WITHOUT_EFFECT.get(name) or short_title(name)
 
 
 def scale(unit: str, size: float) -> tuple[float, str]:

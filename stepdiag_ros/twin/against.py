@@ -10,13 +10,13 @@ from stepdiag_ros.gap.preprocess.observe import observe
 from stepdiag_ros.model.description import Description
 from stepdiag_ros.model.log import DWELL, CalibrationLog, Samples, StepEvents
 from stepdiag_ros.twin.story import starts_in
+from stepdiag_ros.virtual.acting import create_effects
 from stepdiag_ros.virtual.cell import Cell, load_cell
 from stepdiag_ros.virtual.replay import Replay, began
 
 CLOSE_M = 1e-6
 SAME_M = 1e-10
 """Less than this makes no difference to a stop."""
-BY_CHANCE = 'vibration'
 
 
 def without_known(log: CalibrationLog, cell_path: Path,
@@ -34,8 +34,8 @@ def without_known(log: CalibrationLog, cell_path: Path,
         notes.append(
             f'known to the simulator and taken off first: {", ".join(cell.effects)}'
             + (', and how the axes came to the first stop of each setup, which no log tells' if starts else '')
-            + (f'; {BY_CHANCE} has a phase that no cell knows, so it may still show'
-               if BY_CHANCE in cell.effects else ''))
+            + ''.join(f'; {effect.name} has a phase that no cell knows, so it may still show'
+                      for effect in create_effects(cell) if effect.by_chance))
     return log, tuple(notes)
 
 

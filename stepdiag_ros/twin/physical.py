@@ -29,8 +29,6 @@ TRIED = 5
 """Values of a time tried, evenly in logarithm between its bounds, where a fit may begin."""
 TRIALS = 60
 """Most steps of one fit."""
-PHASE = {'cyclic_nonlinearity': 'its phase at a stop turns with every 0.3 µm, which no simulator foretells; not '
-                                'adopted'}
 
 
 @dataclass(frozen=True)
@@ -60,8 +58,8 @@ def physical(diagnosis: Diagnosis, found: Found, twin: Twin) -> Physical:
     if not active:
         return Physical({}, 'it was not fitted to the stops, so there is nothing to adopt', nothing)
     whole = sum(a.contribution for a in active)
-    if found.name in PHASE:
-        return Physical({}, PHASE[found.name], whole)
+    if active[0].effect.not_adopted:
+        return Physical({}, active[0].effect.not_adopted, whole)
     return _fitted(diagnosis, active, twin)
 
 

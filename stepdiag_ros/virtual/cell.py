@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from stepdiag_ros.devices.registry import DEFAULT, drivers
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.guard import limits
 from stepdiag_ros.model.description import (
@@ -111,7 +112,8 @@ class Instruments:
     files of the others.  ``setup_codes``: what has a real machine's mirror mounted, M-code by setup.
     ``watchdog`` [s]: the virtual control brakes when its client has said nothing for so long while the
     axes move.  ``control`` of a virtual cell: ``virtual``, or ``linuxcnc`` for a real one; ``config`` is the
-    folder of its configuration, ``watch_port`` where its watchdog takes signs of life.
+    folder of its configuration, ``watch_port`` where its watchdog takes signs of life.  ``drivers``: name of the driver
+    by instrument.
     """
 
     interferometer: Endpoint = Endpoint()
@@ -129,6 +131,7 @@ class Instruments:
     detector: Detector = Detector()
     watchdog: float = 1.0
     setup_codes: Mapping[str, str] = field(default_factory=dict)
+    drivers: Mapping[str, str] = field(default_factory=lambda: dict(DEFAULT))
 
 
 @dataclass(frozen=True)
@@ -345,10 +348,12 @@ def _instruments(node: Reader | None, name: str) -> Instruments:
     if node is None or node.is_null:
         return Instruments()
     given: dict[str, Any] = {}
-    top = node.mapping(('interferometer', 'psd', 'cnc'))
+    top = node.mapping(tuple(DEFAULT))
+    given['drivers'] = dict(DEFAULT)
     if 'interferometer' in top:
-        keys = top['interferometer'].mapping(('host', 'port', 'namespace', 'newline', 'multiplexer'))
+        keys = top['interferometer'].mapping(('host', 'port', 'namespace', 'newline', 'multiplexer', 'driver'))
         given['interferometer'] = _endpoint(keys)
+        _driver(keys, 'interferometer', given)
         if 'namespace' in keys:
             given['namespace'] = keys['namespace'].text(('ids', 'sen'))
         if 'newline' in keys:
@@ -357,7 +362,8 @@ def _instruments(node: Reader | None, name: str) -> Instruments:
             given |= _multiplexer(keys['multiplexer'], name)
     if 'psd' in top:
         keys = top['psd'].mapping(('host', 'port', 'stream_port', 'length', 'sum_voltage',
-                                   'channels', 'rotation', 'gain', 'zero', 'mode'))
+                                   'channels', 'rotation', 'gain', 'zero', 'mode', 'driver'))
+        _driver(keys, 'psd', given)
         given['psd'], given['psd_stream'] = _endpoint(keys), _endpoint(keys, 'stream_port')
         detector: dict[str, Any] = {}
         for key, unit in (('length', 'm'), ('sum_voltage', 'V')):
@@ -377,8 +383,10 @@ def _instruments(node: Reader | None, name: str) -> Instruments:
             detector['channels'] = channels
         given['detector'] = Detector(**detector)
     if 'cnc' in top:
-        keys = top['cnc'].mapping(('host', 'port', 'watchdog', 'control', 'config', 'watch_port', 'setup_codes'))
+        keys = top['cnc'].mapping(('host', 'port', 'watchdog', 'control', 'config', 'watch_port', 'setup_codes',
+                                   'driver'))
         given['cnc'] = _endpoint(keys)
+        _driver(keys, 'cnc', given)
         if 'watchdog' in keys:
             given['watchdog'] = keys['watchdog'].number(minimum=0.05, maximum=10.0, unit='s')
         if 'control' in keys:
@@ -391,6 +399,15 @@ def _instruments(node: Reader | None, name: str) -> Instruments:
             given['setup_codes'] = {setup: _m_code(code) for setup, code
                                     in keys['setup_codes'].mapping(DIAGONALS + LINEAR).items()}
     return Instruments(**given)
+
+
+def _driver(keys: Mapping[str, Reader], instrument: str, given: dict[str, Any]) -> None:
+    if 'driver' in keys:
+        name = keys['driver'].text()
+        if name not in drivers(instrument):
+            raise keys['driver'].fail(f'is {name!r}; there is no such driver, known are '
+                                      f'{", ".join(sorted(drivers(instrument)))}')
+        given['drivers'][instrument] = name
 
 
 def _m_code(node: Reader) -> str:

@@ -133,3 +133,35 @@ def test_two_of_one_name(tmp_path):
         (tmp_path / name).write_text(OWN)
     with pytest.raises(StepdiagError, match='named sag already'):
         all_effects([str(tmp_path / 'a.py'), str(tmp_path / 'b.py')])
+
+
+def test_what_people_are_told_of_an_effect_is_in_its_class(tmp_path):
+    from stepdiag_ros.report.words import title
+
+    shorts = [effect_class(name).short for name in VOCABULARY]
+    assert all(shorts) and len(set(shorts)) == len(shorts)
+    assert title('backlash') == effect_class('backlash').short
+    path = tmp_path / 'sag.py'
+    path.write_text(OWN.replace("name = 'sag'", "name = 'sag_of_mine'"))
+    effects_in_file(str(path))
+    assert title('sag_of_mine') == 'Sag of mine'
+    path.write_text(OWN.replace("name = 'sag'", "name = 'sag_of_mine'\n    short = 'Spindle sags'"))
+    effects_in_file(str(path))
+    assert title('sag_of_mine') == 'Spindle sags'
+
+
+def test_no_other_module_lists_effects():
+    """Outside of the effects and of the sealed worlds of the blind check, which must not know them, nobody lists names.
+
+    A single name or a pair is a rule about what a log shows, as when two look alike.
+    """
+    package = Path(__file__).resolve().parents[3] / 'stepdiag_ros'
+    listed = {}
+    for path in package.rglob('*.py'):
+        if path.relative_to(package).parts[0] not in ('effects', 'blind'):
+            named = set(re.findall(r"""['"]([a-z]+(?:_[a-z]+)*)['"]""", path.read_text(encoding='utf-8')))
+            if len(named & set(VOCABULARY)) > 2:
+                listed[str(path.relative_to(package))] = sorted(named & set(VOCABULARY))
+    # Pairs with the run that tells them apart: they belong to no one effect.
+    listed.pop('gap/experiment_design/advice.py', None)
+    assert not listed
