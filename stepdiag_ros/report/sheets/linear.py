@@ -1,5 +1,6 @@
 """The sheet of one axis after ISO 230-2: A, E, R, B, M with uncertainties, the plot with its bands of ± 2 s."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 
@@ -11,7 +12,7 @@ from stepdiag_ros.estimate.iso230_2 import AxisResult, LinearTest
 from stepdiag_ros.estimate.method_budget import with_cell_budget
 from stepdiag_ros.estimate.methods import linear_test
 from stepdiag_ros.estimate.readings import CellReadings
-from stepdiag_ros.model.description import path_of
+from stepdiag_ros.model.description import Machine, path_of
 from stepdiag_ros.model.log import CalibrationLog
 from stepdiag_ros.report.gap_figures import AFTER, BEFORE, INK, SOFT
 from stepdiag_ros.report.legends import legend_outside
@@ -24,8 +25,10 @@ FIGURES = (('A', 'accuracy, bidirectional'), ('A_up', 'accuracy, forward'), ('A_
            ('E_down', 'systematic deviation, backward'), ('R', 'repeatability, bidirectional'),
            ('R_up', 'repeatability, forward'), ('R_down', 'repeatability, backward'),
            ('B', 'reversal'), ('mean_reversal', 'mean reversal'), ('M', 'range of the mean bidirectional deviation'))
+NO_OVERRUN = ('no overrun is stated in the log; without one each end target is approached from one side only, and its '
+              'reversal does not show.')
 SYMBOLS = {'A_up': 'A↑', 'A_down': 'A↓', 'E_up': 'E↑', 'E_down': 'E↓', 'R_up': 'R↑', 'R_down': 'R↓',
-           'mean_reversal': 'B̄'}
+           'mean_reversal': 'B mean'}
 
 
 @dataclass(frozen=True)
@@ -51,7 +54,7 @@ class WholeLinearTest(LinearTest):
             found[figure] = float(np.hypot(mean, spread))
         return found
 
-    def slope_sigma(self, slopes, machine) -> dict[str, float]:
+    def slope_sigma(self, slopes: Mapping[str, np.ndarray], machine: Machine) -> dict[str, float]:
         """As its parent's, of the figures of one direction too."""
         return {figure: float(np.linalg.norm(slopes.get(f'E{figure[-1].upper() * 2}', 0.0))
                               * np.ptp(self.axes[figure.split()[1]].target_m))
@@ -80,7 +83,8 @@ def _sheet(name: str, test: WholeLinearTest, log: CalibrationLog, evaluation: Ev
     again = [other for other in cell.setups if path_of(other) == name and other != name]
     notes = [f'Not in this sheet: {", ".join(again)}, the same line mounted once more.'] if again else []
     return Sheet(f'Positioning of axis {letter}', 'ISO 230-2', results,
-                 conditions(log, evaluation, [name], source), shortfalls(name, axis.target_m, axis.runs),
+                 conditions(log, evaluation, [name], source),
+                 [*shortfalls(name, axis.target_m, axis.runs), f'{name}: {NO_OVERRUN}'],
                  partial(draw, axis, letter),
                  'Mean deviations of each direction with bands of ± 2 s, their mean dashed (mean bidirectional '
                  'deviation); dotted the limits whose distance is A (E where one cycle was run).',

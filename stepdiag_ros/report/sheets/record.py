@@ -54,9 +54,9 @@ def _positions(log: CalibrationLog, names: list[str]) -> list[Row]:
     for name in names:
         setup, place = log.description.setups[name], stops(log.description, name).positions
         ends = ' to '.join('(' + ', '.join(f'{1e3 * v:.1f}' for v in end) + ')' for end in (place[0], place[-1]))
-        beam = setup.beams[0]
-        rows.append((f'measured line {name}', f'{ends} mm in X, Y, Z; {1e3 * setup.standoff:.1f} mm from laser to mirror '
-                     f'at the first stop; beam ({1e3 * beam[0]:.1f}, {1e3 * beam[1]:.1f}) mm beside the line in u, v'))
+        beside = '({}) mm'.format(', '.join(f'{1e3 * v:.1f}' for v in setup.beams[0]))
+        rows.append((f'measured line {name}', f'{ends} mm in X, Y, Z; {1e3 * setup.standoff:.1f} mm from laser to '
+                     f'mirror at the first stop; beam {beside} beside the line in u, v'))
     return rows
 
 
