@@ -12,8 +12,11 @@ import argparse
 from pathlib import Path
 
 from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.estimate.cautions import cautions
 from stepdiag_ros.estimate.compare import Comparison, compare, text_table, truth_of
 from stepdiag_ros.estimate.methods import METHODS, run_all
+from stepdiag_ros.estimate.metres import in_metres
+from stepdiag_ros.estimate.readings import readings_of_stops
 from stepdiag_ros.estimate.solution import Solution
 from stepdiag_ros.guard import limits
 from stepdiag_ros.guard.files import read_text
@@ -50,16 +53,21 @@ def run(args: argparse.Namespace) -> int:
                                 'give the known errors with --truth FILE')
         reference, label = best.errors, 'enhanced'
     outcome = compare(results, reference, label, log.description)
+    best = results.get('enhanced')
+    warned = cautions(readings_of_stops(log.description, in_metres(log).table),
+                      best if isinstance(best, Solution) else None)
     if args.out is not None:
         from stepdiag_ros.report.compare_picture import draw
 
         solutions = {n: r for n, r in results.items() if isinstance(r, Solution)}
         draw(outcome, solutions, args.out, title=name)
     if args.json:
-        print(to_json(_json(outcome, results, skipped)))
+        print(to_json(_json(outcome, results, skipped) | {'cautions': list(warned)}))
     else:
         print(text_table(outcome))
         print()
+        for caution in warned:
+            print(f'caution: {caution}')
         for method, why in skipped.items():
             print(f'not run: {method} ({METHODS[method].title}): {why}')
         if args.out is not None:

@@ -17,6 +17,7 @@ import numpy as np
 
 from stepdiag_ros.bag.reader import read_log
 from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.estimate.closure import said
 from stepdiag_ros.estimate.gauge import STRAIGHTNESS
 from stepdiag_ros.estimate.methods import METHODS, run_method
 from stepdiag_ros.estimate.solution import Solution
@@ -116,6 +117,9 @@ def text(bag: str, solution: Solution) -> str:
     if reasons:
         lines += ['', 'Not to be told from this log:']
         lines += [f'  {"; ".join(names)}: {why}' for why, names in reasons.items()]
+    closing = said(solution.closure)
+    if closing:
+        lines += ['', f'Closure: {closing}.']
     lines += [f'warning: {warning}' for warning in solution.warnings]
     if solution.method == 'enhanced' and not solution.sanity and (solution.reduced_chi2 or 0.0) > FAR_FROM_MODEL:
         lines.append(f'The rigid-body model does not describe this log: stepdiag gap {bag} says why.')

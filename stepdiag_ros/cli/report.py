@@ -4,6 +4,9 @@ Writes DIR/index.html, which needs nothing from outside, DIR/errors.png and DIR/
 
   stepdiag report bags/demo --out report
   stepdiag report bags/demo --out report --truth truth.json
+  stepdiag report bags/demo --out report --sheets
+
+With --sheets also DIR/sheets.html and DIR/sheets.pdf: test sheets after ISO 230-2 and ISO 230-6.
 """
 
 import argparse
@@ -23,16 +26,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--out', metavar='DIR', type=Path, required=True, help='folder for page and pictures')
     parser.add_argument('--truth', metavar='FILE', type=Path,
                         help='known errors (JSON), drawn dashed into errors.png')
+    parser.add_argument('--sheets', action='store_true',
+                        help='also write test sheets after ISO 230-2 and ISO 230-6 (sheets.html, sheets.pdf)')
     parser.add_argument('--json', action='store_true', help='print the evaluation as JSON')
     parser.add_argument('--namespace', help="the machine's namespace where a log holds several")
 
 
 def run(args: argparse.Namespace) -> int:
     from stepdiag_ros.bag.reader import read_log
-    from stepdiag_ros.estimate import evaluate
     from stepdiag_ros.estimate.compare import truth_of
+    from stepdiag_ros.estimate.evaluate import evaluate_in_full
     from stepdiag_ros.report.evaluation_page import evaluation_page
     from stepdiag_ros.report.figures import calibration_figure
+    from stepdiag_ros.report.sheets.write import sheets_of, write_sheets
 
     log = read_log(args.bag, args.namespace)
     path = Path(args.bag).resolve()
@@ -41,7 +47,9 @@ def run(args: argparse.Namespace) -> int:
     if args.truth is not None:
         text = read_text(args.truth, limits.TEXT_BYTES, 'file of known errors')
         truth = truth_of(text, log.description, name, str(args.truth))
-    solution = evaluate(log)
+    evaluation = evaluate_in_full(log)
+    solution = evaluation.solution
+    sheets = sheets_of(log, evaluation, name) if args.sheets else []
     document = solution.to_json_dict()
     try:
         args.out.mkdir(parents=True, exist_ok=True)
@@ -50,8 +58,10 @@ def run(args: argparse.Namespace) -> int:
     except OSError as error:
         raise StepdiagError(f'{args.out}: cannot be written: {error.strerror or error}') from None
     calibration_figure(solution, truth, args.out / 'errors.png')
+    written = write_sheets(sheets, name, args.out) if sheets else ()
     if args.json:
         print(to_json(document))
     else:
-        print(args.out / 'index.html')
+        for path in (args.out / 'index.html', *written):
+            print(path)
     return 0

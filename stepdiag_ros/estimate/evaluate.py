@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.estimate.closure import closures
 from stepdiag_ros.estimate.enhanced import WIDTH_LASER_RAD, Fit, fit
 from stepdiag_ros.estimate.gauge import GAUGE, reporting_matrix
 from stepdiag_ros.estimate.identifiability import unidentifiable
@@ -74,7 +75,8 @@ def evaluate_in_full(log: CalibrationLog, budget: Budget | None = None) -> Evalu
     if any(c.kind in MEASURED and c.standard is not None for c in budget.contributors):
         noise = with_budget(result.noise, budget, table, log.description)
         result = fit(log.description, table, noise, linear_laser=cosine)
-    solution = solution_of(result, table, log.warnings + table.warnings)
+    solution = replace(solution_of(result, table, log.warnings + table.warnings),
+                       closure=closures(log, table, result.noise))
     insane = insane or check_fit(log.description, table, result)
     if insane:
         status = status_of([*(finding.found for finding in insane), *reasons(result, table)])

@@ -51,7 +51,8 @@ def with_cell_budget(run: Run, evaluation: Evaluation) -> Any:
             covariance += np.outer(change, change)
     declared = all(setup.declared for setup in cell.setups.values())
     warnings = (*own.warnings, *((f'{evaluation.source}: {DECLARED}',) if declared else ()))
-    full = replace(own, covariance=covariance, repeatability=own.covariance, warnings=warnings)
+    full = replace(own, covariance=covariance, repeatability=own.covariance, warnings=warnings,
+                   closure=evaluation.solution.closure)
     return tied(full, evaluation.source, evaluation.metres, index_sigma_of(evaluation), evaluation.budget)
 
 

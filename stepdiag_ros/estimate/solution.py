@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from stepdiag_ros.estimate.closure import Closure
 from stepdiag_ros.estimate.finding import Finding
 from stepdiag_ros.estimate.traceability import Traceability
 from stepdiag_ros.model.machine import CURVES, SQUARENESS, Curve, GeometricErrors
@@ -50,7 +51,7 @@ class Solution:
     zero at position 0 with zero variance.  Straightness and squareness refer to the reference
     lines of ISO 230-1 (:mod:`stepdiag_ros.estimate.gauge`).  A method that cannot give an error
     leaves its name out.  ``sanity``: mistakes of commissioning that the log shows
-    (:mod:`stepdiag_ros.estimate.sanity`).
+    (:mod:`stepdiag_ros.estimate.sanity`).  ``closure``: how each cycle came back to its first stop.
 
     ``covariance`` is that of the whole budget where ``traceability`` is set, else of the repeats alone;
     ``repeatability`` (p, p) then keeps what the repeats, or the noise that the cell declares, give alone.
@@ -74,6 +75,7 @@ class Solution:
     repeatability: np.ndarray | None = None
     traceability: Traceability | None = None
     sanity: tuple[Finding, ...] = ()
+    closure: tuple[Closure, ...] = ()
 
     @property
     def sigma(self) -> np.ndarray:
@@ -141,7 +143,8 @@ class Solution:
                 'misalignments': {name: {'laser_rad': list(m.laser), 'mirror_rad': list(m.mirror)}
                                   for name, m in self.misalignments.items()},
                 'noise': dict(self.noise), 'warnings': list(self.warnings),
-                'sanity': [finding.to_json_dict() for finding in self.sanity], **self.extra}
+                'sanity': [finding.to_json_dict() for finding in self.sanity],
+                'closure': [one.to_json_dict() for one in self.closure], **self.extra}
 
 
 def _list(values: np.ndarray) -> list[float]:

@@ -11,6 +11,7 @@ from stepdiag_ros.estimate.solution import Solution
 from stepdiag_ros.estimate.traceability import WORDS
 from stepdiag_ros.model.description import Description
 from stepdiag_ros.model.machine import AXES, CURVES, SQUARENESS
+from stepdiag_ros.report.closure_section import closure_section
 from stepdiag_ros.report.figures import draw_calibration
 from stepdiag_ros.report.gap_figures import AFTER, CHANNEL_NAMES, STYLE, svg
 from stepdiag_ros.report.page import figure, page, table
@@ -24,8 +25,8 @@ SQUARE_WORDS = {'EC0Y': 'Y to X', 'EB0Z': 'Z to X', 'EA0Z': 'Z to Y'}
 def evaluation_page(solution: Solution, description: Description, name: str) -> str:
     """The HTML of one evaluation."""
     sections = [_head(solution, description, name), _tied(solution), _curves(solution), _squareness(solution),
-                _misalignments(solution), _residuals(solution), _open(solution), _notes(solution),
-                _small_print(solution)]
+                _misalignments(solution), _residuals(solution), closure_section(solution.closure, 3),
+                _open(solution), _notes(solution), _small_print(solution)]
     return page(f'{name}: the 21 geometric errors', '\n'.join(s for s in sections if s))
 
 

@@ -15,6 +15,7 @@ from stepdiag_ros.report import (
     papers_dahlem,
     papers_hiruya,
     papers_ibaraki,
+    papers_limits,
     papers_renishaw,
     papers_wang,
 )
@@ -25,6 +26,9 @@ PAGES = {
     'ibaraki_2006': ('Ibaraki, Goto, Matsubara 2006: a new formulation', papers_ibaraki.page),
     'dahlem_2018': ('Dahlem et al. 2018: the enhanced step diagonal', papers_dahlem.page),
     'ibaraki_hiruya_2020': ('Ibaraki & Hiruya 2020: multilateration, regulated beam', papers_hiruya.page),
+    'mirror_squared': ('Where it fails: mirror squared to the diagonal, R_x = R_y', papers_limits.mirror_page),
+    'machine_c': ('Where it fails: what body diagonals cannot see', papers_limits.equal_page),
+    'angles_in_a_step_diagonal': ('Where it fails: angular errors in a step diagonal', papers_limits.angle_page),
 }
 
 

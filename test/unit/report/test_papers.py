@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from stepdiag_ros.report import papers, papers_ibaraki, papers_renishaw
+from stepdiag_ros.report import papers, papers_ibaraki, papers_limits, papers_renishaw
 
 ROOT = Path(__file__).parents[3]
 
@@ -82,6 +82,28 @@ def test_case_study_pattern():
     assert '+1.14 put in, -0.59 estimated' in rows[0][2]
     assert '+0.69 put in, +2.42 estimated' in rows[1][2]
     assert papers_ibaraki.mirror_angle() == pytest.approx(29e-6, abs=1e-6)
+
+
+def test_a_mirror_squared_to_the_diagonal_leaves_the_mean_of_both_axes():
+    for x, y, aligned_x, aligned_y, squared_x, squared_y, difference in papers_limits.mirror_rows():
+        assert (aligned_x, aligned_y) == pytest.approx((x, y), abs=2e-3)
+        assert difference < 1e-6
+        assert (squared_x, squared_y) == pytest.approx((0.5 * (x + y),) * 2, abs=2e-3)
+
+
+def test_machines_that_body_diagonals_do_not_tell_apart():
+    rows = papers_limits.equal_rows()
+    assert all(row[3:6] == pytest.approx((100 / 3,) * 3, abs=0.01) for row in rows)
+    assert all(row[6] == pytest.approx(57.735, abs=0.01) for row in rows)
+    assert [row[7] for row in rows] == pytest.approx([57.735, 100.0, 122.47], abs=0.01)
+
+
+def test_angles_become_errors_of_translation():
+    """Proportional to the angle, and gone where it is known."""
+    rows = papers_limits.angle_rows()
+    assert rows[0][1] == pytest.approx(0.0, abs=1e-6)
+    assert all(row[1] == pytest.approx(0.3 * row[0], rel=1e-3) for row in rows[1:])
+    assert all(row[2] < 1e-3 for row in rows)
 
 
 def test_no_folder_to_write_to(tmp_path, capsys):

@@ -1,0 +1,94 @@
+"""Whether a log is one of those on which methods of the literature are known to fail; a sentence each.
+
+Three cases, each shown on a known machine in docs/papers: two axes with equal steps that read alike in every diagonal
+(a mirror squared to the machine's diagonal does that), diagonals without linear setups (they do not tell the axes'
+slopes apart), and angular motions that the vector method takes for translations.
+
+Source: Ibaraki, Goto, Matsubara 2006; Renishaw 2016; Wang & Liotto 2003.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from stepdiag_ros.estimate.readings import CellReadings
+from stepdiag_ros.estimate.solution import Solution
+from stepdiag_ros.estimate.step_diagonal import angular_effect
+from stepdiag_ros.estimate.stepwise import increments
+from stepdiag_ros.model.description import DIAGONALS
+from stepdiag_ros.model.machine import AXES, CURVES, Curve, GeometricErrors
+
+ALIKE = 1e-6
+"""Steps of two axes that differ by a smaller share are equal."""
+ANGLES = tuple(name for name in CURVES if name[1] in 'ABC')
+
+
+def cautions(cell: CellReadings, solution: Solution | None) -> tuple[str, ...]:
+    """What a reader of several methods' answers must know of this log; ``solution``: the enhanced method's."""
+    names = [name for name in DIAGONALS if name in cell.setups]
+    if not names:
+        return ()
+    found = (*_alike(cell, names), _without_lines(cell), _angles(cell, names, solution))
+    return tuple(text for text in found if text)
+
+
+def _alike(cell: CellReadings, names: list[str]) -> list[str]:
+    """Pairs of axes that read the same in every diagonal, within the noise."""
+    volume, found = np.array(cell.machine.volume), []
+    for i, j in ((0, 1), (0, 2), (1, 2)):
+        if abs(volume[i] - volume[j]) > ALIKE * volume[i]:
+            continue
+        apart, known = [], []
+        for name in names:
+            setup = cell.setups[name]
+            sums = np.abs(increments(setup.sight, setup.displacement_m[:, 0], cell.steps).sum(axis=1))
+            apart.append(abs(sums[i] - sums[j]))
+            # Each sum is of as many differences of two readings as there are steps.
+            known.append(2.0 * 2.0 * np.sqrt(cell.steps) * float(setup.displacement_sigma_m.max()))
+        if all(a <= u for a, u in zip(apart, known, strict=True)):
+            found.append(
+                f'{AXES[i]} and {AXES[j]} read alike in every diagonal (largest difference {1e6 * max(apart):.3f} µm, '
+                f'U {1e6 * max(known):.3f} µm, k = 2): either the two axes are alike and every mirror stood square '
+                "to its laser, or the mirrors were squared to the machine's diagonal; then the steps tell no more than "
+                "the diagonals' lengths, and step_diagonal finds the mean of both axes (docs/papers/mirror_squared.md)")
+    return found
+
+
+def _without_lines(cell: CellReadings) -> str:
+    missing = [axis for axis in AXES if f'lin_{axis.lower()}' not in cell.setups]
+    if not missing:
+        return ''
+    return (f'no linear setup of {", ".join(missing)}: diagonals do not tell the slopes of single axes apart where '
+            'mirrors may be off; measure them by linear setups (docs/papers/machine_c.md)')
+
+
+def _angles(cell: CellReadings, names: list[str], solution: Solution | None) -> str:
+    """By how much the angles that were found move a reading that the vector method takes for translations."""
+    if solution is None or not all(solution.has(name) for name in ANGLES):
+        return ''
+    if all(cell.setups[name].spot_m is None and len(cell.setups[name].sight.beams) < 3 for name in names):
+        return ('the log shows no angles (no spots, fewer than three beams): step_diagonal takes them for zero, and '
+                'nothing here says whether they are (docs/papers/angles_in_a_step_diagonal.md)')
+    angles = replace(solution.errors, curves={n: c for n, c in solution.errors.curves.items() if n in ANGLES},
+                     square={})
+    effects = {name: angular_effect(cell, name, angles)[:, 0] for name in names}
+    name = max(names, key=lambda n: np.abs(effects[n]).max())
+    stop = int(np.abs(effects[name]).argmax())
+    size, expanded = float(effects[name][stop]), 2.0 * _sigma(cell, name, stop, solution)
+    if abs(size) <= max(expanded, 2.0 * float(cell.setups[name].displacement_sigma_m.max())):
+        return ''
+    return (f'the angular motions found move the readings of the diagonals by up to {1e6 * abs(size):.3f} ± '
+            f'{1e6 * expanded:.3f} µm (k = 2; {name}, stop {stop}): step_diagonal takes that for translations '
+            '(docs/papers/angles_in_a_step_diagonal.md)')
+
+
+def _sigma(cell: CellReadings, name: str, stop: int, solution: Solution) -> float:
+    """Standard uncertainty [m] of what the angles do to one reading, through each angle's own value."""
+    rows = [row for row, (curve, _) in enumerate(solution.names) if curve in ANGLES]
+    step, slopes = 1e-6, []
+    for row in rows:
+        curve, knot = solution.names[row]
+        place = np.asarray(solution.positions[curve])
+        alone = GeometricErrors({curve: Curve(place, step * (np.arange(len(place)) == knot))}, {})
+        slopes.append(angular_effect(cell, name, alone)[stop, 0] / step)
+    return float(np.sqrt(max(np.array(slopes) @ solution.covariance[np.ix_(rows, rows)] @ np.array(slopes), 0.0)))

@@ -1,0 +1,94 @@
+"""The sheet of the body diagonals after ISO 230-6: E and B of each diagonal, Ed and Bd, the plots."""
+
+from functools import partial
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from stepdiag_ros.estimate.body_diagonal import DiagonalTest
+from stepdiag_ros.estimate.evaluate import Evaluation
+from stepdiag_ros.estimate.method_budget import with_cell_budget
+from stepdiag_ros.estimate.methods import body_diagonal_test, corner_deviations
+from stepdiag_ros.estimate.readings import CellReadings
+from stepdiag_ros.model.description import DIAGONALS, path_of
+from stepdiag_ros.model.log import CalibrationLog
+from stepdiag_ros.report.gap_figures import AFTER, BEFORE
+from stepdiag_ros.report.legends import legend_outside
+from stepdiag_ros.report.sheets.record import conditions
+from stepdiag_ros.report.sheets.rules import shortfalls
+from stepdiag_ros.report.sheets.sheet import Grid, Sheet, micro
+from stepdiag_ros.report.words import setup_words
+
+BLIND = ('Errors of two axes that are opposite leave a body diagonal as long as it was: a small Ed says nothing of the '
+         'volume by itself. ASME B5.54-2005 asks for linear tests of each axis besides.')
+STEPPED = ('The diagonals were measured by a step diagonal with a flat mirror: the deviations are those of the stops '
+           'that lie on the diagonal, reached by one axis after the other and not along the diagonal as ISO 230-6 has '
+           'it.')
+
+
+def diagonal_sheets(log: CalibrationLog, evaluation: Evaluation, cell: CellReadings, source: str) -> list[Sheet]:
+    """One sheet for all body diagonals of a log; none where it holds none."""
+    names = [name for name in DIAGONALS if name in cell.setups]
+    if not names:
+        return []
+    test = with_cell_budget(body_diagonal_test, evaluation)
+    runs = {name: corner_deviations(cell.setups[name]) for name in names}
+    short = [sentence for name, (along, forward, backward) in runs.items()
+             for sentence in shortfalls(name, along, min(len(forward), len(backward)) or len(forward), diagonal=True)]
+    short += [f'{name}: run in one direction only; B is not given.' for name, (_, _, backward) in runs.items()
+              if not len(backward)]
+    if len(names) < len(DIAGONALS):
+        short.append(f'{len(names)} of the four body diagonals were measured.')
+    sigma = max(float(cell.setups[name].displacement_sigma_m.max()) for name in names)
+    again = [name for name in cell.setups if path_of(name) in names and name not in names]
+    notes = [STEPPED, BLIND] + ([f'Not in this sheet: {", ".join(again)}, mounted once more.'] if again else [])
+    return [Sheet('Body diagonals', 'ISO 230-6', _results(test, runs), conditions(log, evaluation, names, source),
+                  short, partial(draw, test, runs),
+                  'Deviation from the commanded length of each diagonal: means of the forward and the backward runs, '
+                  'single runs thin.',
+                  [_targets(name, test, sigma) for name in names], notes)]
+
+
+def _results(test: DiagonalTest, runs: dict[str, tuple[np.ndarray, ...]]) -> Grid:
+    def cells(key: str, value: float | None) -> tuple[str, str]:
+        return micro(value), micro(None if key not in test.sigma_m else 2.0 * test.sigma_m[key])
+    rows = [(name, setup_words(name), f'{runs[name][0].size}', f'{len(runs[name][1])} / {len(runs[name][2])}',
+             *cells(f'E {name}', own.E), *cells(f'B {name}', own.B)) for name, own in test.diagonals.items()]
+    rows.append(('Ed, Bd', 'the largest of all diagonals', '', '', *cells('Ed', test.Ed), *cells('Bd', test.Bd)))
+    return Grid('Bidirectional systematic deviation E and reversal B',
+                ('', 'diagonal', '>targets', '>runs ↑ / ↓', '>E [µm]', '>U (k = 2)', '>B [µm]', '>U (k = 2)'), rows)
+
+
+def _targets(name: str, test: DiagonalTest, sigma: float) -> Grid:
+    own = test.diagonals[name]
+    backward, reversal = (None if v is None else list(v) for v in (own.backward_m, own.reversal_m))
+    rows = [(f'{1e3 * place:.3f}', micro(own.forward_m[i]), micro(None if backward is None else backward[i]),
+             micro(None if reversal is None else reversal[i])) for i, place in enumerate(own.position_m)]
+    return Grid(f'Targets of {name}', ('>along the diagonal [mm]', '>x̄↑ [µm]', '>x̄↓ [µm]', '>B [µm]'), rows,
+                f'U of a mean by repeats alone: {micro(2.0 * sigma)} µm (k = 2).')
+
+
+def draw(test: DiagonalTest, runs: dict[str, tuple[np.ndarray, ...]]) -> Figure:
+    """A panel for each diagonal, one scale for all."""
+    count = len(test.diagonals)
+    figure = Figure(figsize=(9.5, 2.5 * ((count + 1) // 2) + 0.6), layout='constrained')
+    axes = np.ravel(figure.subplots((count + 1) // 2, 2, sharey=True, squeeze=False))
+    handles = {}
+    for ax, (name, own) in zip(axes, test.diagonals.items(), strict=False):
+        _, forward, backward = runs[name]
+        for single, mean, colour, mark, words in ((forward, own.forward_m, AFTER, '>', 'forward ↑, mean'),
+                                                  (backward, own.backward_m, BEFORE, '<', 'backward ↓, mean')):
+            for run in single:
+                ax.plot(1e3 * own.position_m, 1e6 * run, color=colour, alpha=0.35, linewidth=0.7)
+            if mean is not None:
+                handles[words], = ax.plot(1e3 * own.position_m, 1e6 * mean, f'-{mark}', color=colour, markersize=4.5,
+                                          linewidth=1.3)
+        ax.set_title(f'{name}: E = {micro(own.E)} µm, B = {micro(own.B)}{" µm" if own.B is not None else ""}')
+        ax.set_xlabel('along the diagonal [mm]')
+        ax.set_ylabel('deviation [µm]')
+        ax.label_outer()
+        ax.xaxis.label.set_visible(True)
+    for ax in axes[count:]:
+        ax.set_axis_off()
+    legend_outside(figure, list(handles.values()), list(handles), 'upper left', ncols=2, fontsize=8.5)
+    return figure

@@ -1,0 +1,139 @@
+"""What a test sheet says of the conditions of a test; what the log does not hold is not stated."""
+
+from datetime import UTC, datetime
+
+import numpy as np
+
+from stepdiag_ros.estimate.evaluate import Evaluation
+from stepdiag_ros.estimate.reduce import StopTable
+from stepdiag_ros.estimate.traceability import WORDS
+from stepdiag_ros.model.description import LINEAR, path_of
+from stepdiag_ros.model.log import CalibrationLog
+from stepdiag_ros.model.path import stops
+
+NOT_STATED = 'not stated'
+Row = tuple[str, str]
+ENVIRONMENT = (('air temperature', 'air_temperature', 'temperature', 1.0, '°C', 2),
+               ('air pressure', 'air_pressure', 'pressure', 1e-2, 'hPa', 1),
+               ('relative humidity', 'humidity', 'humidity', 1e2, '%', 1))
+"""What is said, the log's series, the cell's value, factor, unit, digits."""
+
+
+def conditions(log: CalibrationLog, evaluation: Evaluation, names: list[str], source: str) -> list[Row]:
+    """Conditions (what, value) of the test in setups ``names``, in the order of the standards' sheets."""
+    table = evaluation.metres.table
+    mine = table.select(np.isin(table.setup, [table.setup_names.index(n) for n in names]))
+    return [*_identity(log, mine, source), *_instrument(log), *_positions(log, names), *_motion(mine),
+            *_surroundings(log, mine, names), *_corrections(evaluation, names)]
+
+
+def moment(time_ns: int) -> str:
+    """A time of the log as UTC, to the second."""
+    return datetime.fromtimestamp(time_ns * 1e-9, UTC).strftime('%Y-%m-%d %H:%M:%S UTC')
+
+
+def _identity(log: CalibrationLog, table: StopTable, source: str) -> list[Row]:
+    machine = log.description.machine
+    when = f'{moment(int(table.dwell_ns.min()))} to {moment(int(table.done_ns.max()))}'
+    return [('machine', f'{machine.name}; kinematic chain {machine.chain}; volume '
+             + ' × '.join(f'{1e3 * v:.0f}' for v in machine.volume) + ' mm; serial number ' + NOT_STATED),
+            ('date of test', when if log.description.timed else f'{NOT_STATED} (the times of the log are made up)'),
+            ('log', source), ('place, person', NOT_STATED), ('warm-up before the test', NOT_STATED)]
+
+
+def _instrument(log: CalibrationLog) -> list[Row]:
+    wavelength = None if log.description.air is None else log.description.air.wavelength
+    said = f'wavelength in vacuum {1e9 * wavelength:.3f} nm' if wavelength else f'wavelength {NOT_STATED}'
+    return [('instrument', f'laser interferometer; make, serial number, calibration certificate {NOT_STATED}; {said}')]
+
+
+def _positions(log: CalibrationLog, names: list[str]) -> list[Row]:
+    tool = log.description.machine.tool
+    rows = [('offset of the measured point from the tool reference (X/Y/Z)', '/'.join(f'{1e3 * v:.1f}' for v in tool)
+             + ' mm')]
+    for name in names:
+        setup, place = log.description.setups[name], stops(log.description, name).positions
+        ends = ' to '.join('(' + ', '.join(f'{1e3 * v:.1f}' for v in end) + ')' for end in (place[0], place[-1]))
+        beside = '({}) mm'.format(', '.join(f'{1e3 * v:.1f}' for v in setup.beams[0]))
+        rows.append((f'measured line {name}', f'{ends} mm in X, Y, Z; {1e3 * setup.standoff:.1f} mm from laser to '
+                     f'mirror at the first stop; beam {beside} beside the line in u, v'))
+    return rows
+
+
+def _motion(table: StopTable) -> list[Row]:
+    moved = np.flatnonzero((np.diff(table.run) == 0) & (table.move_ns[1:] > 0)) + 1
+    feed = f'commanded feed {NOT_STATED}'
+    if moved.size:
+        way = np.linalg.norm(table.commanded[moved] - table.commanded[moved - 1], axis=1)
+        speed = way / ((table.dwell_ns[moved] - table.move_ns[moved]) * 1e-9)
+        feed += (f'; mean speed from start to in position, from the log: {6e4 * np.median(speed):.0f} mm/min (median '
+                 f'of {moved.size} moves)')
+    dwell = (table.done_ns - table.dwell_ns) * 1e-9
+    shared = _resets(table)
+    return [('feed', feed),
+            ('dwell at a target', f'{np.median(dwell):.3f} s ({dwell.min():.3f} s to {dwell.max():.3f} s), '
+             f'{int(np.median(table.displacement_count))} samples averaged (median)'),
+            ('overrun before the end targets', NOT_STATED), ('zero of the readings', shared)]
+
+
+def _resets(table: StopTable) -> str:
+    forward, backward = (set(table.run[table.direction == way].tolist()) for way in (1, -1))
+    text = 'set at the first stop of every run, so that the scatter there is zero by construction'
+    if not backward:
+        return text + '; no backward run'
+    if backward <= forward:
+        return text + '; forward and backward share the zero'
+    return text + ('; a backward run of its own is joined to the end of its forward run, so that the reversal at the '
+                   'last stop is zero by construction')
+
+
+def _surroundings(log: CalibrationLog, table: StopTable, names: list[str]) -> list[Row]:
+    ends = np.array([table.dwell_ns.min(), table.done_ns.max()])
+    rows = []
+    for what, topic, key, factor, unit, digits in ENVIRONMENT:
+        said = None if log.description.air is None else getattr(log.description.air, key)
+        value = _course(log, topic, ends, factor, unit, digits)
+        if value is None and said is not None:
+            value = f'{factor * said:.{digits}f} {unit} (the cell file\'s value, not measured)'
+        rows.append((what, value or NOT_STATED))
+    for axis in _axes(names):
+        rows.append((f'temperature of scale {axis.upper()}',
+                     _course(log, f'scale_temperature/{axis}', ends, 1.0, '°C', 2) or NOT_STATED))
+    return [*rows, ('temperature of workpiece and machine bed', NOT_STATED)]
+
+
+def _course(log: CalibrationLog, topic: str, ends: np.ndarray, factor: float, unit: str, digits: int) -> str | None:
+    """A measured quantity at begin and end of the test; None where the log has no reading of it."""
+    series = log.environment.get(topic)
+    if series is None or not np.isfinite(series.value).any():
+        return None
+    first, last = factor * series.at(ends)
+    variance = np.median(series.variance)
+    known = f', U {2.0 * factor * np.sqrt(variance):.{digits}f} {unit} (k = 2) as the sensor says' if variance > 0.0 \
+        else ', U of the sensor ' + NOT_STATED
+    return f'{first:.{digits}f} {unit} at the beginning, {last:.{digits}f} {unit} at the end{known}'
+
+
+def _axes(names: list[str]) -> str:
+    """Letters of the axes that move in the setups."""
+    return ''.join(dict.fromkeys(name[-1] for name in names)) if all(path_of(n) in LINEAR for n in names) else 'xyz'
+
+
+def _corrections(evaluation: Evaluation, names: list[str]) -> list[Row]:
+    tied, known, scales = evaluation.solution.traceability, evaluation.metres.conditions, []
+    described = evaluation.setting.description.scales
+    for axis in _axes(names):
+        place = 'xyz'.index(axis)
+        if axis in described:
+            used = described[axis]
+            coefficient = f'{1e6 * used.expansion:.2f} ± {2e6 * used.sigma:.2f} µm/(m·K) (k = 2)'
+        else:
+            coefficient = NOT_STATED
+        scales.append((f'expansion coefficient of scale {axis.upper()}', coefficient))
+        scales.append((f'readings along {axis.upper()} referred to 20 °C', 'yes, at the temperature of its scale above'
+                       if known.referred[place] and np.isfinite(known.expansion[place]) else 'no'))
+    air = [] if tied is None else [
+        ('correction for air', f'{WORDS[tied.air]}; mean index {tied.index:.7f}'),
+        ('U of the unit of length', f'{2e6 * tied.index_sigma:.2g} µm/m (k = 2)'),
+        ('budget of uncertainty', 'the cell\'s own' if tied.budget == 'cell' else 'the standard budget')]
+    return [*air, *scales, ('compensation active in the control', NOT_STATED)]

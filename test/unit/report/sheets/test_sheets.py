@@ -1,0 +1,143 @@
+"""Test sheets from logs: their numbers by a second way, what they say, the files."""
+
+import re
+from copy import deepcopy
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from stepdiag_ros.bag.export import write_log
+from stepdiag_ros.bag.reader import read_log
+from stepdiag_ros.cli.main import main
+from stepdiag_ros.estimate.evaluate import evaluate_in_full
+from stepdiag_ros.report.sheets.write import sheets_of
+from stepdiag_ros.virtual.cell import parse_cell
+from stepdiag_ros.virtual.offline import simulate_log
+
+DEMO = Path(__file__).parents[4] / 'cells' / 'demo.yaml'
+DIAGONALS = ('ppp', 'npp', 'pnp', 'nnp')
+
+
+def cell(**changes):
+    """The demo's cell at rest only, with other keys."""
+    text = yaml.safe_load(DEMO.read_text(encoding='utf-8'))
+    text['sampling'] |= {'interferometer': 200.0, 'psd': 200.0, 'in_motion': False}
+    for key, value in changes.items():
+        text[key] = text[key] | value if isinstance(value, dict) and key != 'setups' else value
+    return parse_cell(yaml.safe_dump(text, sort_keys=False), str(DEMO))
+
+
+def bag_of(folder, **changes):
+    write_log(simulate_log(cell(**changes)), folder)
+    return folder
+
+
+@pytest.fixture(scope='module')
+def full(tmp_path_factory):
+    """Five cycles, five targets and more, backlash of X 2 µm."""
+    setups = yaml.safe_load(DEMO.read_text(encoding='utf-8'))['setups']
+    setups['lin_x']['stops'] = 9
+    return bag_of(tmp_path_factory.mktemp('sheets') / 'full', plan={'repeats': 5}, effects={'backlash': {
+        'B': [2e-6, 0.0, 0.0]}}, setups={n: setups[n] for n in (*DIAGONALS, 'lin_x')})
+
+
+@pytest.fixture(scope='module')
+def sheets(full):
+    log = read_log(full)
+    return sheets_of(log, evaluate_in_full(log), 'full')
+
+
+def figures(sheet):
+    return {row[0]: [float(v.replace('−', '-')) for v in row[-2:]] for row in sheet.results.rows}
+
+
+def test_figures_of_a_line_by_numpy_alone(full, sheets):
+    """From the samples of the log, without the readings of the estimators."""
+    log, runs = read_log(full), {1: {}, -1: {}}
+    steps, name = log.steps, log.steps.setup_names.index('lin_x')
+    for i in np.flatnonzero((steps.setup == name) & (steps.phase == 1)):
+        inside = (log.displacement.time_ns >= steps.time_ns[i]) & (log.displacement.time_ns < steps.time_ns[i + 1])
+        runs[int(steps.direction[i])].setdefault(int(steps.repeat[i]), {})[int(steps.index[i])] = (
+            log.displacement.values[inside, 0].mean())
+    target = np.linspace(0.0, 0.2, 9)
+    up = np.array([[run[k] for k in range(9)] for run in runs[1].values()])
+    up = up - up[:, :1]
+    down = np.array([[run[k] for k in range(9)] for run in runs[-1].values()])
+    down = down - down[:, -1:] + up[:, -1:]
+    up, down = 1e6 * (up - target), 1e6 * (down - target)
+    (x_up, s_up), (x_down, s_down) = ((v.mean(0), v.std(0, ddof=1)) for v in (up, down))
+    got = {key: value for key, (value, _) in figures(sheets[0]).items()}
+    high, low = np.maximum(x_up + 2 * s_up, x_down + 2 * s_down), np.minimum(x_up - 2 * s_up, x_down - 2 * s_down)
+    assert got['A'] == pytest.approx(high.max() - low.min(), abs=2e-3)
+    assert got['A↑'] == pytest.approx((x_up + 2 * s_up).max() - (x_up - 2 * s_up).min(), abs=2e-3)
+    assert got['E'] == pytest.approx(np.ptp([x_up, x_down]), abs=2e-3)
+    assert got['R↓'] == pytest.approx(4 * s_down.max(), abs=2e-3)
+    assert got['R'] == pytest.approx(np.max([2 * s_up + 2 * s_down + abs(x_up - x_down), 4 * s_up, 4 * s_down]),
+                                     abs=2e-3)
+    assert got['B'] == pytest.approx(abs(x_up - x_down).max(), abs=2e-3)
+    assert got['M'] == pytest.approx(np.ptp((x_up + x_down) / 2), abs=2e-3)
+    assert got['B'] == pytest.approx(2.0, abs=0.8)
+
+
+def test_every_figure_has_an_uncertainty(sheets):
+    for sheet in sheets:
+        for name, (_, expanded) in figures(sheet).items():
+            assert expanded > 0.0, (sheet.title, name)
+
+
+@pytest.mark.parametrize(('slopes', 'diagonal_um'), [((50e-6, 0.0, 0.0), 28.9), ((100e-6, -50e-6, -25e-6), 14.4)],
+                         ids=['machine A', 'machine B'])
+def test_machines_of_renishaw_on_the_sheet(tmp_path, slopes, diagonal_um):
+    """From the published machine through a log to Ed on the sheet."""
+    curves = {f'E{a}{a}': {'position': [0.0, 1.0], 'value': [0.0, s]} for a, s in zip('XYZ', slopes, strict=True)}
+    small = dict.fromkeys(('displacement', 'spot', 'position_repeatability', 'angle_repeatability'), 1e-9)
+    setup = {'standoff': 0.2, 'psd_offset': [0.02, 0.0], 'beams': [[0.0, 0.0]]}
+    none = {'drawn': dict.fromkeys(('positioning', 'straightness', 'angle', 'squareness'), 0.0), 'curves': curves}
+    log = read_log(bag_of(
+        tmp_path / 'machine', machine={'volume': [1.0, 1.0, 1.0], 'tool': [0.0, 0.0, 0.0]}, noise=small, geometry=none,
+        misalignments={'drawn': {'laser': 0.0, 'mirror': 0.0, 'psd_zero': 0.0}}, plan={'repeats': 2},
+        setups={name: deepcopy(setup) for name in DIAGONALS},
+        air={'drift': dict.fromkeys(('temperature', 'pressure', 'humidity'), 0.0)}))
+    sheet = sheets_of(log, evaluate_in_full(log), 'machine')[0]
+    assert sheet.standard == 'ISO 230-6'
+    assert figures(sheet)['Ed, Bd'][0] == pytest.approx(0.0, abs=0.05)     # Bd: the machine has no backlash
+    assert float(sheet.results.rows[-1][4]) == pytest.approx(diagonal_um, abs=0.05)
+    assert any('opposite' in note for note in sheet.notes)
+
+
+def test_what_the_log_does_not_hold_is_not_stated(sheets):
+    said = dict(sheets[0].conditions)
+    assert said['compensation active in the control'] == said['overrun before the end targets'] == 'not stated'
+    assert said['temperature of scale X'] == said['expansion coefficient of scale X'] == 'not stated'
+    assert 'commanded feed not stated; mean speed' in said['feed']
+    assert said['air temperature'].startswith('20.3') and 'U ' in said['air temperature']
+    assert said['dwell at a target'].startswith('0.060 s')
+    assert re.fullmatch(r'\d{4}-\d\d-\d\d .* UTC to .* UTC', said['date of test'])
+
+
+def test_one_command_writes_html_and_pdf_that_need_nothing_else(full, tmp_path, capsys):
+    assert main(['report', str(full), '--sheets', '--out', str(tmp_path)]) == 0
+    printed = capsys.readouterr().out.split()
+    assert printed == [str(tmp_path / name) for name in ('index.html', 'sheets.html', 'sheets.pdf')]
+    html, pdf = (tmp_path / 'sheets.html').read_text(), (tmp_path / 'sheets.pdf').read_bytes()
+    assert html.count('<section class="sheet">') == 2 and html.count('<svg') == 2
+    assert not re.search(r'(src|href)="(?!#)', html)
+    assert 'Positioning of axis X' in html and 'Body diagonals' in html and 'ISO 230-2 wants 5' not in html
+    assert pdf.startswith(b'%PDF') and len(re.findall(rb'/Type /Page\b', pdf)) >= 4
+
+
+def test_fewer_targets_and_cycles_are_said_on_both(tmp_path, capsys):
+    bag = bag_of(tmp_path / 'short')
+    assert main(['report', str(bag), '--sheets', '--out', str(tmp_path / 'out')]) == 0
+    capsys.readouterr()
+    html = (tmp_path / 'out' / 'sheets.html').read_text()
+    assert 'lin_x: 2 targets over 200 mm; ISO 230-2 wants at least 5.' in html
+    assert 'npp: 2 cycles; ISO 230-6 wants 5.' in html
+
+
+def test_without_the_option_there_are_no_sheets(full, tmp_path, capsys):
+    assert main(['report', str(full), '--out', str(tmp_path)]) == 0
+    assert capsys.readouterr().out.strip() == str(tmp_path / 'index.html')
+    assert not list(tmp_path.glob('sheets.*'))
