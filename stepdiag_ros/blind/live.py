@@ -5,7 +5,6 @@ cell by ``stepdiag demo`` in processes of their own, half of them on a computer 
 acts in it: what the diagnosis finds is a false alarm.
 """
 
-import json
 import os
 import shutil
 import subprocess
@@ -18,6 +17,7 @@ import numpy as np
 
 from stepdiag_ros.blind.world import PURPOSES, Order
 from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.guard.jsontext import to_json
 from stepdiag_ros.virtual.cell import parse_cell
 from stepdiag_ros.virtual.truth import truth
 
@@ -85,5 +85,5 @@ def write_live(order: Order, target: Path, truth_path: Path) -> None:
     """Make one live log; the truth is written last, so that a cut run is resumed rightly."""
     entry = measure_live(order, target)
     temporary = truth_path.with_suffix('.new')
-    temporary.write_text(json.dumps(entry, sort_keys=True) + '\n', encoding='utf-8')
+    temporary.write_text(to_json(entry, indent=None, sort_keys=True) + '\n', encoding='utf-8')
     temporary.replace(truth_path)
