@@ -101,7 +101,8 @@ def _draw(args: argparse.Namespace, log: CalibrationLog, table: StopTable, found
     solution, rng = uncertainty.solution, np.random.default_rng(args.seed)
     machine = (solution.errors, solution.misalignments)
     if args.method == 'enhanced':
-        return montecarlo.nonlinear(result, solution, uncertainty.causes, setting, *machine, args.draws, rng)
+        return montecarlo.nonlinear(result, solution, uncertainty.causes, setting, *machine, args.draws, rng,
+                                    step=uncertainty.step)
     if args.method not in METHODS:
         raise StepdiagError(f'--method {args.method}: not known; choose from {", ".join(METHODS)}')
     method = METHODS[args.method]

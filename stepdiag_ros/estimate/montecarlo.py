@@ -24,6 +24,7 @@ from stepdiag_ros.estimate.noise import arrivals
 from stepdiag_ros.estimate.planned import Sensor, filled, observe
 from stepdiag_ros.estimate.propagate import Cause, Setting, Uncertainty, error_slopes, gain
 from stepdiag_ros.estimate.reduce import StopTable
+from stepdiag_ros.estimate.shared import Weighed
 from stepdiag_ros.estimate.solution import Solution
 from stepdiag_ros.model.budget import Contributor
 from stepdiag_ros.model.machine import GeometricErrors
@@ -187,8 +188,10 @@ def chords(result: Fit, readings: np.ndarray, passes: int = PASSES,
 
 def nonlinear(result: Fit, solution: Solution, acting: Sequence[Cause], setting: Setting,
               errors: GeometricErrors, misalignments: Mapping[str, Misalignment], draws: int,
-              rng: np.random.Generator, sensor: Sensor | None = None, passes: int = PASSES) -> Drawn:
-    """Draws of everything, each evaluated by the full model of the enhanced method."""
+              rng: np.random.Generator, sensor: Sensor | None = None, passes: int = PASSES,
+              step: Weighed | None = None) -> Drawn:
+    """Draws of everything, each evaluated by the full model of the enhanced method; with ``step`` on to the estimate
+    that weighs shared errors, as an evaluation takes it."""
     parameters = result.parameters
     names, reporting = reporting_matrix(parameters.knots, parameters.first, parameters.size)
     values, left = np.empty((draws, len(names))), 0.0
@@ -197,6 +200,10 @@ def nonlinear(result: Fit, solution: Solution, acting: Sequence[Cause], setting:
                               sensor)
         theta, last = chords(result, trial.readings, passes)
         values[rows] = theta @ reporting.T + trial.added
+        if step is not None:
+            rest = trial.readings.reshape(len(theta), -1) - np.array([result.model.predict(t).ravel() for t in theta])
+            rest[:, ~result.present.ravel()] = 0.0
+            values[rows] += rest @ step.gain.T - theta @ (step.half @ result.precision).T
         left = max(left, last)
     return Drawn(tuple(names), values, left)
 

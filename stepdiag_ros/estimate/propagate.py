@@ -26,7 +26,7 @@ from stepdiag_ros.estimate.gauge import reporting_matrix
 from stepdiag_ros.estimate.noise import NoiseModel
 from stepdiag_ros.estimate.prediction import sensitivities
 from stepdiag_ros.estimate.reduce import StopTable
-from stepdiag_ros.estimate.shared import weigh
+from stepdiag_ros.estimate.shared import Weighed, weigh
 from stepdiag_ros.estimate.solution import Solution
 from stepdiag_ros.estimate.traceability import REFERENCE_TEMPERATURE
 from stepdiag_ros.model.budget import MEASURED, Budget, Contributor
@@ -159,13 +159,15 @@ class Uncertainty:
     """Combined uncertainty of a solution.
 
     ``solution`` carries the combined covariance; ``causes`` and ``effects`` go together: effect
-    (p, k) of every variate of deviation 1 on the reported errors; ``held`` (p, p) covariance of what is open.
+    (p, k) of every variate of deviation 1 on the reported errors; ``held`` (p, p) covariance of what is open;
+    ``step`` from the fit to the estimate that weighs shared errors, None where it is not taken.
     """
 
     solution: Solution
     causes: tuple[Cause, ...]
     effects: tuple[np.ndarray, ...]
     held: np.ndarray
+    step: Weighed | None = None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -240,13 +242,14 @@ def propagate(budget: Budget, setting: Setting, result: Fit, solution: Solution,
         sensitivity, half = found.gain, found.half
         solution = replace(solution, value=solution.value + found.shift)
     else:
+        found = None
         sensitivity, half = gain(result, reporting), reporting @ result.covariance
     effects = tuple((cause.readings.T @ sensitivity.T).T + error_slopes(cause, solution) for cause in acting)
     held = half @ result.precision @ half.T
     covariance = held + sum(effect @ effect.T for effect in effects)
     alone = held + sum((effect @ effect.T for cause, effect in zip(acting, effects, strict=True)
                         if cause.contributor.kind in MEASURED), np.zeros_like(held))
-    return Uncertainty(replace(solution, covariance=covariance, repeatability=alone), acting, effects, held)
+    return Uncertainty(replace(solution, covariance=covariance, repeatability=alone), acting, effects, held, found)
 
 
 __all__ = ['HELD', 'Cause', 'Conditions', 'Setting', 'Uncertainty', 'causes', 'coverage_factor', 'gain',

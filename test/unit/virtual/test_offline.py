@@ -11,6 +11,7 @@ from stepdiag_ros.model.log import DONE, DWELL, MOVE, NONE
 from stepdiag_ros.model.machine import tool_pose
 from stepdiag_ros.model.path import stops
 from stepdiag_ros.model.sensor import measure
+from stepdiag_ros.virtual.acting import ALLOWED
 from stepdiag_ros.virtual.cell import load_cell
 from stepdiag_ros.virtual.offline import simulate_log
 from stepdiag_ros.virtual.truth import truth
@@ -123,7 +124,7 @@ def test_environment_is_what_the_sensors_measure(cell, log):
     assert set(blind.environment) == {f'scale_temperature/{axis}' for axis in 'xyz'}
 
 
-def test_a_clock_that_is_late_shifts_the_samples(cell, tmp_path):
+def test_a_clock_that_is_late_shifts_the_samples(cell, tmp_path, monkeypatch):
     (tmp_path / 'late.py').write_text("""
 from stepdiag_ros.effects.base import Effect
 
@@ -133,6 +134,7 @@ class Late(Effect):
     def clock_offset(self, sensor):
         return 0.02 if sensor == 'psd' else 0.0
 """)
+    monkeypatch.setenv(ALLOWED, str(tmp_path / 'late.py'))
     late = replace(cell, source=str(tmp_path / 'c.yaml'), effects={'late': {'file': 'late.py'}})
     skewed, plain = (simulate_log(c, setups=('ppp',)) for c in (late, cell))
     np.testing.assert_array_equal(skewed.displacement.values, plain.displacement.values)

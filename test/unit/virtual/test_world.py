@@ -10,6 +10,7 @@ from stepdiag_ros.model.description import Noise
 from stepdiag_ros.model.machine import tool_pose
 from stepdiag_ros.model.path import stops
 from stepdiag_ros.model.sensor import measure
+from stepdiag_ros.virtual.acting import ALLOWED
 from stepdiag_ros.virtual.cell import Air, Cell, parse_cell
 from stepdiag_ros.virtual.history import History
 from stepdiag_ros.virtual.offline import START_NS, execute
@@ -127,14 +128,14 @@ def test_an_effect_acts():
 @pytest.mark.parametrize(('effects', 'words'), [
     ({'gremlins': {}}, 'no effect of this name'),
     ({'backlash': {'size': 1.0}}, 'unknown parameter size'),
-    ({'mine': {'file': 'nowhere.py'}}, 'does not exist'),
+    ({'mine': {'file': 'nowhere.py'}}, 'give --effect'),
 ])
 def test_effects_that_cannot_be(effects, words):
     with pytest.raises(StepdiagError, match=words):
         World(cell_of(effects=effects), History(), START_NS)
 
 
-def test_an_effect_of_one_s_own(tmp_path):
+def test_an_effect_of_one_s_own(tmp_path, monkeypatch):
     (tmp_path / 'mine.py').write_text("""
 from stepdiag_ros.effects.base import Effect, Moment, Parameter
 
@@ -146,6 +147,7 @@ class Mine(Effect):
         moment.length = moment.length + self.size
         moment.quality = 0.0 * moment.quality + 50.0 + moment.rng.normals('q', 0, 1)[0, 0]
 """)
+    monkeypatch.setenv(ALLOWED, str(tmp_path / 'mine.py'))
     cell = replace(cell_of(QUIET), source=str(tmp_path / 'cell.yaml'),
                    effects={'mine': {'file': 'mine.py', 'size': 0.25}})
     world, runs = ran(cell)
