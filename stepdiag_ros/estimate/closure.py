@@ -35,6 +35,7 @@ class Closure:
     ``runs``: ids of the forward and the backward run; ``time_ns``: middle of the two dwells at the first stop;
     ``reset_between``: the runs were joined at the last stop, ``unseen_s`` [s] passed there unseen.
     ``spot_m``, ``spot_sigma_m`` (2,) [m]; ``temperature``: at both times [°C], by what was logged.
+    ``timed``: False where the times of the log are made up and say nothing.
     """
 
     setup: str
@@ -48,6 +49,7 @@ class Closure:
     length_sigma_m: float
     spot_m: np.ndarray
     spot_sigma_m: np.ndarray
+    timed: bool = True
     temperature: dict[str, tuple[float, float]] = field(default_factory=dict)
 
     @property
@@ -60,8 +62,10 @@ class Closure:
         return None if not np.isfinite(self.length_m) else abs(self.length_m) <= 2.0 * self.length_sigma_m
 
     def to_json_dict(self) -> dict[str, Any]:
-        return {'setup': self.setup, 'repeat': self.repeat, 'runs': list(self.runs), 'time_ns': list(self.time_ns),
-                'duration_s': self.duration_s, 'reset_between': self.reset_between, 'unseen_s': self.unseen_s,
+        return {'setup': self.setup, 'repeat': self.repeat, 'runs': list(self.runs),
+                'time_ns': list(self.time_ns) if self.timed else None,
+                'duration_s': self.duration_s if self.timed else None,
+                'reset_between': self.reset_between, 'unseen_s': self.unseen_s if self.timed else None,
                 'length_m': _number(self.length_m), 'length_sigma_m': _number(self.length_sigma_m),
                 'spot_m': [_number(v) for v in self.spot_m], 'spot_sigma_m': [_number(v) for v in self.spot_sigma_m],
                 'closes': self.closes, 'temperature_C': {name: list(pair) for name, pair in self.temperature.items()}}
@@ -124,7 +128,8 @@ def _closure(log: CalibrationLog, table: StopTable, noise: NoiseModel, first: in
     return Closure(name, int(table.repeat[first]), (table.run_ids[table.run[first]], table.run_ids[table.run[last]]),
                    (int(middle[0]), int(middle[1])), float(table.time_s[first]), bool(joined),
                    float(max(table.dwell_ns[back] - table.done_ns[turn], 0) * 1e-9) if joined else 0.0,
-                   float(value), float(sigma), table.spot[last] - table.spot[first], spot_sigma, temperature)
+                   float(value), float(sigma), table.spot[last] - table.spot[first], spot_sigma,
+                   log.description.timed, temperature)
 
 
 def _wider(law: Law) -> float:

@@ -42,12 +42,13 @@ def closure_section(found: Sequence[Closure], number: int) -> str:
 
 def _row(one: Closure, names: list[str]) -> list[str]:
     began = datetime.fromtimestamp(one.time_ns[0] * 1e-9, UTC).strftime('%Y-%m-%d %H:%M:%S')
+    began, lasted = (began, f'{plain(one.duration_s)} s') if one.timed else ('not stated', 'not stated')
     lengths = [quantity(one.length_m, 'm', 2.0 * one.length_sigma_m),
                *(quantity(float(v), 'm', 2.0 * float(s)) for v, s in zip(one.spot_m, one.spot_sigma_m, strict=True))]
     warm = [f'{one.temperature[name][0]:.2f} → {one.temperature[name][1]:.2f} °C' if name in one.temperature else ''
             for name in names]
     unseen = f'{plain(one.unseen_s)} s' if one.reset_between else 'no reset'
-    return [escape(one.setup), str(one.repeat), began, f'{plain(one.duration_s)} s', unseen, *lengths, *warm]
+    return [escape(one.setup), str(one.repeat), began, lasted, unseen, *lengths, *warm]
 
 
 def draw(found: Sequence[Closure]) -> Figure:
@@ -78,6 +79,9 @@ def draw(found: Sequence[Closure]) -> Figure:
         labels.append(f'temperature: {name}')
     if names:
         axes[1].set_ylabel('temperature  [°C]')
-    axes[-1].set_xlabel('time since the first dwell  [min]')
+    axes[-1].set_xlabel('time since the first dwell  [min]' if found[0].timed else
+                        'order of the cycles (the times of the log are made up)')
+    if not found[0].timed:
+        axes[-1].set_xticks([])
     legend_outside(drawing, handles, labels, 'lower left', ncols=4, fontsize=8.5)
     return drawing

@@ -23,7 +23,8 @@ def conditions(log: CalibrationLog, evaluation: Evaluation, names: list[str], so
     """Conditions (what, value) of the test in setups ``names``, in the order of the standards' sheets."""
     table = evaluation.metres.table
     mine = table.select(np.isin(table.setup, [table.setup_names.index(n) for n in names]))
-    return [*_identity(log, mine, source), *_instrument(log), *_positions(log, names), *_motion(mine),
+    return [*_identity(log, mine, source), *_instrument(log), *_positions(log, names),
+            *_motion(mine, log.description.timed),
             *_surroundings(log, mine, names), *_corrections(evaluation, names)]
 
 
@@ -44,23 +45,30 @@ def _identity(log: CalibrationLog, table: StopTable, source: str) -> list[Row]:
 def _instrument(log: CalibrationLog) -> list[Row]:
     wavelength = None if log.description.air is None else log.description.air.wavelength
     said = f'wavelength in vacuum {1e9 * wavelength:.3f} nm' if wavelength else f'wavelength {NOT_STATED}'
+    if not log.description.timed:
+        return [('instrument', f'{NOT_STATED} (the log was made from a table)')]
     return [('instrument', f'laser interferometer; make, serial number, calibration certificate {NOT_STATED}; {said}')]
 
 
 def _positions(log: CalibrationLog, names: list[str]) -> list[Row]:
     tool = log.description.machine.tool
     rows = [('offset of the measured point from the tool reference (X/Y/Z)', '/'.join(f'{1e3 * v:.1f}' for v in tool)
-             + ' mm')]
+             + ' mm' if any(tool) else f'{NOT_STATED}, or zero')]
     for name in names:
         setup, place = log.description.setups[name], stops(log.description, name).positions
         ends = ' to '.join('(' + ', '.join(f'{1e3 * v:.1f}' for v in end) + ')' for end in (place[0], place[-1]))
         beside = '({}) mm'.format(', '.join(f'{1e3 * v:.1f}' for v in setup.beams[0]))
-        rows.append((f'measured line {name}', f'{ends} mm in X, Y, Z; {1e3 * setup.standoff:.1f} mm from laser to '
-                     f'mirror at the first stop; beam {beside} beside the line in u, v'))
+        dead = f'{1e3 * setup.standoff:.1f} mm' if setup.standoff else f'{NOT_STATED}, or 0 mm,'
+        rows.append((f'measured line {name}', f'{ends} mm in X, Y, Z; {dead} from laser to mirror at the first '
+                     f'stop; beam {beside} beside the line in u, v'))
     return rows
 
 
-def _motion(table: StopTable) -> list[Row]:
+def _motion(table: StopTable, timed: bool) -> list[Row]:
+    zero = ('zero of the readings', _resets(table))
+    if not timed:
+        return [('feed', NOT_STATED), ('dwell at a target', NOT_STATED),
+                ('overrun before the end targets', NOT_STATED), zero]
     moved = np.flatnonzero((np.diff(table.run) == 0) & (table.move_ns[1:] > 0)) + 1
     feed = f'commanded feed {NOT_STATED}'
     if moved.size:
@@ -69,15 +77,18 @@ def _motion(table: StopTable) -> list[Row]:
         feed += (f'; mean speed from start to in position, from the log: {6e4 * np.median(speed):.0f} mm/min (median '
                  f'of {moved.size} moves)')
     dwell = (table.done_ns - table.dwell_ns) * 1e-9
-    shared = _resets(table)
     return [('feed', feed),
             ('dwell at a target', f'{np.median(dwell):.3f} s ({dwell.min():.3f} s to {dwell.max():.3f} s), '
              f'{int(np.median(table.displacement_count))} samples averaged (median)'),
-            ('overrun before the end targets', NOT_STATED), ('zero of the readings', shared)]
+            ('overrun before the end targets', NOT_STATED), zero]
 
 
 def _resets(table: StopTable) -> str:
     forward, backward = (set(table.run[table.direction == way].tolist()) for way in (1, -1))
+    cycles = np.unique(np.stack([table.setup, table.repeat], axis=1), axis=0)
+    runs = np.unique(np.stack([table.setup, table.run], axis=1), axis=0)
+    if len(runs) < len(cycles):
+        return 'set at the first stop of a run; several cycles share it'
     text = 'set at the first stop of every run, so that the scatter there is zero by construction'
     if not backward:
         return text + '; no backward run'

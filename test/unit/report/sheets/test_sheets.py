@@ -137,6 +137,35 @@ def test_fewer_targets_and_cycles_are_said_on_both(tmp_path, capsys):
     assert 'npp: 2 cycles; ISO 230-6 wants 5.' in html
 
 
+def test_a_table_without_times_has_no_date_feed_or_dwell(tmp_path, capsys):
+    rows = ['cycle,direction,target_mm,measured_mm']
+    for repeat in range(5):
+        for way in (1, -1):
+            rows += [f'{repeat},{way},{10 * k},{10 * k + 0.001 * (way < 0) + 1e-4 * ((7 * k + 3 * repeat) % 5)}'
+                     for k in range(5)[::way]]
+    (tmp_path / 'line_x.csv').write_text('\n'.join(rows) + '\n')
+    assert main(['import', str(tmp_path / 'line_x.csv'), '--axis', 'x', '--to', str(tmp_path / 'bag')]) == 0
+    capsys.readouterr()
+    log = read_log(tmp_path / 'bag')
+    evaluation = evaluate_in_full(log)
+    said = dict(sheets_of(log, evaluation, 'line')[0].conditions)
+    for what in ('date of test', 'instrument', 'feed', 'dwell at a target'):
+        assert said[what].startswith('not stated'), what
+    assert said['zero of the readings'].endswith('several cycles share it')
+    closure = evaluation.solution.closure[0]
+    assert not closure.reset_between and closure.to_json_dict()['time_ns'] is None
+    assert closure.length_m == pytest.approx(1e-6, abs=1e-9)
+
+
+@pytest.mark.parametrize(('stage', 'reversal_um'), [('stage_a_x', 33.6), ('stage_a_z', 2.4)])
+def test_published_reversal_of_measured_stages_on_the_sheet(shared, tmp_path, capsys, stage, reversal_um):
+    assert main(['import', str(shared / 'real_data' / f'{stage}.csv'), '--to', str(tmp_path / 'bag')]) == 0
+    capsys.readouterr()
+    log = read_log(tmp_path / 'bag')
+    sheet = sheets_of(log, evaluate_in_full(log), stage)[0]
+    assert figures(sheet)['B'][0] == pytest.approx(reversal_um, abs=0.05)
+
+
 def test_without_the_option_there_are_no_sheets(full, tmp_path, capsys):
     assert main(['report', str(full), '--out', str(tmp_path)]) == 0
     assert capsys.readouterr().out.strip() == str(tmp_path / 'index.html')
