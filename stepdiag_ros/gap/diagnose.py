@@ -85,7 +85,7 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
         leftover = _without_pattern(joint, how_far, bool(found))
     if leftover and UNKNOWN not in best.key and not untimed:
         outside[UNKNOWN] = BEYOND_PATTERNS
-    if found and not leftover and (how_far.left > LEAST_LEFT or how_far.after > GROSS**2):
+    if found and not leftover and (how_far.left > LEAST_LEFT and how_far.after > 1.0 or how_far.after > GROSS**2):
         leftover = (f'{100.0 * how_far.left:.2g} % of the gap does not follow the forms known of what was named '
                     f'({np.sqrt(how_far.after):.2g} times the noise is left)')
     hint = None if best.members or leftover else hint_of(sets, len(effects) + 1, screen)

