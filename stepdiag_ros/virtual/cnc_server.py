@@ -370,9 +370,14 @@ async def main(cell: Cell, runtime: Path) -> None:
     announce(runtime, 'cnc', {'host': where.host, 'port': server.sockets[0].getsockname()[1],
                               'setup_codes': setup_codes(cell)})
     async with server:
-        while True:
-            machine.watch()
-            await asyncio.sleep(WATCH_S)
+        try:
+            while True:
+                machine.watch()
+                await asyncio.sleep(WATCH_S)
+        finally:
+            # Switched off itself, its axes brake.
+            if not machine.idle:
+                machine.abort()
 
 
 if __name__ == '__main__':

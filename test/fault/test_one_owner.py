@@ -25,7 +25,8 @@ class Up:
         self.lines: list[str] = []
         self.runtime = folder / 'run'
         self.process = subprocess.Popen(
-            [*STEPDIAG, 'up', str(cell), '--bag', str(folder / 'first'), '--runtime', str(self.runtime)], text=True,
+            [*STEPDIAG, 'up', str(cell), '--bag', str(folder / 'first'), '--runtime', str(self.runtime),
+             '--bag-folder', str(folder)], text=True,
             stdout=subprocess.PIPE, stderr=subprocess.STDOUT, env=os.environ | environment)
         self._reader = threading.Thread(target=lambda: self.lines.extend(self.process.stdout), daemon=True)
         self._reader.start()
