@@ -95,7 +95,7 @@ def test_untidy_noise_is_no_cause(case, law, seed):
     assert 0.8 < found.closing.after < 1.25
 
 
-@pytest.mark.xfail(strict=False, reason='open: with the size of a slip weighed, a slip beside a law of tails may be missed')
+@pytest.mark.xfail(strict=False, reason='open: a slip beside a law of tails may be missed')
 def test_a_slip_is_no_tail(case):
     """A step that stays makes tails where noise may have them; it is found all the same, in tidy noise and untidy."""
     slip = effect_class('count_slip')(jump=19 * 316.4e-9, arrival=20)
