@@ -42,7 +42,8 @@ def true_deviation(cell, folder: Path) -> float:
 
 
 @pytest.mark.parametrize('level, factor', [
-    pytest.param('tables', 1.2, marks=pytest.mark.xfail(run=False, reason='open: never seen to its end')), ('volume', 10.0)])
+    pytest.param('tables', 1.2, marks=pytest.mark.xfail(run=False, reason='open: never seen to its end')),
+    ('volume', 10.0)])
 def test_the_machine_becomes_as_good_as_predicted(tmp_path, level, factor):
     need_components()
     path = tmp_path / 'cell.yaml'
