@@ -12,7 +12,7 @@ import numpy as np
 from stepdiag_ros.effects.base import Effect, Form
 from stepdiag_ros.estimate.eigen import eigen
 from stepdiag_ros.gap.constants import CONFUSED, DECOY_SHARE, DISCREPANCY_SHARE, MEMBER_ALARM
-from stepdiag_ros.gap.inference.discrepancy import LEAST
+from stepdiag_ros.gap.inference.discrepancy import LEAST, held
 from stepdiag_ros.gap.inference.discrepancy import columns as discrepancy_of
 from stepdiag_ros.gap.inference.evidence import SIZES, Judged, judge, log_evidence, log_mean, log_sum
 from stepdiag_ros.gap.inference.parity import Parity
@@ -167,8 +167,11 @@ class Screen:
         products are taken with 1 − BBᵀ."""
         if not members:
             return np.zeros((len(self.data), 0))
-        columns = [self.columns_of(m.candidate) * m.size for m in members]
-        return _explained(np.concatenate([*columns, *self.discrepancies(members)], axis=1))
+        return _explained(np.concatenate([*self._blocks(members), *self.discrepancies(members)], axis=1))
+
+    def _blocks(self, members: Sequence[Member]) -> list[np.ndarray]:
+        """Columns (M, k) of each member, in units of the sizes that are allowed."""
+        return [self.columns_of(m.candidate) * m.size for m in members]
 
     def discrepancies(self, members: Sequence[Member]) -> list[np.ndarray]:
         """Columns (M, m) of the discrepancy of each member's form, at the coefficients that it has beside those before
@@ -188,26 +191,20 @@ class Screen:
 
     def _discrepancy(self, members: Sequence[Member], before: Sequence[np.ndarray]) -> np.ndarray | None:
         """That of the last of some members, given the discrepancies of those before it."""
-        columns = [self.columns_of(m.candidate) * m.size for m in members]
-        whole = np.concatenate([*columns, *before], axis=1)
-        values = np.linalg.solve(whole.T @ whole + np.eye(whole.shape[1]), whole.T @ self.data)
-        start = sum(c.shape[1] for c in columns[:-1])
-        mine = values[start:start + columns[-1].shape[1]] * members[-1].size
-        if DISCREPANCY_SHARE * np.linalg.norm(columns[-1] @ mine) / members[-1].size < LEAST:
+        *others, mine = self._blocks(members)
+        values = held(np.concatenate([mine, *others, *before], axis=1), self.data)[:mine.shape[1]]
+        if DISCREPANCY_SHARE * np.linalg.norm(mine @ values) < LEAST:
             return None
         form = self.candidates[members[-1].candidate].form
-        sizes = mine * form.scale
-        result = np.zeros((len(self.data), len(self.modulations)))
-        result[:self.parity.stops] = self.parity.stop_part(
-            discrepancy_of(np.tensordot(sizes, form.columns, axes=1), self.modulations))
-        if form.inside is not None and self.parity.size > self.parity.stops:
-            result[self.parity.stops:self.parity.size] = self.parity.bin_part(
-                discrepancy_of(np.tensordot(sizes, form.inside, axes=1), self.modulations))
-        return result
+        sizes = values * members[-1].size * form.scale
+        inside = None if form.inside is None else np.tensordot(sizes, form.inside, axes=1)
+        below = np.zeros((len(self.data) - self.parity.size, len(self.modulations)))
+        return np.concatenate([discrepancy_of(
+            self.parity, np.tensordot(sizes, form.columns, axes=1), inside, self.modulations), below])
 
     def sizes(self, members: Sequence[Member]) -> list[tuple[np.ndarray, np.ndarray]]:
         """Coefficients (k,) of each member and their standard deviations, in its form's units."""
-        columns = [self.columns_of(m.candidate) * m.size for m in members]
+        columns = self._blocks(members)
         whole = np.concatenate([*columns, *self.discrepancies(members)], axis=1)
         covariance = np.linalg.inv(whole.T @ whole + np.eye(whole.shape[1]))
         values, spread = covariance @ (whole.T @ self.data), np.sqrt(np.diag(covariance))
@@ -220,14 +217,12 @@ class Screen:
 
     def with_discrepancy(self, members: Sequence[Member]) -> Member:
         """The last of some members, its evidence that of its form together with the discrepancy of that."""
-        without = len(self.discrepancies(members[:-1]))
-        own = self.discrepancies(members)[without:]
+        before = self.discrepancies(members[:-1])
+        own = self.discrepancies(members)[len(before):]
         if not own:
             return members[-1]
-        columns = [self.columns_of(m.candidate) * m.size for m in members]
-        basis = _explained(np.concatenate([*columns, *self.discrepancies(members[:-1])], axis=1))
-        taken = basis.T @ self.data
-        cross = basis.T @ own[0]
+        basis = _explained(np.concatenate([*self._blocks(members), *before], axis=1))
+        taken, cross = basis.T @ self.data, basis.T @ own[0]
         gain = log_evidence(own[0].T @ own[0] - cross.T @ cross, own[0].T @ self.data - cross.T @ taken,
                             float(self.data @ self.data - taken @ taken),
                             sum(self.parity.dof) - float(np.sum(basis[:self.parity.size]**2)), self.noise_dof)

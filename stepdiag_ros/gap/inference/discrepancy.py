@@ -1,12 +1,12 @@
 """The discrepancy of a form: what reality may do beside it, as columns of known size.
 
 No form is right to the last part.  What an effect truly does is taken to be what its form does, times one plus a
-random function g of standard deviation :data:`SHARE` (Kennedy and O'Hagan, Bayesian calibration of computer models,
-J. R. Stat. Soc. B 63, 2001, with a discrepancy in proportion to the effect).  g may differ from setup to setup, from
-run to run, with the direction, along each axis and slowly with time, each of these being as likely as the others.  With
-the contribution c of a form at its coefficients the readings' covariance grows by
+random function g of standard deviation δ, ``DISCREPANCY_SHARE`` (Kennedy and O'Hagan, Bayesian calibration of
+computer models, J. R. Stat. Soc. B 63, 2001, with a discrepancy in proportion to the effect).  g may differ from setup
+to setup, from run to run, with the direction, along each axis and slowly with time, each of these being as likely as
+the others.  With the contribution c of a form at its coefficients the readings' covariance grows by
 
-    SHARE² · P diag(c) K diag(c) Pᵀ = D Dᵀ,   K = Φᵀ Φ,
+    δ² · P diag(c) K diag(c) Pᵀ = D Dᵀ,   K = Φᵀ Φ,
 
 Φ (m, n) being :func:`modulations`, P the way into parity space.  Of an effect near the noise D is nothing; of one of
 hundreds of standard deviations it is all that matters: by how much a wrong form falls behind saturates at what the
@@ -41,10 +41,15 @@ def modulations(view: StopView) -> np.ndarray:
     return np.concatenate(families) / np.sqrt(len(families))
 
 
-def columns(contribution: np.ndarray, functions: np.ndarray, share: float = DISCREPANCY_SHARE) -> np.ndarray:
-    """The discrepancy of a contribution (n, c) or (n, b, c) [m]: (m, n, c) or (m, n, b, c) [m], each of size one."""
-    shape = (len(functions), len(contribution), *([1] * (contribution.ndim - 1)))
-    return share * functions.reshape(shape) * contribution
+def columns(space: Parity, contribution: np.ndarray, inside: np.ndarray | None, functions: np.ndarray) -> np.ndarray:
+    """The discrepancy D (N, m) of what an effect adds to the stops (n, c) [m] and inside the dwells (n, b, c) [m], None
+    where nothing happens there, by the ``functions`` (m, n) of :func:`modulations`; each column of size one."""
+    functions = DISCREPANCY_SHARE * functions
+    result = np.zeros((space.size, len(functions)))
+    result[:space.stops] = space.stop_part(functions[:, :, None] * contribution)
+    if inside is not None:
+        result[space.stops:] = space.bin_part(functions[:, :, None, None] * inside)
+    return result
 
 
 def residual(space: Parity, active: tuple[Active, ...], view: StopView) -> np.ndarray:
@@ -52,12 +57,12 @@ def residual(space: Parity, active: tuple[Active, ...], view: StopView) -> np.nd
     rest = unexplained(space, active)
     if not active:
         return rest
-    functions, parts = modulations(view), []
-    for a in active:
-        part = np.zeros((space.size, len(functions)))
-        part[:space.stops] = space.stop_part(columns(a.contribution, functions))
-        if a.form.inside is not None and space.size > space.stops:
-            part[space.stops:] = space.bin_part(columns(np.asarray(a.inside), functions))
-        parts.append(part)
-    whole = np.concatenate(parts, axis=1)
-    return rest - whole @ np.linalg.solve(whole.T @ whole + np.eye(whole.shape[1]), whole.T @ rest)
+    functions = modulations(view)
+    whole = np.concatenate([columns(space, a.contribution, None if a.form.inside is None else a.inside, functions)
+                            for a in active], axis=1)
+    return rest - whole @ held(whole, rest)
+
+
+def held(whole: np.ndarray, data: np.ndarray) -> np.ndarray:
+    """Coefficients (k,) of columns (N, k) in units of their sizes, each normal of size one."""
+    return np.linalg.solve(whole.T @ whole + np.eye(whole.shape[1]), whole.T @ data)
