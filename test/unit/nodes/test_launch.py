@@ -22,7 +22,8 @@ class Recorded:
 
 @pytest.fixture
 def launched(monkeypatch) -> list[Recorded]:
-    names = {'launch': ['LaunchDescription'], 'launch.actions': ['DeclareLaunchArgument'],
+    names = {'launch': ['LaunchContext', 'LaunchDescription'],
+             'launch.actions': ['DeclareLaunchArgument', 'OpaqueFunction'],
              'launch.substitutions': ['LaunchConfiguration'], 'launch_ros': [],
              'launch_ros.actions': ['Node']}
     for module_name, classes in names.items():
