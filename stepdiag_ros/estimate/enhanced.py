@@ -37,12 +37,12 @@ from stepdiag_ros.estimate.reduce import StopTable
 from stepdiag_ros.model.description import LINEAR, Description, path_of
 from stepdiag_ros.model.machine import CURVES
 
-WIDTH_SHIFT_M = 1e-3
-WIDTH_TURN_RAD = 1e-3
-WIDTH_LASER_RAD = 1e-3
-WIDTH_MIRROR_RAD = 1e-2
-WIDTH_OFFSET_M = 10.0
-WIDTH_FRAME_RAD = 1e-4
+PRIOR_SHIFT_M = 1e-3
+PRIOR_TURN_RAD = 1e-3
+PRIOR_LASER_RAD = 1e-3
+PRIOR_MIRROR_RAD = 1e-2
+PRIOR_OFFSET_M = 10.0
+PRIOR_FRAME_RAD = 1e-4
 """Turning machine and setups together is seen only to second order: it is held to this width."""
 FRAME_SLOPES = ('EYX', 'EZX', 'EZY')
 MAX_ITERATIONS = 100
@@ -92,22 +92,22 @@ def readings_of(table: StopTable) -> np.ndarray:
     return np.concatenate([table.displacement, table.spot], axis=1)
 
 
-def prior_precision(parameters: Parameters, linear_laser: float = WIDTH_LASER_RAD) -> np.ndarray:
+def prior_precision(parameters: Parameters, linear_laser: float = PRIOR_LASER_RAD) -> np.ndarray:
     """Inverse covariance (size, size) of the widths; ``linear_laser`` [rad] in linear setups."""
     rows = frame_rows(parameters)
-    return np.diag(widths(parameters, linear_laser)**-2.0) + rows.T @ rows / WIDTH_FRAME_RAD**2
+    return np.diag(prior_sigmas(parameters, linear_laser)**-2.0) + rows.T @ rows / PRIOR_FRAME_RAD**2
 
 
-def widths(parameters: Parameters, linear_laser: float = WIDTH_LASER_RAD) -> np.ndarray:
+def prior_sigmas(parameters: Parameters, linear_laser: float = PRIOR_LASER_RAD) -> np.ndarray:
     """Width (size,) of each unknown on its own."""
     width = np.empty(parameters.size)
     for name in CURVES:
-        width[parameters.slice(name)] = WIDTH_SHIFT_M if name[1] in 'XYZ' else WIDTH_TURN_RAD
+        width[parameters.slice(name)] = PRIOR_SHIFT_M if name[1] in 'XYZ' else PRIOR_TURN_RAD
     for setup in parameters.setups:
         first = parameters.setup_first[setup]
-        laser = linear_laser if path_of(setup) in LINEAR else WIDTH_LASER_RAD
-        width[first:first + 2], width[first + 2:first + 4] = laser, WIDTH_MIRROR_RAD
-    width[parameters.offset_first:] = WIDTH_OFFSET_M
+        laser = linear_laser if path_of(setup) in LINEAR else PRIOR_LASER_RAD
+        width[first:first + 2], width[first + 2:first + 4] = laser, PRIOR_MIRROR_RAD
+    width[parameters.offset_first:] = PRIOR_OFFSET_M
     return width
 
 
@@ -137,7 +137,7 @@ def start(parameters: Parameters, model: ForwardModel, table: StopTable,
 def fit(description: Description, table: StopTable, noise: NoiseModel | None = None,
         readings: np.ndarray | None = None, theta: np.ndarray | None = None,
         parameters: Parameters | None = None, settled: float = SETTLED,
-        linear_laser: float = WIDTH_LASER_RAD, centre: np.ndarray | None = None) -> Fit:
+        linear_laser: float = PRIOR_LASER_RAD, centre: np.ndarray | None = None) -> Fit:
     """Solve for all unknowns of the stops in ``table``.
 
     ``noise`` is estimated from the table when not given; ``readings`` replaces the table's own
@@ -166,13 +166,13 @@ def fit(description: Description, table: StopTable, noise: NoiseModel | None = N
         residual = np.where(present, readings - predicted, 0.0).ravel()
         return sum(np.sum(w(residual)**2) for w in white) + (theta - centre) @ precision @ (theta - centre)
 
-    banded = BandedNormal(table, noise, arrival, present, widths(parameters, linear_laser), frame_rows(parameters),
-                          WIDTH_FRAME_RAD, min(parameters.setup_first.values()))
+    banded = BandedNormal(table, noise, arrival, present, prior_sigmas(parameters, linear_laser),
+                          frame_rows(parameters), PRIOR_FRAME_RAD, min(parameters.setup_first.values()))
     steps = _Steps(banded, white, precision)
     if dense_operations(jacobian, white) < BLOCKED * banded.operations:
         steps.without_band()
     value = objective(theta, predicted)
-    converged, iterations, course, damping = False, 0, [value], 0.0
+    converged, iterations, values, damping = False, 0, [value], 0.0
     while iterations < MAX_ITERATIONS:
         iterations += 1
         steps.at(jacobian, np.where(present, readings - predicted, 0.0).ravel(), precision @ (theta - centre))
@@ -193,8 +193,8 @@ def fit(description: Description, table: StopTable, noise: NoiseModel | None = N
             damping = damping / WIDER if damping > 1.0 else 0.0
         elif fell < POOR * promised:
             damping = max(1.0, NARROWER * damping)
-        course.append(value)
-        stalled = len(course) > STALLED_OVER and course[-1 - STALLED_OVER] - value < max(STALLED, settled) * unit
+        values.append(value)
+        stalled = len(values) > STALLED_OVER and values[-1 - STALLED_OVER] - value < max(STALLED, settled) * unit
         if (whole and promised < settled * unit) or not moved or stalled:
             if steps.dense:
                 converged = True

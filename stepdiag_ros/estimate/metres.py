@@ -113,7 +113,7 @@ class _Known:
 
     values: np.ndarray
     source: tuple[str, str, str]
-    doubt: np.ndarray
+    air_sigma: np.ndarray
     wavelength: float
     co2: float
     remarks: tuple[str, ...]
@@ -135,7 +135,7 @@ class _Known:
     def of(cls, log: CalibrationLog, table: StopTable) -> '_Known':
         cell = log.description.air or AirValues()
         middle = (table.dwell_ns + table.done_ns) // 2
-        values, source, doubt, remarks = [], [], [], []
+        values, source, air_sigma, remarks = [], [], [], []
         for quantity in QUANTITIES:
             series, said = log.environment.get(TOPIC[quantity]), getattr(cell, quantity)
             told, why = _told(series, log, middle, LIMITS[quantity])
@@ -144,13 +144,13 @@ class _Known:
             if told is not None:
                 values.append(told)
                 source.append('topic')
-                doubt.append(0.0)
+                air_sigma.append(0.0)
                 continue
             plausible, width = PLAUSIBLE[quantity]
             values.append(np.full(len(table), plausible if said is None else said))
             source.append('nobody' if said is None else 'cell')
-            doubt.append(width if said is None else cell.sigma.get(quantity, width))
-        return cls(np.array(values), tuple(source), np.array(doubt),
+            air_sigma.append(width if said is None else cell.sigma.get(quantity, width))
+        return cls(np.array(values), tuple(source), np.array(air_sigma),
                    WAVELENGTH if cell.wavelength is None else cell.wavelength,
                    CO2 if cell.co2 is None else cell.co2, tuple(remarks))
 
@@ -187,7 +187,7 @@ def _air(log: CalibrationLog, table: StopTable) -> tuple[StopTable, Conditions, 
     known = _Known.of(log, table)
     remarks, divided = list(known.remarks), table.refractive_index
     conditions = Conditions(*(float(v) for v in known.values.mean(axis=1)), wavelength=known.wavelength, co2=known.co2)
-    spread = conditions.index_sigma(*known.doubt)
+    spread = conditions.index_sigma(*known.air_sigma)
     vacuum = np.abs(divided - 1.0) < VACUUM
     if not vacuum.any():
         if _follows(table):
@@ -217,7 +217,8 @@ def _air(log: CalibrationLog, table: StopTable) -> tuple[StopTable, Conditions, 
         remarks.append(f'{WORDS[CELL]}, for the whole log alike')
     variation = 0.0 if known.by_topics else spread
     corrected = divided_by(log.description, table, known.index)
-    return (corrected, replace(conditions, doubt=tuple(known.doubt), variation=variation), TOPICS if told else CELL,
+    return (corrected, replace(conditions, air_sigma=tuple(known.air_sigma), variation=variation),
+            TOPICS if told else CELL,
             float(known.index.mean()), remarks)
 
 

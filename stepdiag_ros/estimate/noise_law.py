@@ -201,8 +201,8 @@ def _shared(table: StopTable) -> np.ndarray:
     time = np.zeros(len(table))
     for number in np.unique(pass_):
         mine = pass_ == number
-        course = table.time_s[mine]
-        time[mine] = (course - course[0]) / max(float(np.ptp(course)), 1e-9)
+        since = table.time_s[mine]
+        time[mine] = (since - since[0]) / max(float(np.ptp(since)), 1e-9)
     same = (place[:, None] == np.unique(place)).astype(float)
     passes = (pass_[:, None] == np.unique(pass_)).astype(float)
     # A constant in each traverse is one in each place once too often: the first traverse of a direction goes without.

@@ -9,7 +9,7 @@ from stepdiag_ros.gap.alternatives.unmodelled import NAME as UNKNOWN
 from stepdiag_ros.gap.constants import ALARM, CONFUSED
 from stepdiag_ros.gap.diagnosis import AXIS_LIKE, Diagnosis, Found
 from stepdiag_ros.gap.inference.search import NOTHING
-from stepdiag_ros.gap.summary.cross_validation import closing
+from stepdiag_ros.gap.summary.cross_validation import cross_validated
 from stepdiag_ros.gap.summary.margins import AT_REST, MOVING, SETTLING
 from stepdiag_ros.gap.summary.volume import VolumeChange
 from stepdiag_ros.model.machine import CURVES, SQUARENESS
@@ -18,7 +18,6 @@ from stepdiag_ros.report.words import (
     SHORT_CHANNELS,
     certainty,
     closed_percent,
-    leftover_words,
     micrometres,
     parameter_name,
     parameter_unit,
@@ -27,6 +26,7 @@ from stepdiag_ros.report.words import (
     quantity,
     scale,
     title,
+    unmodelled_words,
 )
 
 ALTERNATIVE = 0.05
@@ -103,18 +103,18 @@ def reach_words(diagnosis: Diagnosis, name: str) -> str:
 
 def headline(diagnosis: Diagnosis) -> str:
     """The verdict in one sentence."""
-    found, leftover = diagnosis.effects, leftover_words(diagnosis.leftover)
-    floor = micrometres(diagnosis.closing.floor_m)
-    if not found and not diagnosis.leftover:
+    found, unmodelled = diagnosis.effects, unmodelled_words(diagnosis.unmodelled)
+    floor = micrometres(diagnosis.cross_validation.floor_m)
+    if not found and not diagnosis.unmodelled:
         said = (f'Nothing is wrong that this log could show: machine and simulator agree to within '
                 f'the noise of {floor}')
         return f'{said}, but for a hint of {_hinted(diagnosis)}.' if diagnosis.hint else f'{said}.'
     names = stand_ins(diagnosis)
     if not found and names:
-        return (f'Something disturbs the measurement to which this log gives no sure name: {leftover}. '
+        return (f'Something disturbs the measurement to which this log gives no sure name: {unmodelled}. '
                 f'What would look the same: {" or ".join(_lower(title(name)) for name in names)}.')
     if not found:
-        return f'Something disturbs the measurement that is none of the known causes: {leftover}.'
+        return f'Something disturbs the measurement that is none of the known causes: {unmodelled}.'
     if len(found) == 1:
         text = cause(diagnosis, found[0])
         others = alternatives(diagnosis, found[0])
@@ -126,8 +126,8 @@ def headline(diagnosis: Diagnosis) -> str:
         count = {2: 'Two', 3: 'Three', 4: 'Four'}.get(len(found), str(len(found)))
         text = f'{count} things act together: ' + '; '.join(
             f'{i}) {_lower(cause(diagnosis, f))}' for i, f in enumerate(found, 1))
-    if diagnosis.leftover:
-        return f'{text} — and something more that is none of the known causes: {leftover}.'
+    if diagnosis.unmodelled:
+        return f'{text} — and something more that is none of the known causes: {unmodelled}.'
     return text + '.'
 
 
@@ -161,7 +161,7 @@ def _hinted(diagnosis: Diagnosis) -> str:
     said = []
     for name, form in diagnosis.hint.forms.items():
         others = [n for group in diagnosis.indistinguishable if name in group for n in group if n != name]
-        first = f'something without a name ({leftover_words(form)})' if name == UNKNOWN else f'“{title(name)}”'
+        first = f'something without a name ({unmodelled_words(form)})' if name == UNKNOWN else f'“{title(name)}”'
         said.append(' or '.join([first, *(f'“{title(n)}”' for n in others)]))
     return ' and '.join(said)
 
@@ -186,21 +186,21 @@ def _lower(text: str) -> str:
 
 def closed_share(diagnosis: Diagnosis) -> float | None:
     """Share of the gap's variance above the floor that is gone; None where there was none."""
-    gap = diagnosis.closing
+    gap = diagnosis.cross_validation
     before, after = gap.before_m**2 - gap.floor_m**2, gap.after_m**2 - gap.floor_m**2
     return float(np.clip(1.0 - max(after, 0.0) / before, 0.0, 1.0)) if before > 0.0 else None
 
 
 def how_far(diagnosis: Diagnosis) -> str:
     """Before, after and the floor in a sentence."""
-    gap = diagnosis.closing
+    gap = diagnosis.cross_validation
     if diagnosis.verdict == 'no_gap':
         return (f'On {gap.held_out} simulator and machine differ by {micrometres(gap.before_m)}; '
                 f'noise alone makes {micrometres(gap.floor_m)}.')
-    if diagnosis.leftover and not diagnosis.effects and not diagnosis.joint.active:
+    if diagnosis.unmodelled and not diagnosis.effects and not diagnosis.joint.active:
         return (f'The readings at the stops differ by {micrometres(gap.before_m)} (noise alone, with what it adds: '
                 f'{micrometres(gap.floor_m)}); it has no pattern that the simulator could be given.')
-    if diagnosis.leftover and not diagnosis.effects:
+    if diagnosis.unmodelled and not diagnosis.effects:
         return (f'A pattern without a name brings the gap from {micrometres(gap.before_m)} to '
                 f'{micrometres(gap.after_m)} (noise alone: {micrometres(gap.floor_m)}). It describes the trouble; '
                 'it does not explain it.')
@@ -231,9 +231,9 @@ def over_setups_words(diagnosis: Diagnosis) -> str:
     if over is None:
         return ''
     if not diagnosis.joint.active:
-        return (f'Where whole setups are held out, each foretold from the others, they differ by '
+        return (f'Where whole setups are held out, each predicted from the others, they differ by '
                 f'{micrometres(over.before_m)} (noise alone: {micrometres(over.floor_m)}).')
-    return (f'Where whole setups are held out, each foretold from the others, the gap falls from '
+    return (f'Where whole setups are held out, each predicted from the others, the gap falls from '
             f'{micrometres(over.before_m)} to {micrometres(over.after_m)} (noise alone: {micrometres(over.floor_m)}).')
 
 
@@ -244,7 +244,7 @@ def closes_words(found: Found) -> str:
 
 def steps(diagnosis: Diagnosis) -> list[tuple[str, float]]:
     """The gap budget: label and gap [m] on the held-out part, from before over each cause to after."""
-    gap, joint = diagnosis.closing, diagnosis.joint
+    gap, joint = diagnosis.cross_validation, diagnosis.joint
     rows = [('before', gap.before_m)]
     names = [name for name in dict.fromkeys(f.name for f in diagnosis.effects)
              if any(a.effect.name == name for a in joint.active)]
@@ -257,7 +257,7 @@ def steps(diagnosis: Diagnosis) -> list[tuple[str, float]]:
             value = gap.after_m
         else:
             part = tuple(a for a in joint.active if a.effect.name in taken)
-            value = closing(replace(joint, active=part)).after_m
+            value = cross_validated(replace(joint, active=part)).after_m
         rows.append((name or 'unknown', value))
     return rows
 
@@ -357,8 +357,9 @@ def summary(diagnosis: Diagnosis, name: str, adoption: tuple[str, ...] = ()) -> 
             lines.append(f'      What to do: {found.remedy}')
     if diagnosis.hint:
         lines += ['', f'  {hint_words(diagnosis)}']
-    if diagnosis.leftover:
-        lines += ['', f'  Not explained: {leftover_words(diagnosis.leftover)}. {correlates_words(diagnosis)}'.rstrip()]
+    if diagnosis.unmodelled:
+        more = f'{unmodelled_words(diagnosis.unmodelled)}. {correlates_words(diagnosis)}'
+        lines += ['', f'  Not explained: {more}'.rstrip()]
     if diagnosis.shares:
         lines += ['', f'  Where: {where_words(diagnosis)}']
     for group in diagnosis.indistinguishable:

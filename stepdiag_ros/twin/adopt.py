@@ -94,8 +94,8 @@ def adopt(diagnosis: Diagnosis, base: Mapping[str, Any] | None = None) -> Adopte
                  f'stops (reduced chi2 {chi2:.2f})' + (
                      '; the gap is not closed by it: what is found is more than the simulator can be given'
                      if times > CLOSED else ''))
-    if diagnosis.leftover:
-        notes.append(f'not adopted, for it has no name: {diagnosis.leftover}')
+    if diagnosis.unmodelled:
+        notes.append(f'not adopted, for it has no name: {diagnosis.unmodelled}')
     if diagnosis.solution.unidentifiable:
         notes.append('directions that the log leaves open are held near zero: '
                      + ', '.join(sorted({n for u in diagnosis.solution.unidentifiable for n in u.names})[:8]))

@@ -119,14 +119,14 @@ class Parity:
         return share
 
     def own_rows(self, form: Form) -> np.ndarray:
-        """What columns made of readings owe to the readings' noise, as rows (m, k) beside those of the data, against
+        """The Jacobian correction of columns made of readings, as rows (m, k) beside those of the data, against
         ``own_data`` (m,), per unit of the form's ``scale``.
 
         Data z = r − model − a·c(r) have the density of the noise times |∂z/∂r| = Π(1 − a·c′(r)); the
         logarithm of that, −Σ a·c′ − ½ Σ (a·c′)², is, but for a constant, −½ Σ (a·c′ + 1)²: as if each reading had been
-        read once more, as −1.  So two forms made of the same readings owe it once, not each for itself.  Against data
-        with less noise than was taken for granted (where air boils or a laser hops it is an upper bound) it
-        counts by that much less.
+        read once more, as −1.  So two forms made of the same readings are corrected once, not each for itself.
+        Against data with less noise than was taken for granted (where there is turbulence or a mode hop it is an
+        upper bound) it counts by that much less.
         """
         reading, root = self._own
         slopes = form.by_reading.reshape(len(form.columns), -1)[:, reading] * form.scale[:, None]
@@ -286,9 +286,9 @@ def _contrasts(bins: int) -> np.ndarray:
 def _roughness(slope: np.ndarray, observation: Observation) -> np.ndarray:
     """Factor (c,) by which the dwells' slopes (n, c) scatter above the sensors' noise.
 
-    A drift that wanders changes its rate from stop to stop: a form with a smooth course foretells the
+    A drift that wanders changes its rate from stop to stop: a form with a smooth profile predicts the
     slopes only so well, whatever the sensor could see.  Taken from second differences between stops
-    that the same axis led to, in which smooth courses and settling cancel.
+    that the same axis led to, in which smooth profiles and settling cancel.
     """
     table = observation.table
     parts = []

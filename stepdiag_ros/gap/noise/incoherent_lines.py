@@ -7,7 +7,7 @@ one kind share (creep after a move), the sum of squares S/K is compared with
     C = w (I + r B) + Σ ½ a² (c cᵀ + s sᵀ),      ln L = −½ K (ln|C| + tr C⁻¹ S/K),
 
 B a smooth background (a power law, an exponential or a Gaussian correlation), c and s a cosine and a
-sine.  Air that boils, a filter in the sensor or a drift that wanders is a background and no line, and the
+sine.  Turbulent air, a filter in the sensor or a drift that wanders is a background and no line, and the
 white level is measured, not believed.  The likelihood ratio with and without lines is the evidence.
 """
 
@@ -39,7 +39,7 @@ SIZES = np.logspace(-2.5, 5.5, 33)
 class Vibration:
     """Lines in the dwells' spectrum: ``frequency`` [Hz] of the strongest (as sampled, at ``rate`` [Hz]: it may
     be an alias), its ``amplitude`` and ``sigma`` [m]; ``log_bayes`` of ``lines`` lines against a smooth spectrum;
-    ``share`` of them in the dwells' variance; ``powers`` [m²]: variance of each line in one sample; ``steady``: they
+    ``share`` of them in the dwells' variance; ``powers`` [m²]: variance of each line in one sample; ``coherent``: they
     keep their phase from dwell to dwell; ``log_growth``: log evidence that the strongest grows with the path;
     ``by_dwell`` (K,) [m²]: what single dwells show of the strongest, beyond the noise on average."""
 
@@ -50,7 +50,7 @@ class Vibration:
     share: float
     lines: tuple[float, ...] = ()
     powers: tuple[float, ...] = ()
-    steady: bool = False
+    coherent: bool = False
     log_growth: float = 0.0
     by_dwell: np.ndarray | None = None
     rate: float = np.inf

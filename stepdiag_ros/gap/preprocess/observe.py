@@ -24,7 +24,7 @@ SETTLED = 1e-2
 FIRST = 5
 """Readings of an environment sensor that are averaged where the log begins."""
 BADLY_FITTED = 4.0
-"""Reduced χ² above which the noise is scaled up for the fit, so that a gross effect bends it less."""
+"""Reduced χ² above which the noise is scaled up for the fit, so that a large effect bends it less."""
 
 
 def channels(beams: int) -> dict[str, slice]:

@@ -155,9 +155,9 @@ def apart(log: CalibrationLog, table: StopTable) -> tuple[float, float] | None:
         two = _progress(log.spot, table, table.spot, i, rests[1])
         if one is None or two is None:
             continue
-        (time, course, _), (seen, spot, noise) = one, two
-        place = np.interp(seen, time, course)
-        rate = np.interp(seen, time, np.gradient(course, time))
+        (time, curve, _), (seen, spot, noise) = one, two
+        place = np.interp(seen, time, curve)
+        rate = np.interp(seen, time, np.gradient(curve, time))
         inside = (place > 0.02) & (place < 0.98)
         if inside.sum() < 4 or len(np.unique(spot[inside])) < 0.8 * inside.sum():
             continue

@@ -25,7 +25,7 @@ def test_outside_is_outside() -> None:
 
 
 @pytest.mark.parametrize('seed', range(12))
-def test_courses_start_at_zero_and_reach_one(seed: int) -> None:
+def test_time_profiles_start_at_zero_and_reach_one(seed: int) -> None:
     along, _ = course(np.random.default_rng(seed), 1800.0)
     values = along(np.linspace(0.0, 1800.0, 400))
     assert values[0] == pytest.approx(0.0, abs=1e-12)

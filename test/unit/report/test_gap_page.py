@@ -178,7 +178,7 @@ def test_what_cannot_be_told_apart_and_next_measurement_are_shown(backlash):
 def test_budget_goes_from_before_to_after(backlash):
     rows = steps(backlash)
     assert [name for name, _ in rows] == ['before', 'backlash']
-    assert rows[0][1] == backlash.closing.before_m and rows[-1][1] == backlash.closing.after_m
+    assert rows[0][1] == backlash.cross_validation.before_m and rows[-1][1] == backlash.cross_validation.after_m
     assert rows[-1][1] < rows[0][1]
     assert closed_share(backlash) > 0.9
 
@@ -189,8 +189,8 @@ def test_budget_bars_are_in_proportion():
     assert widths[0] == pytest.approx(4 * widths[1], rel=1e-2)
     line = float(re.search(r'<line x1="([\d.]+)"', drawn)[1])
     assert line == pytest.approx(420 + widths[1], abs=0.2)
-    gross = budget_svg([('before', 4e-4), ('after', 1e-6)], 1e-6)
-    assert 'logarithmic' in gross
+    large = budget_svg([('before', 4e-4), ('after', 1e-6)], 1e-6)
+    assert 'logarithmic' in large
 
 
 def test_changes_of_the_errors_are_ranked(backlash):

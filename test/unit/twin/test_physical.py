@@ -18,7 +18,7 @@ OWN = '''
 import numpy as np
 from stepdiag_ros.effects.base import Effect, Parameter
 from stepdiag_ros.effects.patterns import follow, saturating
-from stepdiag_ros.effects.timeforms import courses
+from stepdiag_ros.effects.timeforms import time_profiles
 
 class SpindleGrowth(Effect):
     name = 'spindle_growth'
@@ -31,7 +31,7 @@ class SpindleGrowth(Effect):
 
     def appearance(self, view):
         along_z = -view.by_shift[2:]
-        return [follow(view, course, along_z, ('growth',), 1e-5) for course in courses(view.time)]
+        return [follow(view, profile, along_z, ('growth',), 1e-5) for profile in time_profiles(view.time)]
 '''
 
 
