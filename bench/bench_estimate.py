@@ -50,7 +50,7 @@ def measure(steps: int) -> tuple[str, float | None, float]:
     memory = peak_mb(lambda: enhanced.fit(case.description, case.table, case.noise)) if steps <= 50 else np.nan
     ratio, gap, dense_text, whole_text = None, 0.0, '', ''
     if steps <= LARGEST_DENSE:
-        # The same problem as rows: whitened readings, then the widths.
+        # The same problem as rows: whitened readings, then the priors.
         dense = result.jacobian.toarray()
         rows = np.concatenate([white(dense) for white in result.whiteners])
         right = np.concatenate([white(residual) for white in result.whiteners])

@@ -1,6 +1,6 @@
 """How well can a log be predicted at all?  The gap that the noise alone leaves.
 
-The noise that fell moves the reduced χ² of what is held out by some percent off 1.  The same world without
+The realised noise moves the reduced χ² of what is held out by some percent off 1.  The same world without
 its effects, the same noise falling, shows by how much: no diagnosis can close more of a gap than down to there.
 """
 

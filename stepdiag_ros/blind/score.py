@@ -68,7 +68,7 @@ class Case:
 
     @property
     def floor(self) -> float:
-        """Reduced χ² of what is held out that the noise which fell leaves without any effect; 1 where not judged."""
+        """Reduced χ² of what is held out that the realised noise leaves without any effect; 1 where not judged."""
         return self.truth.get('noise_chi2', 1.0)
 
     @property
@@ -195,7 +195,7 @@ def where_f1(case: Case) -> float:
 
 
 def closed(case: Case) -> float:
-    """Share of the gap's variance above the noise that fell that is gone on held-out data; NaN: no gap there."""
+    """Share of the gap's variance above the realised noise that is gone on held-out data; NaN: no gap there."""
     before, after = (case.extra['closing'][when] - case.floor for when in ('before', 'after'))
     # Below three standard deviations of a reduced χ² the held-out part shows no gap to close.
     if before < 3.0 * np.sqrt(2.0 / max(case.extra['closing']['count'], 1)):
@@ -206,7 +206,7 @@ def closed(case: Case) -> float:
 def closed_together(cases: Sequence[Case]) -> dict[str, Any]:
     """Share of all logs' gaps that is gone, summed before it is divided.
 
-    Clipped log by log what is not known of the noise that fell only ever takes away from what was closed, summed it
+    Clipped log by log what is not known of the realised noise only ever takes away from what was closed, summed it
     cancels.
     """
     before, after = (sum(c.extra['closing'][when] - c.floor for c in cases) for when in ('before', 'after'))

@@ -132,7 +132,7 @@ def _acts_inside(effects: Sequence[Hidden]) -> str | None:
 
 
 def _as_seen(cell: Cell, effects: Sequence[Hidden]) -> Cell:
-    """The cell in whose log the effects are measured by the yardstick: wrong stamps are told from an exchange of
+    """The cell in whose log the effects are measured by the yardstick: wrong stamps are separated from an exchange of
     noise by doing without noise."""
     return without_sensor_noise(cell) if _acts_inside(effects) == 'stamps' else cell
 

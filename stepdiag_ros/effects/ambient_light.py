@@ -30,7 +30,7 @@ class AmbientLight(Effect):
     sources = ('Andersson 2008, Position sensitive detectors: background light',)
     remedy = 'Shade the detector, use an interference filter, or modulate the beam and detect in phase.'
     signature = 'The spot shrinks towards the centre by a share that follows the clock; the sum signal rises.'
-    neighbours = 'psd_gain is a share that does not change; a constant background cannot be told from it.'
+    neighbours = 'psd_gain is a share that does not change; a constant background is indistinguishable from it.'
 
     @classmethod
     def draw(cls, rng: np.random.Generator) -> Drawn:

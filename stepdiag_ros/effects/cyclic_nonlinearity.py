@@ -79,7 +79,7 @@ class CyclicNonlinearity(Effect):
     def _of_length(self, view: StopView, label: str, length: np.ndarray, rise: np.ndarray,
                    wavelength: float) -> list[Form]:
         # The phase is that of the reading itself, noise and all: it is to be known to nanometres, which no
-        # fitted length is.  What a column then owes to the noise that it holds goes with the form.
+        # fitted length is.  The Jacobian correction for the noise that a column then holds is part of the form.
         slope = 4.0 * np.pi / wavelength * rise
 
         def form(kind: str, columns: np.ndarray, slopes: np.ndarray, names: tuple[str, ...]) -> Form:

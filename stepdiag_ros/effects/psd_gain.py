@@ -30,7 +30,7 @@ class PsdGain(Effect):
     remedy = 'Calibrate the detector on a stage with known shifts, or enter its gain.'
     signature = 'The spot is too large or too small by a fixed share, wherever it lies.'
     neighbours = ('ambient_light shrinks the spot by a share that varies with time; psd_nonlinearity by a '
-                  'share that grows with the spot; a constant share of light cannot be told from a gain.')
+                  'share that grows with the spot; a constant share of light is indistinguishable from a gain.')
 
     @classmethod
     def draw(cls, rng: np.random.Generator) -> Drawn:

@@ -17,7 +17,7 @@ from stepdiag_ros.effects.timeforms import ROUGHNESS, drift_form, time_profiles
 HELD = {'': 0.0, ', held in the middle': 0.5, ', held at the end': 1.0}
 """Where a scale may be held, as a share of its travel."""
 GLASS = 8e-6
-"""Expansion of a glass scale [1/K], by which a growth is said as a temperature."""
+"""Expansion of a glass scale [1/K], by which a growth is reported as a temperature."""
 NOTICEABLE = 0.03
 """Standard deviation of a scale's temperature over the log [K] that is more than its sensor's noise."""
 

@@ -5,10 +5,10 @@ are neighbours; and the errors of arrival, which tie the stops of a run together
 each lasts until its axis moves again.  With one more unknown for each arrival, of known variance, all
 readings of different stops become independent, and ordered along the diagonals, folded in their middle,
 curves and arrivals form a band of some hundred columns, whatever the number of steps.  Misalignments and offsets, which
-meet every stop of a setup, stand beside it as a border of a few dozen columns; so do the rows that hold the
+meet every stop of a setup, form a border of a few dozen columns; so do the rows that hold the
 frame, in the form ``[[B, w], [wᵀ, −σ²]]`` of ``B + w wᵀ/σ²``.
 
-Eliminating the arrivals gives back the dense equations exactly.  Rounding costs more digits here, above all where
+Eliminating the arrivals returns the dense equations exactly.  Rounding costs more digits here, above all where
 the border decides; the steps serve to get there, the last one is taken from the dense equations.
 """
 

@@ -92,7 +92,7 @@ def errors_of(latent: Latent, basis: np.ndarray, data: np.ndarray) -> Errors:
 
 def weighed(noise: NoiseModel, found: Sequence[Errors], stops: int) -> tuple[NoiseModel, float, np.ndarray, np.ndarray]:
     """The noise with what each of the ``stops`` is wider by, given the errors; the log evidence that the tails bring
-    beyond normal errors of the widths that they were taken to have; and the errors' mean squares (m,) with their
+    beyond normal errors of the sizes that they were taken to have; and the errors' mean squares (m,) with their
     ``source`` (m,), in squares of the noise's sizes, each counted by its weight.
 
     All but one error held, the data say of that one m ± √v: 1/v = 1/V − 1, m = v ε/V.

@@ -9,7 +9,7 @@ and all, is the combined covariance, which goes on to any point of the volume th
 :mod:`stepdiag_ros.estimate.prediction`.
 
 What no contributor causes but the data leave open (:mod:`stepdiag_ros.estimate.identifiability`) is a
-line of its own, ``held by width``.
+line of its own, ``held by prior``.
 """
 
 import math
@@ -33,7 +33,7 @@ from stepdiag_ros.model.budget import MEASURED, Budget, Contributor
 from stepdiag_ros.model.description import Description, Machine
 from stepdiag_ros.model.machine import AXES
 
-HELD = 'held by width'
+HELD = 'held by prior'
 
 
 @dataclass(frozen=True)

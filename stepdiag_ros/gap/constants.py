@@ -37,14 +37,14 @@ IMITATION_PENALTY = 3.0
 CONTROL_SHARE = 0.2
 """Share of what an effect's negative controls explain by which a name must beat them."""
 CONFUSED = 3.0
-"""Sets closer than this in log evidence (odds of 20) cannot be told apart."""
+"""Sets closer than this in log evidence (odds of 20) are indistinguishable."""
 VIBRATION_ALARM = 6.0
 """Least log evidence of lines in the dwells' spectrum; white noise passes it about once in 10⁵ logs."""
 COHERENT_ALARM = 12.0
 """Least log evidence of lines that keep their phase from dwell to dwell; of logs without any one in twenty shows 4,
 one in 10⁵ this."""
 GROWS = 3.0
-"""Log evidence from which a line is said to grow with the path."""
+"""Log evidence from which a line counts as growing with the path."""
 BACKGROUND_ALARM = 12.0
 """Least log evidence of smooth noise inside the dwells beyond white."""
 LEAST_GROWTH = 0.75

@@ -49,7 +49,7 @@ BEYOND_PATTERNS = 0.95
 
 
 UNTIMED = ('the readings drift in the order in which they were taken; the times of this table are made up, so that no '
-           'thermal cause and no time constant can be told')
+           'thermal cause and no time constant can be named')
 
 
 def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:

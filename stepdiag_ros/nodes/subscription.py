@@ -40,8 +40,9 @@ class RawSubscription:
     """Receives ``topics`` (relative name -> type) below ``node``'s namespace.
 
     From :meth:`start` on ``callback`` is called with each :class:`Received`, in its own thread, topics as
-    given, messages of a topic in order.  ``latched`` names the topics whose last message is wanted although it was
-    sent before.  The subscriptions belong to a second node, ``<name>_subscriptions``, which no executor sees; parameters
+    given, messages of a topic in order.  ``latched`` names the topics whose last message is wanted although it
+    was sent before.  The subscriptions belong to a second node, ``<name>_subscriptions``, which no executor sees;
+    parameters
     ``qos_overrides.<topic>.subscription.…`` of that node change their quality.
     """
 

@@ -28,7 +28,7 @@ CHANNEL_NAMES = ('length', 'spot x', 'spot y')
 K = 2.0
 MEAN_OF = 8
 UNKNOWN_SIGMA = 3e-4
-"""A standard deviation [m, rad] near the width that a curve is held to: the log does not tell it."""
+"""A standard deviation [m, rad] near the prior that a curve is held to: the log does not tell it."""
 ASTRAY = 6.0
 """A curve this much wider than the right one is let out of its panel."""
 

@@ -30,13 +30,13 @@ BADGES = {'no_gap': ('good', 'nothing wrong'), 'hint': ('good', 'nothing for sur
           'partly_explained': ('bad', 'partly explained'), 'unexplained': ('bad', 'cause not known')}
 SHOWN_PROBABILITY = 0.01
 FAR = 100.0
-"""Standard deviations beyond which no number is said."""
+"""Standard deviations beyond which no number is shown."""
 LEAST_INSIDE = 0.15
 """Share of the gap inside the stops from which a picture of it is shown."""
 
 
 def gap_page(diagnosis: Diagnosis, name: str, notes: tuple[str, ...] = (), again: Series | None = None) -> str:
-    """The HTML of one diagnosis; ``notes`` are told among the warnings; ``again``: what the adopted simulator shows
+    """The HTML of one diagnosis; ``notes`` are reported among the warnings; ``again``: what the adopted simulator shows
     along the moves of the log."""
     sections = [_head(diagnosis, name), _budget(diagnosis), _causes(diagnosis), _where(diagnosis),
                 _pictures(diagnosis), _again(diagnosis, again), _errors(diagnosis), _warnings(diagnosis, notes),
@@ -258,7 +258,7 @@ def _pictures(diagnosis: Diagnosis) -> str:
         caption = 'Log minus simulator. Where nothing is wrong the points fill the band of the noise evenly.'
     return (text + '<h3>What is left at each stop</h3>'
             + figure(gap_figures.along_stops(parts, stops, False), caption, 2)
-            + '<h3>What is left over time</h3>'
+            + '<h3>Residuals over time</h3>'
             + figure(gap_figures.over_time(parts, stops),
                      'The same, in the order in which it was measured.', 3) + _inside(diagnosis) + _swings(diagnosis))
 

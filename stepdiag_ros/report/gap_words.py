@@ -135,7 +135,7 @@ def correlates_words(diagnosis: Diagnosis) -> str:
     """With what a structure without a name goes; '' where nothing stands out."""
     said = [f'{one.quantity} ({SHORT_CHANNELS[one.channel]}, {closed_percent(one.share)})'
             for one in diagnosis.correlates]
-    return f'It goes with {", ".join(said)}: share of its variance at the stops that one alone would follow.' \
+    return f'It correlates with {", ".join(said)}: share of its variance at the stops that one alone would follow.' \
         if said else ''
 
 
@@ -216,9 +216,9 @@ def how_far(diagnosis: Diagnosis) -> str:
     share = closed_share(diagnosis)
     rest = 'what is left is noise' if gap.after < NOISE_LIKE else \
         f'what is left is still {gap.after_m / max(gap.floor_m, 1e-300):.1f} times the noise'
-    if gap.gap.width > gap.floor_m:
+    if gap.gap.sigma > gap.floor_m:
         rest = (f'what is left is {gap.after_m / max(gap.floor_m, 1e-300):.1f} times the noise; what was fitted leaves '
-                f'the forecast uncertain by {micrometres(gap.gap.width)}')
+                f'the forecast uncertain by {micrometres(gap.gap.sigma)}')
     where = ' of the spot' if gap.channel == 'spot' else ''
     return (f'With {"it" if len(diagnosis.effects) == 1 else "them"} in the simulator the gap{where} falls from '
             f'{micrometres(gap.before_m)} to {micrometres(gap.after_m)} (noise alone: '
@@ -363,7 +363,7 @@ def summary(diagnosis: Diagnosis, name: str, adoption: tuple[str, ...] = ()) -> 
     if diagnosis.shares:
         lines += ['', f'  Where: {where_words(diagnosis)}']
     for group in diagnosis.indistinguishable:
-        lines += ['', '  Cannot be told apart in this log: ' + ' / '.join(title(n) for n in group)
+        lines += ['', '  Indistinguishable in this log: ' + ' / '.join(title(n) for n in group)
                   + f'. {separation_words(diagnosis, group)}'.rstrip()]
     if diagnosis.next_measurement:
         lines += [f'  Measure next: {diagnosis.next_measurement}']

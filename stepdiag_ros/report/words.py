@@ -1,4 +1,4 @@
-"""How numbers and causes are said to someone who knows machines but not this program."""
+"""How numbers and causes are put to someone who knows machines but not this program."""
 
 import re
 

@@ -3,7 +3,7 @@
 The simulator is made to move as the log did (:class:`~stepdiag_ros.twin.twin.Twin`), and the parameters are
 those with which the effect does there, in parity space, what was fitted: stops' means and the course inside the stops.
 So every effect is taken over alike, one of the user's own too.  The physical face is narrower than the forms; what is
-lost is told.
+lost is reported.
 """
 
 from collections.abc import Callable, Iterator
@@ -20,7 +20,7 @@ from stepdiag_ros.twin.story import basis_of, unknown_starts
 from stepdiag_ros.twin.twin import Twin
 
 LOSS = 0.05
-"""Share of what was fitted beyond which its loss is told …"""
+"""Share of what was fitted beyond which its loss is reported …"""
 LEAST_DONE = 0.1
 """… and share that must be kept for it to be adopted."""
 SIZE_UNITS = ('m', 'rad', 'K')

@@ -43,7 +43,7 @@ def advise(joint: Joint, models: Sequence[Ways], groups: Sequence[Sequence[str]]
     """The advice in words, or None where nothing is left to tell apart; the run, where one is worth it.
 
     ``models``: the likeliest set of effects in the forms that it may take, then those that may stand for it, or
-    nothing; ``groups``: names that cannot be told apart; ``unknown``: whether something acts that has no name;
+    nothing; ``groups``: names that are indistinguishable; ``unknown``: whether something acts that has no name;
     ``settles``: where it is in doubt that anything does, the log evidence that would settle it.
     """
     run = recommend(joint, models)

@@ -31,7 +31,7 @@ def confused(sets: list[EffectSet], best: EffectSet) -> tuple[tuple[str, ...], .
 def separations(sets: list[EffectSet], best: EffectSet) -> dict[str, float]:
     """How well the log separates from the best set what may stand for a member of it.
 
-    By name the log evidence by which that falls behind; 0: not at all, ``CONFUSED``: it would be told.
+    By name the log evidence by which that falls behind; 0: not at all, ``CONFUSED``: it would be distinguished.
     """
     found: dict[str, float] = {}
     for other in _stand_ins(sets, best):

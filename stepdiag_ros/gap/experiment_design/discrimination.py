@@ -1,4 +1,4 @@
-"""How well two forecasts are told apart: probability of error, expected evidence; mixtures of forecasts too.
+"""How well two forecasts are distinguished: probability of error, expected evidence; mixtures of forecasts too.
 
 Each set of effects predicts new readings as a normal distribution N(m, V).  The probability that they speak for the
 wrong one of two sets is at most ½ρ, with

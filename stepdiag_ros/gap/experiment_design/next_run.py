@@ -31,7 +31,7 @@ ASIDE_M = 0.02
 RESTS = (0.0, 0.3, 1.0)
 """How long a run is left standing before it is measured again: shares of the log's length, the first that is …"""
 ENOUGH = 15.0
-"""… told apart by this −ln ρ is taken.  The forms are never quite right: runs of which they promised odds of a hundred
+"""… separated by this −ln ρ is taken.  The forms are never quite right: runs of which they promised odds of a hundred
 to one settled one case in two."""
 WATCHED = (60.0, 1200.0)
 """A run is watched for as long as a setup usually takes, within these limits [s]."""
@@ -40,7 +40,7 @@ PATIENT_S = 600.0
 watched for at least so long: what follows the clock has gone on by then, what begins at each mounting begins as before.
 No forecast asks for that, for each takes one of its forms to be right."""
 GREY = 0.5
-"""Light that is left in the beam where background is to be told from it."""
+"""Light that is left in the beam where background is to be distinguished from it."""
 BACKGROUND = 'ambient_light'
 FRESH = 'mirror_mount_creep'
 SOON = 'Begin right after mounting the mirror: a mount that relaxes moves most then, nothing else does.'
@@ -103,9 +103,9 @@ def recommend(joint: Joint, models: Sequence[Ways]) -> NextRun | None:
         return None
     if best[0].watch or best[0].again_after is not None:
         best = _best(joint, models, [_patient(joint, best[0])], None, log) or best
-    run, told, first, others = best
+    run, separation, first, others = best
     evidence = min(min(expected_evidence(first, other), expected_evidence(other, first)) for other in others)
-    error, at_once = 0.5 * float(np.exp(-max(told, 0.0))), FRESH in between
+    error, at_once = 0.5 * float(np.exp(-max(separation, 0.0))), FRESH in between
     return NextRun(run, evidence, error, between, at_once,
                    run.text + (f' {SOON}' if at_once else '') + _hope(error, between))
 
@@ -118,9 +118,9 @@ def _best(joint: Joint, models: Sequence[Ways], runs: Sequence[Run], best: Best,
         forecasts = [extended.forecasts(ways) for ways in models]
         if not all(forecasts):
             continue
-        told = min(apart(forecasts[0], other) for other in forecasts[1:])
-        if best is None or told > best[1]:
-            best = run, told, forecasts[0], forecasts[1:]
+        separation = min(apart(forecasts[0], other) for other in forecasts[1:])
+        if best is None or separation > best[1]:
+            best = run, separation, forecasts[0], forecasts[1:]
     return best
 
 

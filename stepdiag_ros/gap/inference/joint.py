@@ -84,7 +84,7 @@ class Joint:
 
     @cached_property
     def normal(self) -> np.ndarray:
-        """``JᵀJ + P`` (size, size) of the unknowns and their widths."""
+        """``JᵀJ + P`` (size, size) of the unknowns and their priors."""
         return self.jacobian.T @ self.jacobian + self.fit.precision
 
     @cached_property

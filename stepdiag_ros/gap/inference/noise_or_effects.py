@@ -2,7 +2,7 @@
 
 Tails, and errors that go with those before, look like causes where noise is taken to be normal and independent;
 and a cause looks like tails to a noise that may have them.  So both are tried: effects beside normal noise, and
-effects beside the noise whose laws explain the log best without any.  Of each, machine and set-up at their widths,
+effects beside the noise whose laws explain the log best without any.  Of each, machine and set-up at their priors,
 the log evidence of what it leaves is taken, the price of its effects' freedom paid; the larger decides.
 """
 

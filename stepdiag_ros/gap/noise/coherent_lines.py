@@ -72,7 +72,7 @@ class Spectrum:
 
 def find_coherent_lines(dwells: Dwells, run: np.ndarray, path: np.ndarray, alarm: float) -> Vibration | None:
     """Lines in ``dwells`` of K stops that belong to ``run`` (K,) and lie ``path`` (K,) [m] from the mirror; None
-    where no stretch is long enough.  Lines beside the strongest are told above the evidence ``alarm``."""
+    where no stretch is long enough.  Lines beside the strongest are reported above the evidence ``alarm``."""
     samples = _samples(dwells)
     found = [_lines(dwells, samples, path, stretches, alarm) for stretches in _stretches(run)]
     return max((f for f in found if f is not None), key=lambda f: f.log_bayes, default=None)

@@ -1,4 +1,4 @@
-"""Lines in the samples of the dwells: shaking at a few frequencies, told from noise of any smooth spectrum.
+"""Lines in the samples of the dwells: shaking at a few frequencies, distinguished from noise of any smooth spectrum.
 
 A vibration has no fixed phase from dwell to dwell; all it leaves is the covariance of a dwell's samples,
 which it makes periodic.  With K dwells of n samples, freed of mean and slope and of what all dwells of
@@ -21,7 +21,7 @@ from stepdiag_ros.estimate.eigen import eigen
 from stepdiag_ros.gap.preprocess.dwells import Dwells
 
 LEAST_RANK = 3
-"""Dimensions that a dwell must have left: in two a line cannot be told from a smooth spectrum."""
+"""Dimensions that a dwell must have left: in two a line is indistinguishable from a smooth spectrum."""
 PADDING = 4
 """Frequencies tried in one over the dwell's length."""
 LEAST_CYCLES = 1.0

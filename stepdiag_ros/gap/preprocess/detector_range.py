@@ -29,7 +29,7 @@ HARD = 0.4
 SHARES = (0.15, 0.3, 0.6, 1.0)
 """Shares of a setup's readings, from either end, through which a line is begun."""
 LEAST_PLACES = 6
-"""Places of a setup from which a line and a bending can be told apart."""
+"""Places of a setup from which a line and a bending can be distinguished."""
 
 
 @dataclass(frozen=True)

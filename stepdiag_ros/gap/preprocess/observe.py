@@ -62,7 +62,7 @@ def sane_fit(log: CalibrationLog, table: StopTable, theta: np.ndarray | None = N
              noise: NoiseModel | None = None) -> Fit:
     """The nominal fit; where the model fails grossly, with the noise scaled up until it does not.
 
-    The widths of the unknowns then hold machine and misalignments to plausible sizes instead of
+    The priors of the unknowns then hold machine and misalignments to plausible sizes instead of
     letting them explain the gap away.  ``theta`` starts the iteration; ``noise``: if not as the repeats show it.
     """
     result = fit(log.description, table, noise=noise, theta=theta, settled=SETTLED)

@@ -18,7 +18,7 @@ ONSET_SIGMAS = 8.0
 SURE_NS = 1_000_000
 """A sample whose time is known worse than this tells nothing of a clock."""
 LEAST_MOVES = 24
-"""Fewest moves from which the delay between two sensors is told."""
+"""Fewest moves from which the delay between two sensors is estimated."""
 LEAST_STRETCHES = 6
 """Fewest stretches by which those moves must agree."""
 MOST_NOISE = 0.5
@@ -143,7 +143,7 @@ def apart(log: CalibrationLog, table: StopTable) -> tuple[float, float] | None:
     In each move the spot's progress p is the displacement's, later by τ and bent by the guides:
     p_spot − p = −τ dp/dt + κ p (1 − p), over all samples of the move.  A bend changes its sign with the
     direction of motion, a delay does not: the moves to and fro over one stretch share a bend, which by one of
-    them alone is hardly told from a delay.
+    them alone is hardly distinguished from a delay.
     """
     stretches: dict[tuple, list[np.ndarray]] = {}
     rests = [cache(partial(_rest, samples, table, steps(samples, rows)))

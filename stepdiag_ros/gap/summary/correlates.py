@@ -22,7 +22,7 @@ SURE = 25.0
 
 @dataclass(frozen=True)
 class Correlate:
-    """A quantity that a ``channel`` goes with, and the ``share`` of the structure's variance there that follows it."""
+    """A quantity that a ``channel`` correlates with, and the ``share`` of the structure's variance there that does."""
 
     quantity: str
     channel: str

@@ -18,7 +18,7 @@ import numpy as np
 from scipy import linalg
 
 from stepdiag_ros.estimate.noise import Whitener
-from stepdiag_ros.gap.inference.joint import Joint, inverse, widths
+from stepdiag_ros.gap.inference.joint import Joint, inverse, prior_sigmas
 
 PRIOR_RESET_M = 1e-4
 ONCE = 0.05
@@ -30,12 +30,12 @@ TOO_WIDE = 0.5
 @dataclass(frozen=True)
 class Distance:
     """Root mean squares [m] of held-out readings of one kind: less their forecast ``before`` and ``after`` the effects,
-    what noise alone makes, ``floor``, and the forecast's own uncertainty after, ``width``."""
+    what noise alone makes, ``floor``, and the forecast's own uncertainty after, ``sigma``."""
 
     before: float
     after: float
     floor: float
-    width: float = 0.0
+    sigma: float = 0.0
 
     @property
     def stands_out(self) -> float:
@@ -49,7 +49,7 @@ class Distance:
 
     def to_json_dict(self) -> dict:
         return {'before_m': self.before, 'after_m': self.after, 'noise_floor_m': self.floor,
-                'forecast_sigma_m': self.width}
+                'forecast_sigma_m': self.sigma}
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,7 @@ class CrossValidation:
 
         Where the forecast is as wide as the gap, by the distance that is left.
         """
-        if self.gap.width > TOO_WIDE * self.gap.before:
+        if self.gap.sigma > TOO_WIDE * self.gap.before:
             return self.gap.left
         beyond_chance = self.after > 1.0 + 5.0 * np.sqrt(2.0 / max(self.count, 1) + 2.0 / max(self.noise_dof, 1.0))
         return (self.after - 1.0) / (self.before - 1.0) if beyond_chance and self.before > self.after else 0.0
@@ -130,7 +130,7 @@ def _cross_validated(joint: Joint, place: Joint, parts: list[np.ndarray], name: 
     after = _predicted(joint, parts, with_effects=True)
     before = _predicted(place, parts, with_effects=False) if joint.active else after
     freedom = max(after.freedom, 1)
-    distances = {kind: Distance(before.errors[kind], rms, after.floors[kind], after.widths[kind])
+    distances = {kind: Distance(before.errors[kind], rms, after.floors[kind], after.sigmas[kind])
                  for kind, rms in after.errors.items()}
     return CrossValidation(before.chi2 / freedom, after.chi2 / freedom, after.count, float(sum(joint.noise.dof)), name,
                    distances)
@@ -152,7 +152,7 @@ class _Forecast:
     count: int
     errors: Mapping[str, float]
     floors: Mapping[str, float]
-    widths: Mapping[str, float]
+    sigmas: Mapping[str, float]
 
 
 def _predicted(joint: Joint, parts: list[np.ndarray], with_effects: bool) -> _Forecast:
@@ -174,7 +174,7 @@ def _predicted(joint: Joint, parts: list[np.ndarray], with_effects: bool) -> _Fo
                                   for a in joint.active], axis=1)
         design = np.concatenate([design, np.concatenate([w(columns) for w in white])], axis=1)
         bare = np.concatenate([bare, columns[rows]], axis=1)
-        precision = linalg.block_diag(precision, np.diag(widths(a.form for a in joint.active) ** -2.0))
+        precision = linalg.block_diag(precision, np.diag(prior_sigmas(a.form for a in joint.active) ** -2.0))
     sizes = np.concatenate([np.zeros(0), *(a.coefficients / a.form.scale for a in joint.active)])
     residual = np.concatenate([w(plain) for w in white])
     total, freedom, count = 0.0, 0, 0

@@ -20,7 +20,7 @@ from stepdiag_ros.gap.inference.joint import Joint, inverse_root, prior_sigmas, 
 from stepdiag_ros.gap.preprocess.observe import channels
 
 CONCENTRATED = 0.85
-"""Share of a cell in one axis or direction from which it is said."""
+"""Share of a cell in one axis or direction from which it is reported."""
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ def pick(forms: list[Form], *words: str) -> Form:
 
 
 def compare(bench, name: str, parameters: dict, *words: str, limit: float) -> np.ndarray:
-    """Coefficients of the form whose label has ``words``; fails where more than ``limit`` is left over."""
+    """Coefficients of the form whose label has ``words``; fails where more than ``limit`` remains."""
     kind = effect_class(name)
     acting = bench.with_effect(kind(**parameters))
     change = bench.change(acting)

@@ -168,7 +168,7 @@ def test_what_cannot_be_told_apart_and_next_measurement_are_shown(backlash):
     assert 'cannot tell these apart' in text and 'Laser lost count' in text
     assert 'Run ppp once more, backwards first.' in text
     said = summary(doubtful, 'x')
-    assert 'Cannot be told apart' in said and 'Measure next: Run ppp' in said
+    assert 'Indistinguishable in this log' in said and 'Measure next: Run ppp' in said
     weighed = replace(doubtful, separation={'count_slip': np.log(4.0)})
     assert 'The evidence is 4 to one against “Laser lost count”; it takes 20 to one' in summary(weighed, 'x')
     assert '4 to one against' in Page(gap_page(weighed, 'x')).text

@@ -142,7 +142,7 @@ def test_evidence_is_that_of_the_whole_covariance():
     assert distance(a, b) == pytest.approx(0.125 * shift @ np.linalg.solve(middle, shift)
                                             + 0.5 * logs[0] - 0.25 * logs[1] - 0.25 * logs[2])
     assert apart([(0.5, a), (0.5, b)], [(0.5, b), (0.5, a)]) <= 1e-9
-    # A mixture that holds the other's forecast as well is told from it by no more than its share.
+    # A mixture that holds the other's forecast as well is distinguished from it by no more than its share.
     assert 0.0 < expected_evidence([(1.0, a)], [(0.5, a), (0.5, b)]) <= np.log(2.0) + 1e-9
 
 

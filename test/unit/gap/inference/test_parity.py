@@ -24,7 +24,7 @@ def test_what_the_fit_can_imitate_is_not_seen(case):
     n, c = observation.fit.residual.shape
     columns = observation.fit.jacobian.toarray().T.reshape(-1, n, c)
     seen = np.linalg.norm(space.stop_part(columns), axis=0)
-    # No more than the unknown would depart from its width.
+    # No more than the unknown would depart from its prior.
     assert np.all(seen < 1.01 * np.sqrt(np.diag(observation.fit.precision)))
 
 
@@ -32,7 +32,7 @@ def test_what_only_errors_beyond_all_machines_imitate_is_seen(case):
     observation = case.observe()
     space = _space(observation)
     n, c = observation.fit.residual.shape
-    # Along the direction that the readings tell least, the readings move by what a hundred widths do.
+    # Along the direction that the readings tell least, the readings move by what a hundred prior sigmas do.
     held = np.linalg.cholesky(observation.fit.precision)
     jacobian = observation.fit.jacobian.toarray()
     white = space.white_part(jacobian.T.reshape(-1, n, c))

@@ -262,7 +262,7 @@ def test_forms_of_two_sources_are_not_of_one_effect():
 
 
 def test_a_family_of_its_own_is_not_thinned_by_others():
-    """What it weighs is that of a name, however many shapeless families stand beside it."""
+    """What it weighs is that of a name, however many shapeless families there are in addition."""
     rng = np.random.default_rng(5)
     cause = form('cause', rng.normal(size=(1, N)), np.ones(1))
     data = cause.columns[0, :, 0] + rng.normal(size=N)

@@ -1,4 +1,4 @@
-"""Lines that keep their phase from dwell to dwell: found far below the noise, told from noise, moves and air."""
+"""Lines that keep their phase from dwell to dwell: found far below the noise, not confused with noise, moves, air."""
 
 import numpy as np
 import pytest

@@ -61,13 +61,13 @@ def of_distance(noise_dof, **distance):
 
 
 def test_what_a_badly_known_noise_may_make_is_not_left_over():
-    sharp = {'before': 2e-6, 'after': 1.8e-6, 'floor': 1e-6, 'width': 1e-7}
+    sharp = {'before': 2e-6, 'after': 1.8e-6, 'floor': 1e-6, 'sigma': 1e-7}
     assert of_distance(1e5, **sharp).left == pytest.approx(0.6)
     assert of_distance(300.0, **sharp).left == 0.0
 
 
 def test_a_forecast_as_wide_as_the_gap_closes_nothing():
-    wide = of_distance(300.0, before=7e-5, after=6.9e-5, floor=2e-5, width=6e-5)
+    wide = of_distance(300.0, before=7e-5, after=6.9e-5, floor=2e-5, sigma=6e-5)
     assert wide.left == pytest.approx((6.9**2 - 4.0) / (49.0 - 4.0))
 
 

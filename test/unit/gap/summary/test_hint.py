@@ -1,4 +1,4 @@
-"""Between nothing and a finding: a hint, which is said and not claimed."""
+"""Between nothing and a finding: a hint, which is reported and not claimed."""
 
 from dataclasses import replace
 
