@@ -131,7 +131,7 @@ def profile(rng: np.random.Generator, span_s: float) -> tuple[TimeProfile, str]:
 
 
 def profiles(rng: np.random.Generator, span_s: float, count: int) -> tuple[list[TimeProfile], list[str]]:
-    """Several profiles that do not go together."""
+    """Several profiles that are not correlated."""
     both = [profile(rng, span_s) for _ in range(count)]
     return [c for c, _ in both], [kind for _, kind in both]
 

@@ -1,7 +1,7 @@
 """The tool point drifts against the workpiece with time: the structure warms up or cools down.
 
 A shift of the tool common to all positions, of any direction, slow against a run.  The reset at
-each run's start takes away what came before it; what is left is the drift inside the runs.
+each run's start takes away what came before it; the residual is the drift inside the runs.
 """
 
 from collections.abc import Mapping

@@ -131,7 +131,7 @@ def evaluate(cell: CellReadings, layout: str | None = None,
 
 def _settle(form: '_ClosedForm', state: _State, places: np.ndarray,
             most: int = MAX_PASSES) -> tuple[_State, int, bool]:
-    """Pass what is left through the closed form until nothing changes."""
+    """Pass the residual through the closed form until nothing changes."""
     for passes in range(1, most + 1):
         left, tilt = form.residuals(state, places)
         change = form.solve(left[..., None], tilt[..., None])

@@ -108,9 +108,8 @@ def weighed(noise: NoiseModel, found: Sequence[Errors], stops: int) -> tuple[Noi
                 continue
             first = np.array([latent.stops[k][0] for k in mine])
             before = np.ones(len(mine)) if noise.spread is None else noise.spread[kind, first]
-            told = 1.0 - errors.variance[mine]
-            told = np.maximum(told, 1e-6)
-            middle, wide = errors.mean[mine] / told * before, errors.variance[mine] / told * before**2
+            learnt = np.maximum(1.0 - errors.variance[mine], 1e-6)
+            middle, wide = errors.mean[mine] / learnt * before, errors.variance[mine] / learnt * before**2
             total = wide[:, None] + 1.0 / WEIGHTS
             logs = _log_share(law.dof) - 0.5 * np.log(total) - 0.5 * middle[:, None]**2 / total
             top = special.logsumexp(logs, axis=1)

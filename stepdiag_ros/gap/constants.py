@@ -9,7 +9,7 @@ ALARM = 8.0
 cause of some twenty."""
 SUSPICION = 6.0
 """Least log evidence of what is followed up on the way to a claim: a set to be fitted, a form to be tuned, an effect
-that may bend the fit, a jump in a dwell, arrivals that stray; and by which what stood before must be better to stay."""
+that may bend the fit, a jump in a dwell, outlying arrivals; and by which what stood before must be better to stay."""
 MEMBER_ALARM = 6.0
 """Least log evidence that each effect of a set must bring beside the others, the discrepancy of their forms allowed
 for: odds of twenty against its prior probability."""
@@ -26,7 +26,7 @@ the log would let that pass: a third (0.1 = 0.32²) of the amplitude."""
 LEAST_LEFT = 0.1
 """Share of the gap on held-out data that must be left, and be beyond chance, before it is spoken of."""
 UNKNOWN_PENALTY = 8.0
-"""Log odds against a shapeless pattern of no name where a name explains as much."""
+"""Log odds against a shapeless pattern where a name explains as much."""
 LEAN_PENALTY = 4.0
 """The same against a jump of no known cause."""
 BEYOND_PENALTY = 0.0

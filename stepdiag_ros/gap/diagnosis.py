@@ -140,7 +140,7 @@ class Diagnosis:
 
     @cached_property
     def correlates(self) -> tuple[Correlate, ...]:
-        """With what a structure without a name goes; none where there is no such."""
+        """What an unmodelled structure correlates with; none where there is no such."""
         return correlates(self.joint) if self.unmodelled else ()
 
     @cached_property

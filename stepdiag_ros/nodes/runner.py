@@ -1,4 +1,4 @@
-"""Drives a machine along a course and says what it does.  Knows no ROS."""
+"""Drives a machine along planned runs and reports what it does.  Knows no ROS."""
 
 import time
 from collections.abc import Callable, Sequence

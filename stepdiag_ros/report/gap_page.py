@@ -67,7 +67,7 @@ def _budget(diagnosis: Diagnosis) -> str:
     labels = []
     for i, (name, value) in enumerate(rows):
         said = 'machine against simulator, as it is' if i == 0 else \
-            '+ a pattern without a name' if name == UNKNOWN else f'+ {title(name)}'
+            '+ unmodelled structure' if name == UNKNOWN else f'+ {title(name)}'
         labels.append((said, value))
     text = ('<h2>How big is the gap?</h2><p>How far a stop lies from where the simulator predicts it, '
             + ('on the log itself: it is one run, nothing could be held out.' if
@@ -152,7 +152,7 @@ def _cause_row(diagnosis: Diagnosis, found: Found) -> list[str]:
 def _apart(diagnosis: Diagnosis) -> str:
     text = ''
     for group in diagnosis.indistinguishable:
-        text += ('<div class="todo warn2"><b>This log cannot tell these apart:</b> '
+        text += ('<div class="todo warn2"><b>Indistinguishable in this log:</b> '
                  f'{escape(" / ".join(title(n) for n in group))}. Any of them would leave the same '
                  f'traces in these runs. {escape(gap_words.separation_words(diagnosis, group))}</div>')
     if diagnosis.next_measurement:
@@ -256,7 +256,7 @@ def _pictures(diagnosis: Diagnosis) -> str:
         caption = 'Log minus simulator, without and with what was found.'
     else:
         caption = 'Log minus simulator. Where nothing is wrong the points fill the band of the noise evenly.'
-    return (text + '<h3>What is left at each stop</h3>'
+    return (text + '<h3>Residuals at each stop</h3>'
             + figure(gap_figures.along_stops(parts, stops, False), caption, 2)
             + '<h3>Residuals over time</h3>'
             + figure(gap_figures.over_time(parts, stops),

@@ -41,7 +41,7 @@ NAMED = 3
 HARDLY = 1.15
 """Reduced χ² of the held-out part up to which a gap does not stand out of the noise there."""
 NOISE_LIKE = 1.3
-"""Reduced χ² of the held-out part up to which what is left counts as noise."""
+"""Reduced χ² of the held-out part up to which the residual counts as noise."""
 SETTINGS = {'path': 'along the path', 'reversal': 'along the path, opposite on the way back', 'time': 'in time'}
 """What a band is along, in words."""
 STATES = {MOVING: 'while the axes move (stamps)', SETTLING: 'inside the stops (settling, shaking)',
@@ -119,7 +119,7 @@ def headline(diagnosis: Diagnosis) -> str:
         text = cause(diagnosis, found[0])
         others = alternatives(diagnosis, found[0])
         if others:
-            said = [f'{_lower(title(name)) if name != UNKNOWN else "something without a name"} ({percent(p)})'
+            said = [f'{_lower(title(name)) if name != UNKNOWN else "unmodelled structure"} ({percent(p)})'
                     for name, p in others]
             text = f'Either: {_lower(text)} ({percent(found[0].probability)}) — or {" or ".join(said)}'
     else:
@@ -132,7 +132,7 @@ def headline(diagnosis: Diagnosis) -> str:
 
 
 def correlates_words(diagnosis: Diagnosis) -> str:
-    """With what a structure without a name goes; '' where nothing stands out."""
+    """What an unmodelled structure correlates with; '' where nothing stands out."""
     said = [f'{one.quantity} ({SHORT_CHANNELS[one.channel]}, {closed_percent(one.share)})'
             for one in diagnosis.correlates]
     return f'It correlates with {", ".join(said)}: share of its variance at the stops that one alone would follow.' \
@@ -140,10 +140,10 @@ def correlates_words(diagnosis: Diagnosis) -> str:
 
 
 def separation_words(diagnosis: Diagnosis, group: tuple[str, ...]) -> str:
-    """How well the log separates what it cannot tell apart."""
+    """How well the log separates what is indistinguishable in it."""
     said = [f'{np.exp(behind):.2g} to one against “{title(name)}”'
             for name, behind in sorted(diagnosis.separation.items(), key=lambda item: item[1]) if name in group]
-    return f'The evidence is {", ".join(said)}; it takes {np.exp(CONFUSED):.2g} to one to tell.' if said else ''
+    return f'The evidence is {", ".join(said)}; it takes {np.exp(CONFUSED):.2g} to one to decide.' if said else ''
 
 
 def hint_words(diagnosis: Diagnosis) -> str:
@@ -161,7 +161,7 @@ def _hinted(diagnosis: Diagnosis) -> str:
     said = []
     for name, form in diagnosis.hint.forms.items():
         others = [n for group in diagnosis.indistinguishable if name in group for n in group if n != name]
-        first = f'something without a name ({unmodelled_words(form)})' if name == UNKNOWN else f'“{title(name)}”'
+        first = f'unmodelled structure ({unmodelled_words(form)})' if name == UNKNOWN else f'“{title(name)}”'
         said.append(' or '.join([first, *(f'“{title(n)}”' for n in others)]))
     return ' and '.join(said)
 
@@ -175,7 +175,7 @@ def alternatives(diagnosis: Diagnosis, found: Found) -> list[tuple[str, float]]:
 
 
 def stand_ins(diagnosis: Diagnosis) -> list[str]:
-    """The known causes that what has no name may as well be."""
+    """The known causes that unmodelled structure may as well be."""
     return [name for group in diagnosis.indistinguishable if UNKNOWN in group for name in group if name != UNKNOWN]
 
 
@@ -201,7 +201,7 @@ def how_far(diagnosis: Diagnosis) -> str:
         return (f'The readings at the stops differ by {micrometres(gap.before_m)} (noise alone, with what it adds: '
                 f'{micrometres(gap.floor_m)}); it has no pattern that the simulator could be given.')
     if diagnosis.unmodelled and not diagnosis.effects:
-        return (f'A pattern without a name brings the gap from {micrometres(gap.before_m)} to '
+        return (f'Unmodelled structure brings the gap from {micrometres(gap.before_m)} to '
                 f'{micrometres(gap.after_m)} (noise alone: {micrometres(gap.floor_m)}). It describes the trouble; '
                 'it does not explain it.')
     if not any(a.effect.name for a in diagnosis.joint.active):
@@ -214,10 +214,10 @@ def how_far(diagnosis: Diagnosis) -> str:
                     'It shows in how the readings move while the machine stands still.' if still else
                     'It shows in what many stops have in common.'))
     share = closed_share(diagnosis)
-    rest = 'what is left is noise' if gap.after < NOISE_LIKE else \
-        f'what is left is still {gap.after_m / max(gap.floor_m, 1e-300):.1f} times the noise'
+    rest = 'the residual is noise' if gap.after < NOISE_LIKE else \
+        f'the residual is still {gap.after_m / max(gap.floor_m, 1e-300):.1f} times the noise'
     if gap.gap.sigma > gap.floor_m:
-        rest = (f'what is left is {gap.after_m / max(gap.floor_m, 1e-300):.1f} times the noise; what was fitted leaves '
+        rest = (f'the residual is {gap.after_m / max(gap.floor_m, 1e-300):.1f} times the noise; what was fitted leaves '
                 f'the forecast uncertain by {micrometres(gap.gap.sigma)}')
     where = ' of the spot' if gap.channel == 'spot' else ''
     return (f'With {"it" if len(diagnosis.effects) == 1 else "them"} in the simulator the gap{where} falls from '

@@ -95,7 +95,7 @@ def adopt(diagnosis: Diagnosis, base: Mapping[str, Any] | None = None) -> Adopte
                      '; the gap is not closed by it: what is found is more than the simulator can be given'
                      if times > CLOSED else ''))
     if diagnosis.unmodelled:
-        notes.append(f'not adopted, for it has no name: {diagnosis.unmodelled}')
+        notes.append(f'not adopted, for it is unmodelled structure: {diagnosis.unmodelled}')
     if diagnosis.solution.unidentifiable:
         notes.append('directions that the log leaves open are held near zero: '
                      + ', '.join(sorted({n for u in diagnosis.solution.unidentifiable for n in u.names})[:8]))

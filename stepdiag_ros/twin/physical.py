@@ -92,8 +92,8 @@ def _fitted(diagnosis: Diagnosis, active: list[Active], twin: Twin) -> Physical:
     apart = sum(a.contribution for a in active) - added.mean(axis=1)
     sizes = np.linalg.lstsq(space.stop_part(story), space.stop_part(apart[None])[:, 0], rcond=1e-10)[0]
     before = np.tensordot(sizes, story, axes=1)
-    told = basis.T @ (rest + own - twin.projected(added))
-    if told @ told > LOSS * float(nothing @ nothing):
+    seen = basis.T @ (rest + own - twin.projected(added))
+    if seen @ seen > LOSS * float(nothing @ nothing):
         notes.append('how the axes came to the first stop of a setup is the log\'s own story: until each has moved '
                      'the simulator differs')
     notes += [f'{p.name} of {", ".join(f"{v:.3g}" for v in np.atleast_1d(best[p.name]))} {p.unit} is beyond what is '

@@ -2,7 +2,7 @@
 
 A large effect bends the nominal fit so far that at it hardly anything looks like itself: forms laid
 there and evidence taken there mislead.  Therefore each effect that might be to blame is first fitted
-together with the machine, against noise scaled up to what is left, which shrinks as the right one
+together with the machine, against noise scaled up to the residual, which shrinks as the right one
 finds its size.  The one that leaves least gives the place where the search begins.  It says nothing
 of what acts: that the search decides, from all candidates, at the noise as it is.
 """
@@ -30,7 +30,7 @@ MOST, BEAM = 3, 3
 """Large effects that are sought together, and sets that are carried on."""
 ROUNDS = 8
 STEADY = 0.95
-"""Rounds end when what is left does not shrink below this share."""
+"""Rounds end when the residual does not shrink below this share."""
 NEAR = 1.5
 """Sets that leave more than this factor above the least are not carried on."""
 WORTH = 0.8
@@ -88,7 +88,7 @@ def _suspects(trial: _Trial, effects: Mapping[str, Effect], noise: NoiseModel) -
 
 
 def _fitted(trial: _Trial, further: tuple[Effect, Form], noise: NoiseModel) -> _Trial:
-    """``trial`` with one effect more, machine and effects in turn until what is left shrinks no more."""
+    """``trial`` with one effect more, machine and effects in turn until the residual shrinks no more."""
     trial = replace(trial, chosen=(*trial.chosen, further))
     best = replace(trial, scale=np.inf)
     for _ in range(ROUNDS):

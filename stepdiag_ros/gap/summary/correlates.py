@@ -1,4 +1,4 @@
-"""With what a structure without a name goes: place, time, distance, spot, light, signal, air and scales.
+"""What an unmodelled structure correlates with: place, time, distance, spot, light, signal, air and scales.
 
 It names no cause and decides nothing.  A quantity is laid on a channel as a column and held against what the named
 effects leave, in parity space: what the machine's own errors could imitate is no correlation.

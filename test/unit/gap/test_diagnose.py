@@ -84,7 +84,7 @@ def test_open_field_logs(shared):
     ('stage_a_x', ['backlash'], 0.1), ('stage_a_z', ['backlash'], 0.6), ('stage_b_x_back', [], 1.0)])
 def test_measured_stages(shared, name, acts, left):
     """Two axes have lost motion; the third wanders.  No table has times, so no drift is given a cause.  The gap closes
-    on the last cycles, against the noise that the cycles show, or the report denies it.  No log has a detector to warn of."""
+    on the last cycles, against the noise of the cycles, or the report denies it.  No log has a detector to warn of."""
     log = import_csv(shared / 'real_data' / f'{name}.csv').log
     with warnings.catch_warnings():
         warnings.simplefilter('error')

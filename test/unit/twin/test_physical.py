@@ -96,7 +96,7 @@ def test_the_disagreement_is_that_of_the_machine_without_its_effect(diagnosed):
 
     found = diagnosed('backlash', {'B': [4e-6, 3e-6, 5e-6]})
     written, notes = adopt(found)[:2]
-    told = float(_note(notes, 'run along').split('chi2 ')[1].rstrip(')'))
+    stated = float(_note(notes, 'run along').split('chi2 ')[1].rstrip(')'))
     cell = parse_cell(yaml.safe_dump({**written, 'effects': {}}), 'adopted')
-    assert told < 1.15 and Twin(found, cell).left([])[1] > 2.0
+    assert stated < 1.15 and Twin(found, cell).left([])[1] > 2.0
     assert np.isfinite(Twin(found, _bare(written, found.joint.fit, None)).left([])[1])

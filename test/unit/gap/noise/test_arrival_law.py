@@ -49,9 +49,9 @@ def test_correlation_is_found_with_its_size(case):
 def test_the_log_evidence_of_tails_is_that_of_the_integral():
     """One error alone, seen through normal noise: against the integral over Student's t."""
     dof, middle, wide = 4.0, 5.0, 0.3
-    told = 1.0 / (1.0 + wide)   # 1/v = 1/V − 1, so 1 − V = 1/(1 + v)
+    known = 1.0 / (1.0 + wide)   # 1/v = 1/V − 1, so 1 − V = 1/(1 + v)
     latent = Latent(np.zeros((1, 1)), np.eye(1), np.array([2]), [np.array([0])], slice(0, 1))
-    errors = Errors(latent, np.array([middle * told]), np.array([1.0 - told]))
+    errors = Errors(latent, np.array([middle * known]), np.array([1.0 - known]))
     noise = replace(_plain(), position_law=Law(dof))
     _, evidence, _, _ = weighed(noise, [errors], 1)
     x = np.linspace(-60.0, 60.0, 200_001)

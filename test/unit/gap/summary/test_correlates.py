@@ -1,4 +1,4 @@
-"""With what a structure without a name goes."""
+"""What an unmodelled structure correlates with."""
 
 import numpy as np
 import pytest

@@ -96,7 +96,7 @@ def test_a_hint_without_a_name_says_what_it_looks_like(case):
 
     found = case.diagnose(Bent())
     assert found.verdict == 'no_gap' and list(found.hint.forms) == ['unknown']
-    assert 'hint of something without a name (' in headline(found) and 'not in the list' not in headline(found)
+    assert 'hint of unmodelled structure (' in headline(found) and 'not in the list' not in headline(found)
 
 
 def test_a_hint_stands_beside_what_is_claimed(case):
