@@ -106,7 +106,7 @@ class SpotCrosstalk(Outside):
 
 
 class AirTurbulence(Outside):
-    """the air boils: noise with a 1/f spectrum on the distance, more of it over a long path"""
+    """the air is turbulent: noise with a 1/f spectrum on the distance, more of it over a long path"""
 
     name, typical, largest, random = 'air_turbulence', 1e-7, 2e-5, True
     LINES = 120
@@ -119,12 +119,12 @@ class AirTurbulence(Outside):
 
     def after_light(self, moment: Moment) -> None:
         # Lines drawn evenly in the logarithm of frequency with equal amplitudes are 1/f.
-        boil = np.zeros(len(moment.seconds))
+        turbulence = np.zeros(len(moment.seconds))
         for frequency, phase in zip(self._frequency, self._phase, strict=True):
-            boil += np.sin(2.0 * np.pi * frequency * moment.seconds + phase)
+            turbulence += np.sin(2.0 * np.pi * frequency * moment.seconds + phase)
         path = moment.length / float(np.linalg.norm(self.stage.travel))
         moment.length = moment.length + self.size * np.sqrt(2.0 / self.LINES) \
-            * boil[:, None] * np.maximum(path, 0.0) ** self._power
+            * turbulence[:, None] * np.maximum(path, 0.0) ** self._power
 
 
 class ReversalTwist(Outside):

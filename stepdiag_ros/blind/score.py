@@ -23,7 +23,7 @@ COVER = 0.9
 """Where: the smallest set of cells that holds this share of the excess."""
 CHANNELS = ('displacement', 'spot_x', 'spot_y')
 SEPARABLE = 5.0
-"""A log's effect is separable when every rival effect, at its best, leaves this many σ of it."""
+"""A log's effect is separable when every competing effect, at its best, leaves this many σ of it."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ class Case:
 
     @property
     def separable(self) -> bool:
-        """Whether the sealed truth says that no rival could stand for the effect."""
+        """Whether the sealed truth says that no other could stand for the effect."""
         return self.truth.get('least_apart', np.inf) >= SEPARABLE
 
 
@@ -150,7 +150,7 @@ def credible_set(case: Case) -> set[str]:
     """
     leader = case.gap['effects'][0]['name'] if case.gap['effects'] else None
     if leader is not None and not any(leader in names for names, _ in case.extra['sets']):
-        # Found outside the sets, in the dwells' spectra or the stamps: there are no rivals.
+        # Found outside the sets, in the dwells' spectra or the stamps: nothing competes.
         return {leader}
     total, causes = 0.0, set()
     for names, probability in case.extra['sets']:

@@ -1,4 +1,4 @@
-"""Courses in time that a slow effect may take: no drift follows one formula.
+"""Time profiles that a slow effect may take: no drift follows one formula.
 
 Each profile is one or a few functions of time, of order one over the log, that an effect
 multiplies with its signature.  All are zero when the log begins: the errors that remain are those of
@@ -58,7 +58,7 @@ def cycle(since: np.ndarray, period: float) -> TimeProfile:
 
 
 def unknown(time: np.ndarray, watches: Sequence[np.ndarray] = ()) -> list[TimeProfile]:
-    """Courses of no known formula over ``time`` (n,) [s] since the log began: a straight line and half waves
+    """Time profiles of no known formula over ``time`` (n,) [s] since the log began: a straight line and half waves
     whose typical sizes fall with their number.
 
     ``cos(kπt/T)/k`` are the Karhunen-Loève functions of a walk at random (its mean left out), so their
@@ -113,7 +113,7 @@ def _bridge(time: np.ndarray, watch: np.ndarray) -> tuple[np.ndarray, np.ndarray
 
 
 def time_profiles(time: np.ndarray, watches: Sequence[np.ndarray] = ()) -> list[TimeProfile]:
-    """Courses over ``time`` (n,) [s] since the log began: linear, exponentials of several time constants,
+    """Time profiles over ``time`` (n,) [s] since the log began: linear, exponentials of several time constants,
     cycles, unknown ones and one that slows down; ``watches`` as :func:`unknown` takes them."""
     span = max(float(np.ptp(time)), 1e-9)
     result = [TimeProfile('linear', (time / span)[None], np.full((1, len(time)), 1.0 / span), {})]

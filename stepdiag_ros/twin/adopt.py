@@ -2,7 +2,7 @@
 
 What was fitted is put into the words of the virtual cell: the errors as they were fitted (straightness
 slopes of the carried axes counted as squareness, which is the same machine), misalignments, noise, the
-course of the plan in time, and each effect with the parameters of its physical face
+times of the plan, and each effect with the parameters of its physical face
 (:mod:`stepdiag_ros.twin.physical`).  A given cell is the base: whatever the log does not tell stays as
 it is there.
 """

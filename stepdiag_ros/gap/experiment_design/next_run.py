@@ -4,7 +4,7 @@ A run is one more setup at the end of the log: a diagonal or line, mounted and a
 distance, with the detector's beam elsewhere, the mirror turned or less light; perhaps watched at its first stop for a
 while, where no arrival errs and what drifts shows at the sensors' own noise; perhaps left standing and measured
 again, so that what goes on while nothing is touched shows; such a run begins after a wait.  The run with the least
-probability of error (:mod:`experiment_design.discrimination`) is taken, the largest over all sets that rival the
+probability of error (:mod:`experiment_design.discrimination`) is taken, the largest over all sets that compete with the
 likeliest.  Expected log evidence, which is given beside, would be a worse guide: where one set predicts little, it
 is large on the average of outcomes and nothing in many of them.
 """

@@ -1,4 +1,4 @@
-"""Courses in time: where they begin, their rates, and what an unknown one is taken to be."""
+"""Time profiles: where they begin, their rates, and what an unknown one is taken to be."""
 
 import numpy as np
 import pytest

@@ -33,8 +33,8 @@ def _pink(power, size, seed=7):
     rng = np.random.default_rng(seed)
     frequency = np.fft.rfftfreq(1 << 17)
     frequency[0] = frequency[1]
-    course = np.fft.irfft(frequency ** (-power / 2.0) * np.exp(2j * np.pi * rng.random(len(frequency))))
-    parts = course[:COUNT * 5 * SIZE].reshape(COUNT, -1)[:, :SIZE]
+    series = np.fft.irfft(frequency ** (-power / 2.0) * np.exp(2j * np.pi * rng.random(len(frequency))))
+    parts = series[:COUNT * 5 * SIZE].reshape(COUNT, -1)[:, :SIZE]
     parts = parts - parts.mean(axis=1, keepdims=True)
     return size * parts / parts.std()
 
@@ -113,8 +113,8 @@ def test_shaking_is_told_from_hum_and_from_moving_air(case):
     assert seen.grows_with_path and not seen.shakes and not seen.mains_hum
     rng = np.random.default_rng(2)
     waves = np.exp(rng.uniform(np.log(0.02), np.log(5.0), 120))
-    boil = np.sin(2.0 * np.pi * waves * seconds[:, None] + 7.0 * rng.random(120)).sum(axis=1)
-    seen = _seen(replace(log, displacement=_with(log.displacement, 3e-8 * boil[:, None] * path)))
+    turbulence = np.sin(2.0 * np.pi * waves * seconds[:, None] + 7.0 * rng.random(120)).sum(axis=1)
+    seen = _seen(replace(log, displacement=_with(log.displacement, 3e-8 * turbulence[:, None] * path)))
     assert seen.turbulent and not seen.shakes
 
 
