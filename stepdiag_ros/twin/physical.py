@@ -2,8 +2,8 @@
 
 The simulator is made to move as the log did (:class:`~stepdiag_ros.twin.twin.Twin`), and the parameters are
 those with which the effect does there, in parity space, what was fitted: stops' means and what changes inside the
-stops.  So every effect is taken over alike, one of the user's own too.  The physical face is narrower than the forms; what is
-lost is reported.
+stops.  So every effect is taken over alike, one of the user's own too.  The physical face is narrower than the forms;
+what is lost is reported.
 """
 
 from collections.abc import Callable, Iterator
