@@ -44,7 +44,7 @@ COMMANDS: tuple[tuple[str, str, str], ...] = (
     ('info', 'info', 'what a bag holds and what is missing'),
     ('recover', 'recover', 'mend a torn bag and say what is lost'),
     ('import', 'import_', 'bring a table of measurements (CSV) in as a bag'),
-    ('scene', 'scene', 'draw the beams, the mirror and the course of a cell'),
+    ('scene', 'scene', 'draw the beams, the mirror and the path of a cell'),
 )
 
 DESCRIPTION = """\

@@ -74,7 +74,7 @@ class _Machine:
 class Bringup:
     """A running cell; a context manager.
 
-    ``say(text)`` is told what happens.  ``runtime`` holds logs, parameters and the
+    ``say(text)`` reports what happens.  ``runtime`` holds logs, parameters and the
     instruments' addresses; without it a temporary directory is made, and removed when
     all went well.  ``steps``: of each axis along a diagonal, 0: the cell's.  Machines that
     share the laser (``multiplexer`` in the cell file) come up together, each in its own

@@ -15,7 +15,7 @@ import yaml
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.virtual.cell import Cell
 
-#: Nodes that keep the log: they hear all of it or the sequencer does not begin.
+#: Nodes that keep the log: they receive all of it or the sequencer does not begin.
 LISTENERS = ('recorder', 'evaluation_solver', 'gap_monitor')
 #: Nodes of a machine, in the order in which they are made active: those that listen
 #: first, the sequencer last.

@@ -130,7 +130,7 @@ class Operator:
         self.node.destroy_node()
         self._context.try_shutdown()
 
-    # -- what is heard -----------------------------------------------------------
+    # -- what is received -----------------------------------------------------------
 
     def _on_diagnostics(self, array: DiagnosticArray) -> None:
         for status in array.status:
@@ -288,14 +288,14 @@ class Operator:
                                     steps=steps)
         at: dict[str, Any] = {'completed': [], 'run_id': ''}
 
-        def heard(message: Any) -> None:
+        def received(message: Any) -> None:
             at['completed'], at['run_id'] = list(message.feedback.completed), message.feedback.run_id
             if feedback is not None:
                 feedback(message.feedback)
         lost: list[str] = []
         while True:
             try:
-                ended = self._one_goal(goal, heard, meanwhile)
+                ended = self._one_goal(goal, received, meanwhile)
                 break
             except LostGoal as error:
                 if len(lost) >= RESUMES or not at['run_id']:
@@ -310,11 +310,11 @@ class Operator:
         return Calibration(how, ended.result.message + word, (*goal.completed, *ended.result.run_ids),
                            ended.result.stops)
 
-    def _one_goal(self, goal: RunStepDiagonal.Goal, heard: Callable[[Any], None],
+    def _one_goal(self, goal: RunStepDiagonal.Goal, received: Callable[[Any], None],
                   meanwhile: Callable[[], object]) -> Any:
         """Send a goal and wait for its result."""
         self._handle = self.wait(
-            self._asked(lambda: self._action.send_goal_async(goal, feedback_callback=heard)), 30.0,
+            self._asked(lambda: self._action.send_goal_async(goal, feedback_callback=received)), 30.0,
             'the sequencer does not answer the goal')
         if not self._handle.accepted:
             self._handle = None
@@ -392,14 +392,14 @@ class Operator:
                          f'{self.namespace}/{name} does not answer')
 
     def _asked(self, request: Callable[[], Future]) -> Future:
-        """The future of an action's request, sent from the thread that hears the answers.
+        """The future of an action's request, sent from the thread that receives the answers.
 
         rclpy's action client notes a request only after it has been sent, without a lock (its
-        service client has one): an answer heard in between by another thread would be dropped.
+        service client has one): an answer received in between by another thread would be dropped.
         """
         if threading.current_thread() is self._thread:
             return request()
-        return self.wait(self._executor.create_task(request), 10.0, 'the thread that hears stands still')
+        return self.wait(self._executor.create_task(request), 10.0, 'the thread that receives stands still')
 
     def wait(self, future: Future, timeout_s: float | None, complaint: str,
              meanwhile: Callable[[], object] = lambda: None) -> Any:

@@ -1,4 +1,4 @@
-"""Drives a machine along a course and says what it does.  Knows no ROS."""
+"""Drives a machine along planned runs and reports what it does.  Knows no ROS."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from stepdiag_ros.devices.base import MotionController
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.model.log import DONE, DWELL, MOVE, NONE
-from stepdiag_ros.nodes.course import Run, Stop
+from stepdiag_ros.nodes.run_plan import Run, Stop
 
 POLL_S = 0.004
 AXES = {0: 'X', 1: 'Y', 2: 'Z'}

@@ -2,7 +2,7 @@
 
 It drives the machine control along the plan, has the sensors put to each setup and
 zeroed at each run's start, and announces every change of phase.  A goal is only begun
-when every source delivers and the recorder confirms that it hears them; otherwise the
+when every source delivers and the recorder confirms that it receives them; otherwise the
 goal ends at once, nothing has moved, and the result's message names what is silent.
 
 The machine moves only while its client lives, who publishes the goal's UUID on
@@ -39,21 +39,21 @@ from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.model.description import Description
 from stepdiag_ros.model.log import NONE
 from stepdiag_ros.nodes.base import ERROR, OK, Health, StepdiagNode, overridable, reliable, run_node
-from stepdiag_ros.nodes.course import (
+from stepdiag_ros.nodes.marked import Marked
+from stepdiag_ros.nodes.ownership import SEQUENCER, Ownership
+from stepdiag_ros.nodes.run_plan import (
     Run,
     Stop,
     attempt,
-    course,
     first_repeats,
     once_more,
+    planned_runs,
     remaining,
     with_steps,
 )
-from stepdiag_ros.nodes.ears import HEARS
-from stepdiag_ros.nodes.marked import Marked
-from stepdiag_ros.nodes.ownership import SEQUENCER, Ownership
 from stepdiag_ros.nodes.runner import Cancelled, Interrupted, Outcome, Progress, Runner
 from stepdiag_ros.nodes.stamps import clock_name, ns_of, stamp_of
+from stepdiag_ros.nodes.subscription import RECEIVED_TOPICS
 from stepdiag_ros.nodes.watch import Recording, Watch
 
 #: Setup services wait for an operator who mounts a mirror.
@@ -97,7 +97,7 @@ class StepSequencer(StepdiagNode):
         self.number('resume_timeout', 60.0, 'wait for a node or an instrument that broke a run off before the '
                     'calibration ends; 0: none', 0.0, 3600.0, 's')
         self.text('listeners', ['recorder', 'evaluation_solver'],
-                  'nodes that must be connected to sequencer/step and hear the sources before a start', fixed=True)
+                  'nodes that must be connected to sequencer/step and receive the sources before a start', fixed=True)
         self.text('sources', [DISPLACEMENT, SPOT], 'topics that must deliver before a start', fixed=True)
         self.number('ready_timeout', 20.0, 'wait for sources, recorder and listeners before a goal is refused',
                     0.0, 600.0, 's')
@@ -211,7 +211,7 @@ class StepSequencer(StepdiagNode):
             return Health(ERROR, 'cannot start: ' + '; '.join(wants), values)
         return Health(OK, 'ready' if self.state == 'active' else self.state, values)
 
-    # -- what is heard -----------------------------------------------------------
+    # -- what is received -----------------------------------------------------------
 
     def _on_displacement(self, message: Displacement) -> None:
         self._note(DISPLACEMENT, message, len(message.quality), any(message.quality))
@@ -234,8 +234,8 @@ class StepSequencer(StepdiagNode):
         for status in array.status:
             space, _, name = f'/{status.name}'.rpartition('/')
             if space == self.get_namespace().rstrip('/') and name in self.value('listeners'):
-                heard = next((v.value for v in status.values if v.key == HEARS), '')
-                self._watch.listener(name, frozenset(map(self.resolve_topic_name, heard.split())))
+                received = next((v.value for v in status.values if v.key == RECEIVED_TOPICS), '')
+                self._watch.listener(name, frozenset(map(self.resolve_topic_name, received.split())))
 
     def _on_lease(self, goal: UUID) -> None:
         if bytes(goal.uuid) == self._goal:
@@ -293,13 +293,13 @@ class StepSequencer(StepdiagNode):
                 f'{self.get_name()} and begin a new bag (stepdiag calibrate --steps does both)')
         self._marked.follow_clock()
         self._clock_steps = []
-        asked = course(self.description, goal.setups)   # unknown setups are refused at once
+        asked = planned_runs(self.description, goal.setups)   # unknown setups are refused at once
         self._claim(handle, asked[0].setup)
         self._await_ready(handle)
         bag = self._watch.recording.bag
         held = [*goal.completed, *filter(None, [goal.broken])]
         self._begin_bag(bag, held)
-        runs = remaining(course(self.description, goal.setups, goal.repeats, self._repeats),
+        runs = remaining(planned_runs(self.description, goal.setups, goal.repeats, self._repeats),
                          goal.completed, goal.broken)
         self._ready_control()
 
@@ -357,7 +357,7 @@ class StepSequencer(StepdiagNode):
         return future.result() if answered.wait(timeout_s) else None
 
     def _await_ready(self, handle: ServerGoalHandle) -> None:
-        """Every source delivers, and the recorder and the listeners hear it, or the goal is refused."""
+        """Every source delivers, and the recorder and the listeners receive it, or the goal is refused."""
         if wants := self._wait_until_ready(handle, self.value('ready_timeout')):
             raise StepdiagError('refused to start: ' + '; '.join(wants))
 
@@ -367,7 +367,7 @@ class StepSequencer(StepdiagNode):
         listeners = [name for name in self.value('listeners') if name]
         while True:
             wants = (self._watch.wants(since_s=began) + self._unconnected(listeners)
-                     + self._watch.deaf(listeners, began))
+                     + self._watch.not_receiving(listeners, began))
             if not wants and bag and (now := self._watch.recording.bag) != bag:
                 wants = [f'the recorder writes {now} and not {bag}']
             if not wants or time.monotonic() > began + timeout_s:

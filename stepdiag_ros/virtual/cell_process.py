@@ -80,9 +80,9 @@ class CellProcess:
              '--runtime', str(runtime), '--parent', str(os.getpid())])
 
     def _tell(self, runtime: Path, endpoints: dict, cell: str | Path) -> dict:
-        told = endpoints | {'cell': str(Path(cell).resolve()), 'pid': os.getpid()}
-        write_atomically(runtime / ENDPOINTS_FILE, yaml.safe_dump(told, sort_keys=False))
-        return told
+        stated = endpoints | {'cell': str(Path(cell).resolve()), 'pid': os.getpid()}
+        write_atomically(runtime / ENDPOINTS_FILE, yaml.safe_dump(stated, sort_keys=False))
+        return stated
 
     def _wait_for(self, name: str, runtime: Path) -> dict:
         path, end = runtime / f'{name}.yaml', time.monotonic() + START_TIMEOUT_S

@@ -55,8 +55,8 @@ def test_the_round_trip_of_linuxcncs_own_kinematics_test(running):
 def test_it_follows_at_the_servos_rate(running):
     """In motion, too, axes and joints belong together: forward of the joints is the axes in the same servo cycle.
 
-    The component's `error` is of the joints of the present cycle, so what the axes are told and what the drives
-    are told differ by exactly it; the lag is none.
+    The component's `error` is of the joints of the present cycle, so the commands of the axes and those of the
+    drives differ by exactly it; the lag is none.
     """
     go(running, [0.0, 0.0, 0.0])
     running.client.move(np.array(TRAVEL), 0.05)

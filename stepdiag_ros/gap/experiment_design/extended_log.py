@@ -1,6 +1,6 @@
 """A log with one more setup at its end: what is known of it before it is measured.
 
-Given the log, each set of effects foretells the new readings from its own sizes, the machine, all misalignments and
+Given the log, each set of effects predicts the new readings from its own sizes, the machine, all misalignments and
 resets, none of them better known than the log tells, and the noise.
 """
 
@@ -18,11 +18,11 @@ from stepdiag_ros.estimate.noise import whiteners
 from stepdiag_ros.estimate.parameters import parameters_of
 from stepdiag_ros.estimate.planned import planned_table
 from stepdiag_ros.estimate.reduce import PIECES, StopTable
-from stepdiag_ros.gap.experiment_design.discrimination import Forecast, Mixture, foretold
+from stepdiag_ros.gap.experiment_design.discrimination import Forecast, Mixture, predicted
 from stepdiag_ros.gap.inference.evidence import SIZES
 from stepdiag_ros.gap.inference.joint import Joint
 from stepdiag_ros.gap.preprocess.observe import view_of
-from stepdiag_ros.gap.summary.cross_validation import RESET_WIDTH_M
+from stepdiag_ros.gap.summary.cross_validation import PRIOR_RESET_M
 from stepdiag_ros.model.description import Description, Setup, path_of
 from stepdiag_ros.model.log import STOOD
 
@@ -101,7 +101,7 @@ class Known:
         return self._places[effect.name]
 
 
-class Longer:
+class ExtendedLog:
     """The log with one more setup: what is known of it before it is measured."""
 
     def __init__(self, joint: Joint, run: Run, known: Known):
@@ -139,20 +139,20 @@ class Longer:
         self._nominal = self._whitened(jacobian.toarray())
         self._precision = prior_precision(parameters)
         offsets = np.arange(parameters.offset_first, parameters.size)
-        self._precision[offsets, offsets] = RESET_WIDTH_M**-2.0
+        self._precision[offsets, offsets] = PRIOR_RESET_M**-2.0
         residual = np.zeros(present.shape)
         residual[:start] = observation.view.reading - predicted[:start]
         self._data = self._whitened(np.where(present, residual, 0.0).ravel())[~self._new]
 
     def forecasts(self, ways: Ways) -> Mixture:
-        """The new readings in each of the ways that have their like in the longer log."""
+        """The new readings in each of the ways that have their like in the extended log."""
         found = [(share, self.forecast(members)) for share, members in ways]
         found = [(share, forecast) for share, forecast in found if forecast is not None]
         total = sum(share for share, _ in found)
         return [(share / total, forecast) for share, forecast in found]
 
     def forecast(self, members: Sequence[Member]) -> Forecast | None:
-        """The new readings if ``members`` act; None where one of them has no like, or no bound, in the longer log."""
+        """The new readings if ``members`` act; None where one of them has no like, or no bound, in the extended log."""
         forms = [self._laid(effect, form) for effect, form in members]
         if None in forms:
             return None
@@ -176,10 +176,10 @@ class Longer:
                 best = fits, factor, scale, half, size
         _, factor, scale, half, self._log.sizes[way] = *best[:-1], best[-1:]
         spread = linalg.solve_triangular(factor, (new * scale).T, lower=True).T
-        return foretold(spread @ half, spread)
+        return predicted(spread @ half, spread)
 
     def _laid(self, effect: Effect, form: Form) -> Form | None:
-        """The form at the longer log, its shape kept: time constants in a label follow the log's length, the
+        """The form at the extended log, its shape kept: time constants in a label follow the log's length, the
         order of an effect's forms of one kind does not."""
         if effect.name not in self._forms:
             forms = effect.appearance(self.view)

@@ -3,7 +3,7 @@
 Tails, and errors that go with those before, look like causes where noise is taken to be normal and independent;
 and a cause looks like tails to a noise that may have them.  So effects are searched in three noises: a normal one, that
 whose laws explain the log best without any effect, and that whose laws explain best what the names found in the first
-leave.  Of each, machine and set-up at their widths, the log evidence of what it leaves is taken, the price of its
+leave.  Of each, machine and set-up at their priors, the log evidence of what it leaves is taken, the price of its
 effects' freedom paid; the largest decides.
 """
 

@@ -19,7 +19,7 @@ ONSET_SIGMAS = 8.0
 SURE_NS = 1_000_000
 """A sample whose time is known worse than this tells nothing of a clock."""
 LEAST_MOVES = 24
-"""Fewest moves from which the delay between two sensors is told."""
+"""Fewest moves from which the delay between two sensors is estimated."""
 LEAST_STRETCHES = 6
 """Fewest stretches by which those moves must agree."""
 MOST_NOISE = 0.5
@@ -145,7 +145,7 @@ def apart(log: CalibrationLog, table: StopTable) -> tuple[float, float] | None:
     In each move the spot's progress p is the displacement's, later by τ and bent by the guides:
     p_spot − p = −τ dp/dt + κ p (1 − p), over all samples of the move.  A bend changes its sign with the
     direction of motion, a delay does not: the moves to and fro over one stretch share a bend, which by one of
-    them alone is hardly told from a delay.
+    them alone is hardly distinguished from a delay.
     """
     stretches: dict[tuple, list[np.ndarray]] = {}
     rests = [cache(partial(_rest, samples, table, quantum(samples, rows, table.run)))
@@ -157,9 +157,9 @@ def apart(log: CalibrationLog, table: StopTable) -> tuple[float, float] | None:
         two = _progress(log.spot, table, table.spot, i, rests[1])
         if one is None or two is None:
             continue
-        (time, course, _), (seen, spot, noise) = one, two
-        place = np.interp(seen, time, course)
-        rate = np.interp(seen, time, np.gradient(course, time))
+        (time, curve, _), (seen, spot, noise) = one, two
+        place = np.interp(seen, time, curve)
+        rate = np.interp(seen, time, np.gradient(curve, time))
         inside = (place > 0.02) & (place < 0.98)
         if inside.sum() < 4 or len(np.unique(spot[inside])) < 0.8 * inside.sum():
             continue
