@@ -130,6 +130,9 @@ def fit_jointly(observation: Observation, chosen: list[tuple[Effect, Form]],
 
 def freed(table: StopTable, active: Iterable[Active]) -> StopTable:
     """The stops with the effects taken off their readings."""
+    active = tuple(active)
+    if not active:
+        return table
     added = sum(a.contribution for a in active)
     return replace(table, displacement=table.displacement - added[:, :-2], spot=table.spot - added[:, -2:])
 
