@@ -7,25 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from drawn_machine import ORIGIN, TRAVEL
 
 from stepdiag_ros.devices.linuxcnc_rsh import LinuxCncRsh
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.linuxcnc import configuration, install
 from stepdiag_ros.linuxcnc.running import GROUP, USER, LinuxCnc, free_port, missing
-from stepdiag_ros.model.machine import CURVES, SQUARENESS, Curve, GeometricErrors
-
-TRAVEL, TOOL, ORIGIN = (0.2, 0.16, 0.12), (0.01, -0.02, -0.12), (0.05, -0.03, -0.15)
-
-
-def drawn_errors(seed: int = 7, size: float = 8.0e-6, angle: float = 2.0e-5) -> GeometricErrors:
-    """A machine with errors of all 21 kinds."""
-    rng = np.random.default_rng(seed)
-    curves = {}
-    for name in CURVES:
-        knots = np.linspace(0.0, TRAVEL['XYZ'.index(name[2])], 5 + 'XYZ'.index(name[2]))
-        value = rng.normal(size=knots.size) * (angle if name[1] in 'ABC' else size)
-        curves[name] = Curve(knots, value - value[0])
-    return GeometricErrors(curves, {name: angle * rng.normal() for name in SQUARENESS})
 
 
 def need_linuxcnc() -> None:
