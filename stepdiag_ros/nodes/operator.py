@@ -160,20 +160,9 @@ class Operator:
     # -- lifecycle and parameters ------------------------------------------------
 
     def state(self, node: str, timeout_s: float = 10.0) -> str:
-        """The node's lifecycle state; :class:`StepdiagError` if it does not answer.
-
-        Asked again every other second: the service of a node that was killed is still
-        known for a while, and what is sent to it is lost.
-        """
-        end = time.monotonic() + timeout_s
-        while True:
-            left = max(0.1, end - time.monotonic())
-            try:
-                return self._call(GetState, f'{node}/get_state', GetState.Request(),
-                                  min(2.0, left)).current_state.label
-            except StepdiagError:
-                if time.monotonic() >= end:
-                    raise
+        """The node's lifecycle state; :class:`StepdiagError` if it does not answer."""
+        return self._call_until_answered(GetState, f'{node}/get_state', GetState.Request(),
+                                         timeout_s).current_state.label
 
     def transition(self, node: str, name: str, timeout_s: float = 60.0) -> bool:
         """Ask for a transition; whether the node made it."""
@@ -211,7 +200,7 @@ class Operator:
         """Change parameters; :class:`StepdiagError` names the one that is refused."""
         request = SetParameters.Request(parameters=[
             Parameter(name, value=value).to_parameter_msg() for name, value in values.items()])
-        answer = self._call(SetParameters, f'{node}/set_parameters', request, 10.0)
+        answer = self._call_until_answered(SetParameters, f'{node}/set_parameters', request, 10.0)
         for (name, value), result in zip(values.items(), answer.results, strict=True):
             if not result.successful:
                 raise StepdiagError(f'{self.namespace}/{node}: parameter {name} cannot be '
@@ -221,7 +210,8 @@ class Operator:
         """Give a node that was started again the parameters that were changed since this facade is here."""
         changed = [p for name, p in self._changed.get(f'{self.namespace}/{node}', {}).items() if name not in but]
         if changed:
-            self._call(SetParameters, f'{node}/set_parameters', SetParameters.Request(parameters=changed), 30.0)
+            self._call_until_answered(SetParameters, f'{node}/set_parameters',
+                                      SetParameters.Request(parameters=changed), 30.0)
 
     def new_log(self, bag: str = '', steps: int = 0) -> None:
         """Begin a new bag, and have those who keep a log of their own begin anew with it.
@@ -255,6 +245,7 @@ class Operator:
             return   # it says nothing; whether it lives is seen by whoever asks it next
         if busy:
             raise StepdiagError(f'{self.namespace} is being calibrated by somebody else; wait until that has ended')
+
     def _name_of(self, bag: str) -> str:
         """The name by which the recorder is asked for a bag; :class:`StepdiagError` if it lies elsewhere."""
         if not bag:
@@ -390,6 +381,20 @@ class Operator:
                                 '(stepdiag up CELL.yaml)')
         return self.wait(client.call_async(request), timeout_s,
                          f'{self.namespace}/{name} does not answer')
+
+    def _call_until_answered(self, kind: type, name: str, request: Any, timeout_s: float) -> Any:
+        """The answer to a request that may be sent more than once.
+
+        The service of a node that was killed is still known for a while, and what is sent to it alone is lost: so
+        the request is sent again every other second.
+        """
+        end = time.monotonic() + timeout_s
+        while True:
+            try:
+                return self._call(kind, name, request, min(2.0, max(0.1, end - time.monotonic())))
+            except StepdiagError:
+                if time.monotonic() >= end:
+                    raise
 
     def _asked(self, request: Callable[[], Future]) -> Future:
         """The future of an action's request, sent from the thread that hears the answers.
