@@ -26,7 +26,7 @@ from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.action import ActionClient
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
-from rclpy.parameter import Parameter
+from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 from std_srvs.srv import Trigger
@@ -196,6 +196,17 @@ class Operator:
             time.sleep(0.05)
         return 'see its log'
 
+    def parameters(self, node: str, names: Sequence[str]) -> list[Any]:
+        """Values of some of a node's parameters."""
+        answer = self._call_until_answered(GetParameters, f'{node}/get_parameters',
+                                           GetParameters.Request(names=list(names)), 10.0)
+        return [parameter_value_to_python(value) for value in answer.values]
+
+    def setups_by_code(self) -> tuple[str, ...]:
+        """Setups that the control mounts by a code, without a hand."""
+        pairs, = self.parameters('step_sequencer', ['setup_codes'])
+        return tuple(pair.partition('=')[0] for pair in pairs if pair)
+
     def set_parameters(self, node: str, values: Mapping[str, Any]) -> None:
         """Change parameters; :class:`StepdiagError` names the one that is refused."""
         request = SetParameters.Request(parameters=[
@@ -250,8 +261,8 @@ class Operator:
         """The name by which the recorder is asked for a bag; :class:`StepdiagError` if it lies elsewhere."""
         if not bag:
             return ''
-        answer = self._call(GetParameters, 'recorder/get_parameters', GetParameters.Request(names=['bag_folder']), 10.0)
-        folder, wanted = Path(answer.values[0].string_value).expanduser().absolute(), Path(bag).absolute()
+        where, = self.parameters('recorder', ['bag_folder'])
+        folder, wanted = Path(where).expanduser().absolute(), Path(bag).absolute()
         if wanted.parent != folder:
             raise StepdiagError(f'{bag}: the recorder of {self.namespace} makes bags in {folder} alone; give a name '
                                 'there, or start the cell with --bag-folder')
