@@ -34,7 +34,7 @@ from stepdiag_ros.estimate.gauge import slope_weights
 from stepdiag_ros.estimate.noise import NoiseModel, Whitener, estimate_noise, whiteners
 from stepdiag_ros.estimate.parameters import Parameters, parameters_of
 from stepdiag_ros.estimate.reduce import StopTable
-from stepdiag_ros.model.description import LINEAR, Description, path_of
+from stepdiag_ros.model.description import Description
 from stepdiag_ros.model.machine import CURVES
 
 WIDTH_SHIFT_M = 1e-3
@@ -93,7 +93,7 @@ def readings_of(table: StopTable) -> np.ndarray:
 
 
 def prior_precision(parameters: Parameters, linear_laser: float = WIDTH_LASER_RAD) -> np.ndarray:
-    """Inverse covariance (size, size) of the widths; ``linear_laser`` [rad] in linear setups."""
+    """Inverse covariance (size, size) of the widths; ``linear_laser`` [rad] in straight setups."""
     rows = frame_rows(parameters)
     return np.diag(widths(parameters, linear_laser)**-2.0) + rows.T @ rows / WIDTH_FRAME_RAD**2
 
@@ -105,7 +105,7 @@ def widths(parameters: Parameters, linear_laser: float = WIDTH_LASER_RAD) -> np.
         width[parameters.slice(name)] = WIDTH_SHIFT_M if name[1] in 'XYZ' else WIDTH_TURN_RAD
     for setup in parameters.setups:
         first = parameters.setup_first[setup]
-        laser = linear_laser if path_of(setup) in LINEAR else WIDTH_LASER_RAD
+        laser = linear_laser if setup in parameters.straight else WIDTH_LASER_RAD
         width[first:first + 2], width[first + 2:first + 4] = laser, WIDTH_MIRROR_RAD
     width[parameters.offset_first:] = WIDTH_OFFSET_M
     return width

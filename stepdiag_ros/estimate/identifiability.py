@@ -44,7 +44,7 @@ def unidentifiable(parameters: Parameters, names: list[tuple[str, int]], reporti
             members = tuple(dict.fromkeys(
                 labels[i] for i in np.argsort(-weight, kind='stable')
                 if weight[i] > NAMED * weight.max()))
-            found.append(Unidentifiable(members, _why(members)))
+            found.append(Unidentifiable(members, _why(members, parameters.straight)))
     unique = {tuple(sorted(entry.names)): entry for entry in found}
     return tuple(unique.values())
 
@@ -92,11 +92,11 @@ def _echelon(directions: np.ndarray) -> np.ndarray:
     return rows
 
 
-def _why(members: tuple[str, ...]) -> str:
+def _why(members: tuple[str, ...], straight: frozenset[str]) -> str:
     kinds = {member.split()[-2] if ' laser ' in member or ' mirror ' in member else 'error'
              for member in members}
-    if all(member.startswith('lin_') for member in members):
-        return ('a beam that is not along its axis lengthens the readings to second order only (cosine '
+    if all(member.split()[0] in straight for member in members):
+        return ('a beam that is not along its line lengthens the readings to second order only (cosine '
                 'error); its width is part of the uncertainty of the positioning errors')
     if kinds == {'laser'} or kinds == {'laser', 'mirror'}:
         return ('turning these together with the machine changes the readings to second order only; '

@@ -98,7 +98,7 @@ class CellReadings:
 def sight_of(description: Description, name: str) -> Sight:
     """The line of sight of a setup of the cell description."""
     path, setup = stops(description, name), description.setups[name]
-    return Sight(name, setup_direction(description.machine, name), path.positions, path.axis,
+    return Sight(name, setup_direction(description.machine, setup), path.positions, path.axis,
                  setup.standoff, setup.beams, setup.psd_offset)
 
 
