@@ -16,6 +16,10 @@ from stepdiag_ros.model.machine import CURVES, SQUARENESS
 
 OPEN = 0.25
 """Share of the width's variance left by the data above which a direction is open."""
+LOOSE = 1e-4
+"""Standard uncertainty [m, rad] of a single error above which it is open too: readings that depend on it to second
+order only narrow a millimetre to a tenth of one, which is no measurement."""
+LOOSELY = 'the readings depend on it to second order only; its uncertainty is larger than such an error of any machine'
 NAMED = 0.25
 """Weight, against the greatest of a direction, from which a name takes part in it."""
 
@@ -34,6 +38,7 @@ def unidentifiable(parameters: Parameters, names: list[tuple[str, int]], reporti
     blind = seen * width**2 < 1e-9
     found = [Unidentifiable((label,), 'no reading of this log depends on it')
              for label, is_blind in zip(labels, blind, strict=True) if is_blind]
+    named = {label for label, is_blind in zip(labels, blind, strict=True) if is_blind}
     rows, width = rows[~blind], width[~blind]
     labels = [label for label, is_blind in zip(labels, blind, strict=True) if not is_blind]
     if len(labels):
@@ -45,6 +50,11 @@ def unidentifiable(parameters: Parameters, names: list[tuple[str, int]], reporti
                 labels[i] for i in np.argsort(-weight, kind='stable')
                 if weight[i] > NAMED * weight.max()))
             found.append(Unidentifiable(members, _why(members, parameters.straight)))
+            named.update(members)
+        loose = np.sqrt(np.einsum('ij,jk,ik->i', rows, covariance, rows)) > LOOSE
+        errors = {name for name, _ in names}
+        found += [Unidentifiable((label,), LOOSELY) for label, is_loose in zip(labels, loose, strict=True)
+                  if is_loose and label not in named and label.split()[0] in errors]
     unique = {tuple(sorted(entry.names)): entry for entry in found}
     return tuple(unique.values())
 

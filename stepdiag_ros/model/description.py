@@ -174,10 +174,12 @@ class Description:
             raise StepdiagError(f'{source}: setups names {len(raw)} setups; at most {limits.SETUPS} are read')
         setups = {}
         for name, body in raw.items():
-            own = isinstance(body, dict) and ('from' in body or 'to' in body)
-            if own == (path_of(str(name)) in DIAGONALS + LINEAR) or not OWN_NAME.fullmatch(path_of(str(name))):
-                raise StepdiagError(f'{source}: unknown setup {name!r} in setups'
-                                    f'{" with a way of its own" if own else ""}; {NAMING}')
+            own, short = isinstance(body, dict) and ('from' in body or 'to' in body), path_of(str(name))
+            if own and short in DIAGONALS + LINEAR:
+                raise StepdiagError(f'{source}: setups.{name} has from or to, but its short name says its way; leave '
+                                    'them out or give it another name')
+            if not own and short not in DIAGONALS + LINEAR or not OWN_NAME.fullmatch(short):
+                raise StepdiagError(f'{source}: unknown setup {name!r} in setups; {NAMING}')
             setups[name] = _setup(get, name, get.mapping(body, f'setups.{name}'), machine)
         n = data.get('noise') or {}
         get.mapping(n, 'noise')
