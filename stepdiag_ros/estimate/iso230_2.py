@@ -38,7 +38,7 @@ class AxisResult:
     """ISO 230-2 of one axis.  All arrays (m,) by target, all lengths [m].
 
     ``E``, ``A`` and ``R`` are bidirectional; ``*_up``, ``*_down`` unidirectional.  R and A are
-    None with a single run a direction: a standard deviation needs two.
+    None with a single run a direction: a standard deviation needs two.  ``letter`` of the axis, where it is known.
     """
 
     target_m: np.ndarray
@@ -47,6 +47,7 @@ class AxisResult:
     s_up: np.ndarray | None
     s_down: np.ndarray | None
     runs: int
+    letter: str = ''
 
     @property
     def reversal(self) -> np.ndarray:
@@ -130,6 +131,10 @@ class LinearTest:
     sigma_m: Mapping[str, float] = field(default_factory=dict)
     traceability: Traceability | None = None
 
+    def letter(self, name: str) -> str:
+        """X, Y or Z: what the line ``name`` measures."""
+        return self.axes[name].letter or name[-1].upper()
+
     def figures(self) -> dict[str, float]:
         """A, E, R, B and M [m] of each axis by name, e.g. ``E lin_x``; without those that need more cycles."""
         named = {f'{figure} {name}': getattr(axis, figure) for name, axis in self.axes.items() for figure in 'AERBM'}
@@ -154,7 +159,7 @@ class LinearTest:
         found = {}
         for figure in self.figures():
             letter, name = figure.split()
-            slope = np.linalg.norm(slopes.get(f'E{name[-1].upper() * 2}', 0.0))
+            slope = np.linalg.norm(slopes.get(f'E{self.letter(name) * 2}', 0.0))
             if letter in 'AEM':
                 found[figure] = float(slope * np.ptp(self.axes[name].target_m))
         return found

@@ -19,6 +19,7 @@ from stepdiag_ros.report.legends import legend_outside
 from stepdiag_ros.report.sheets.record import conditions
 from stepdiag_ros.report.sheets.rules import shortfalls
 from stepdiag_ros.report.sheets.sheet import Grid, Sheet, micro
+from stepdiag_ros.report.words import setup_words
 
 FIGURES = (('A', 'accuracy, bidirectional'), ('A_up', 'accuracy, forward'), ('A_down', 'accuracy, backward'),
            ('E', 'systematic deviation, bidirectional'), ('E_up', 'systematic deviation, forward'),
@@ -56,9 +57,9 @@ class WholeLinearTest(LinearTest):
 
     def slope_sigma(self, slopes: Mapping[str, np.ndarray], machine: Machine) -> dict[str, float]:
         """As its parent's, of the figures of one direction too."""
-        return {figure: float(np.linalg.norm(slopes.get(f'E{figure[-1].upper() * 2}', 0.0))
-                              * np.ptp(self.axes[figure.split()[1]].target_m))
-                for figure in self.figures() if figure[0] in 'AEM'}
+        named = ((figure, figure.split()[1]) for figure in self.figures() if figure[0] in 'AEM')
+        return {figure: float(np.linalg.norm(slopes.get(f'E{self.letter(name) * 2}', 0.0))
+                              * np.ptp(self.axes[name].target_m)) for figure, name in named}
 
 
 def linear_sheets(log: CalibrationLog, evaluation: Evaluation, cell: CellReadings, source: str) -> list[Sheet]:
@@ -73,7 +74,7 @@ def linear_sheets(log: CalibrationLog, evaluation: Evaluation, cell: CellReading
 def _sheet(name: str, test: WholeLinearTest, log: CalibrationLog, evaluation: Evaluation, cell: CellReadings,
            source: str) -> Sheet:
     axis = test.axes[name]
-    letter = name[-1].upper()
+    letter = test.letter(name)
     rows = [(SYMBOLS.get(figure, figure), words, micro(getattr(axis, figure)),
              micro(None if f'{figure} {name}' not in test.sigma_m else 2.0 * test.sigma_m[f'{figure} {name}']))
             for figure, words in FIGURES]
@@ -82,7 +83,8 @@ def _sheet(name: str, test: WholeLinearTest, log: CalibrationLog, evaluation: Ev
     sigma = cell.setups[name].displacement_sigma_m
     again = [other for other in cell.setups if path_of(other) == name and other != name]
     notes = [f'Not in this sheet: {", ".join(again)}, the same line mounted once more.'] if again else []
-    return Sheet(f'Positioning of axis {letter}', 'ISO 230-2', results,
+    where = '' if log.description.setups[name].way is None else f', {setup_words(log.description.setups[name])}'
+    return Sheet(f'Positioning of axis {letter}{where}', 'ISO 230-2', results,
                  conditions(log, evaluation, [name], source),
                  [*shortfalls(name, axis.target_m, axis.runs), f'{name}: {NO_OVERRUN}'],
                  partial(draw, axis, letter),
