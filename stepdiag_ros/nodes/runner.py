@@ -138,7 +138,7 @@ class Runner:
             if stop is first:
                 self.announce(run, stop, MOVE, self.now_ns())
             else:
-                self._tell(run, stop.axis, f'{AXES[stop.axis]} to stop {stop.index} '
+                self._tell(run, stop.axis, f'{AXES.get(stop.axis, "axes together")} to stop {stop.index} '
                                            f'of {len(run.stops) - 1}')
                 self.announce(run, stop, MOVE, self.now_ns())
                 self._go(stop)
