@@ -26,7 +26,14 @@ from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.guard.missing import missing
 from stepdiag_ros.guard.show import escaped
 from stepdiag_ros.nodes import environment
-from stepdiag_ros.nodes.graph import LISTENERS, NODES, PARAMETERS, hardware_endpoints, namespace_of, write_graph
+from stepdiag_ros.nodes.graph import (
+    LISTENERS,
+    NODES,
+    PARAMETERS,
+    hardware_endpoints,
+    namespace_of,
+    write_graph,
+)
 from stepdiag_ros.nodes.ownership import CELL as CELL_OWNER
 from stepdiag_ros.nodes.ownership import Ownership
 from stepdiag_ros.virtual.acting import allow_effect_files
@@ -100,7 +107,8 @@ class Bringup:
         self._own_runtime = runtime is None
         self.runtime = Path(tempfile.mkdtemp(prefix='stepdiag-')) if runtime is None else runtime
         self.runtime.mkdir(parents=True, exist_ok=True)
-        self.machines = [_Machine(cell, self.namespace, nodes, self.runtime, bag)]
+        own = (*nodes, 'multiplexer') if others else nodes
+        self.machines = [_Machine(cell, self.namespace, own, self.runtime, bag)]
         for other in others:
             name = other.description.machine.name
             self.machines.append(_Machine(
@@ -204,9 +212,13 @@ class Bringup:
         self._await(file.exists, CELL)
         self._say(f'virtual cell {self.machines[0].cell.description.machine.name} is up')
         first = yaml.safe_load(file.read_text(encoding='utf-8'))
-        return {self.namespace: first} | {
+        found = {self.namespace: first} | {
             namespace_of(name): yaml.safe_load(Path(path).read_text(encoding='utf-8'))
             for name, path in first.get('machines', {}).items()}
+        for endpoints in found.values():
+            if 'switch' in endpoints:
+                endpoints['switch']['owner'] = self.namespace
+        return found
 
     def _command(self, machine: _Machine, node: str) -> list[str]:
         return [sys.executable, '-m', f'stepdiag_ros.nodes.{node}', '--ros-args',
