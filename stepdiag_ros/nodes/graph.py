@@ -5,7 +5,7 @@ as a ROS parameter file that ``ros2 run … --params-file`` takes too.
 """
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -42,8 +42,8 @@ def namespace_of(machine: str) -> str:
     return '/' + (name if not name[0].isdigit() else f'm{name}')
 
 
-def hardware_endpoints(cell: Cell) -> dict[str, dict[str, Any]]:
-    """Addresses of real instruments as the cell file gives them; each needs a port."""
+def hardware_endpoints(cell: Cell, wanted: Sequence[str] = ()) -> dict[str, dict[str, Any]]:
+    """Addresses of real instruments as the cell file gives them; each (of the ``wanted``) needs a port."""
     instruments = cell.instruments
     found = {'interferometer': {'host': instruments.interferometer.host,
                                 'port': instruments.interferometer.port},
@@ -58,7 +58,7 @@ def hardware_endpoints(cell: Cell) -> dict[str, dict[str, Any]]:
                            'owner': namespace_of(cell.description.machine.name)}
     for name, where in found.items():
         for key in ('port', 'stream_port'):
-            if where.get(key) == 0:
+            if where.get(key) == 0 and (not wanted or name in wanted):
                 raise StepdiagError(f'{cell.source}: instruments.{name}.{key} is 0; '
                                     'give the port of the real instrument')
     return found
