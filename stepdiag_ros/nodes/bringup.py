@@ -48,7 +48,7 @@ LOOK_AROUND_S = 1.5
 #: A node that dies this often within a minute is left alone.
 RESTARTS_A_MINUTE = 5
 #: Measured by bench/bench_hall.py: more, and the instruments' samples are late.
-MACHINES_A_PROCESSOR = 4
+MACHINES_A_PROCESSOR = 2
 _PR_SET_PDEATHSIG = 1
 _LIBC = ctypes.CDLL(None, use_errno=True)
 

@@ -17,6 +17,7 @@ from unique_identifier_msgs.msg import UUID
 
 from stepdiag_msgs.action import UseSource
 from stepdiag_msgs.msg import Renewal
+from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.nodes.base import StepdiagNode, reliable
 from stepdiag_ros.nodes.runner import Interrupted
 from stepdiag_ros.nodes.source_queue import Hold
@@ -64,7 +65,7 @@ class Light:
         """Wait for the light, have it while the context lasts.
 
         ``alive()`` raises what ends the waiting, ``tell(text)`` is called with what is waited for.
-        Raises :class:`Interrupted` where nobody answers.
+        A request that is lost in the meantime is made anew.  Raises :class:`Interrupted` where nobody answers.
         """
         try:
             while not self._ask(expected_s, alive, tell):
@@ -92,7 +93,9 @@ class Light:
         while not asked.hold.holds:
             alive()
             if result is not None and result.done():
-                raise Interrupted(f'{self._name}: {result.result().result.message}')
+                if asked.said is None:      # refused at once; else it was not heard in time
+                    raise StepdiagError(f'{self._name}: {result.result().result.message}')
+                return False
             if time.monotonic() - asked.said_s > SILENCE_S:
                 return False
             if asked.said is not None and not asked.said.granted and time.monotonic() - told_s > 1.0:

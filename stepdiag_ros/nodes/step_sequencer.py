@@ -358,11 +358,10 @@ class StepSequencer(StepdiagNode):
                 completed=[*handle.request.completed, *told.completed]))
         topic = self.resolve_topic_name(DISPLACEMENT)
         with self._light.hold(expected_s, lambda: self._alive(handle), tell):
+            self._call(self._select['interferometer'], SelectSetup.Request(setup=setup), 'interferometer/select_setup')
             self._watch.expect(topic, True)
+            self._watch.begin()
             try:
-                self._call(self._select['interferometer'], SelectSetup.Request(setup=setup),
-                           'interferometer/select_setup')
-                self._watch.begin()
                 yield
             finally:
                 self._watch.expect(topic, False)
