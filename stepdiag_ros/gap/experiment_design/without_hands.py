@@ -48,7 +48,7 @@ def run_without_hands(diagnosis: Diagnosis, effects: Iterable[Effect], setups: C
     """
     best = diagnosis.hint.found if diagnosis.hint else diagnosis.raw[0]
     models = competing_models(diagnosis.screen, {effect.name: effect for effect in effects}, diagnosis.raw, best,
-                       diagnosis.indistinguishable, diagnosis.hint is not None)
+                              diagnosis.indistinguishable, diagnosis.hint is not None)
     joint = diagnosis.joint
     runs = {run.setup.name: (code, run) for code in setups if code not in made
             for run in [_of(diagnosis, code)]}
