@@ -155,6 +155,9 @@ def live(path: Path, arguments: list[str]) -> None:
         usage = {v.key: v.value for v in hall.source.operator.health('multiplexer').values}
         light, lost = 0.0, 0
         for name, result in results.items():
+            if not result['stops']:
+                print(f'{name}: {result["outcome"]}: {result["message"]}')
+                continue
             log = read_log(result['bag'])
             spans = [np.ptp(log.steps.time_ns[log.steps.run == n]) * 1e-9 for n in set(log.steps.run)]
             light += sum(spans)
