@@ -26,7 +26,7 @@ from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.action import ActionClient
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
-from rclpy.parameter import Parameter
+from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 from std_srvs.srv import Trigger
@@ -160,20 +160,9 @@ class Operator:
     # -- lifecycle and parameters ------------------------------------------------
 
     def state(self, node: str, timeout_s: float = 10.0) -> str:
-        """The node's lifecycle state; :class:`StepdiagError` if it does not answer.
-
-        Asked again every other second: the service of a node that was killed is still
-        known for a while, and what is sent to it is lost.
-        """
-        end = time.monotonic() + timeout_s
-        while True:
-            left = max(0.1, end - time.monotonic())
-            try:
-                return self._call(GetState, f'{node}/get_state', GetState.Request(),
-                                  min(2.0, left)).current_state.label
-            except StepdiagError:
-                if time.monotonic() >= end:
-                    raise
+        """The node's lifecycle state; :class:`StepdiagError` if it does not answer."""
+        return self._call_until_answered(GetState, f'{node}/get_state', GetState.Request(),
+                                         timeout_s).current_state.label
 
     def transition(self, node: str, name: str, timeout_s: float = 60.0) -> bool:
         """Ask for a transition; whether the node made it."""
@@ -207,11 +196,22 @@ class Operator:
             time.sleep(0.05)
         return 'see its log'
 
+    def parameters(self, node: str, names: Sequence[str]) -> list[Any]:
+        """Values of some of a node's parameters."""
+        answer = self._call_until_answered(GetParameters, f'{node}/get_parameters',
+                                           GetParameters.Request(names=list(names)), 10.0)
+        return [parameter_value_to_python(value) for value in answer.values]
+
+    def setups_by_code(self) -> tuple[str, ...]:
+        """Setups that the control mounts by a code, without a hand."""
+        pairs, = self.parameters('step_sequencer', ['setup_codes'])
+        return tuple(pair.partition('=')[0] for pair in pairs if pair)
+
     def set_parameters(self, node: str, values: Mapping[str, Any]) -> None:
         """Change parameters; :class:`StepdiagError` names the one that is refused."""
         request = SetParameters.Request(parameters=[
             Parameter(name, value=value).to_parameter_msg() for name, value in values.items()])
-        answer = self._call(SetParameters, f'{node}/set_parameters', request, 10.0)
+        answer = self._call_until_answered(SetParameters, f'{node}/set_parameters', request, 10.0)
         for (name, value), result in zip(values.items(), answer.results, strict=True):
             if not result.successful:
                 raise StepdiagError(f'{self.namespace}/{node}: parameter {name} cannot be '
@@ -221,7 +221,8 @@ class Operator:
         """Give a node that was started again the parameters that were changed since this facade is here."""
         changed = [p for name, p in self._changed.get(f'{self.namespace}/{node}', {}).items() if name not in but]
         if changed:
-            self._call(SetParameters, f'{node}/set_parameters', SetParameters.Request(parameters=changed), 30.0)
+            self._call_until_answered(SetParameters, f'{node}/set_parameters',
+                                      SetParameters.Request(parameters=changed), 30.0)
 
     def new_log(self, bag: str = '', steps: int = 0) -> None:
         """Begin a new bag, and have those who keep a log of their own begin anew with it.
@@ -255,12 +256,13 @@ class Operator:
             return   # it says nothing; whether it lives is seen by whoever asks it next
         if busy:
             raise StepdiagError(f'{self.namespace} is being calibrated by somebody else; wait until that has ended')
+
     def _name_of(self, bag: str) -> str:
         """The name by which the recorder is asked for a bag; :class:`StepdiagError` if it lies elsewhere."""
         if not bag:
             return ''
-        answer = self._call(GetParameters, 'recorder/get_parameters', GetParameters.Request(names=['bag_folder']), 10.0)
-        folder, wanted = Path(answer.values[0].string_value).expanduser().absolute(), Path(bag).absolute()
+        where, = self.parameters('recorder', ['bag_folder'])
+        folder, wanted = Path(where).expanduser().absolute(), Path(bag).absolute()
         if wanted.parent != folder:
             raise StepdiagError(f'{bag}: the recorder of {self.namespace} makes bags in {folder} alone; give a name '
                                 'there, or start the cell with --bag-folder')
@@ -390,6 +392,20 @@ class Operator:
                                 '(stepdiag up CELL.yaml)')
         return self.wait(client.call_async(request), timeout_s,
                          f'{self.namespace}/{name} does not answer')
+
+    def _call_until_answered(self, kind: type, name: str, request: Any, timeout_s: float) -> Any:
+        """The answer to a request that may be sent more than once.
+
+        The service of a node that was killed is still known for a while, and what is sent to it alone is lost: so
+        the request is sent again every other second.
+        """
+        end = time.monotonic() + timeout_s
+        while True:
+            try:
+                return self._call(kind, name, request, min(2.0, max(0.1, end - time.monotonic())))
+            except StepdiagError:
+                if time.monotonic() >= end:
+                    raise
 
     def _asked(self, request: Callable[[], Future]) -> Future:
         """The future of an action's request, sent from the thread that receives the answers.

@@ -229,7 +229,6 @@ def restart_sequencer(cell, *options: str) -> None:
     assert cell.watch() == ['step_sequencer']
 
 
-@pytest.mark.xfail(strict=False, reason='open: a sequencer restarted by hand does not answer in time')
 def test_a_setup_without_a_code_waits_for_a_person(cell, live):
     from stepdiag_ros.nodes.step_sequencer import ASK
     operator, asked = cell.operator, []

@@ -35,6 +35,7 @@ Ways = Sequence[tuple[float, Sequence[Member]]]
 class Run:
     """A further run: a setup, ``how`` it differs from that of the log, in words; ``known``: whether the log holds it.
 
+    ``as_mounted``: the setup of the log that a mounting by code may bring back as it was, '': none;
     ``wait`` [s]: left alone so long before mounting; ``mirror_turn_rad``: how its mirror is turned; ``light`` in the
     beam against that of the log; ``watch`` [s]: length of the first stop's dwell, 0: as usual; ``again_after`` [s]:
     left standing so long and measured as often again, None: not.
@@ -48,6 +49,7 @@ class Run:
     wait: float = 0.0
     watch: float = 0.0
     again_after: float | None = None
+    as_mounted: str = ''
 
     @property
     def text(self) -> str:
@@ -58,8 +60,8 @@ class Run:
         if self.light != 1.0:
             said += f'Put a grey filter that leaves {self.light:.0%} of the light into the beam. '
         said += f'Mount and align the {label}'
-        said += ' once more and measure it again' if self.known else \
-            f', which this log does not hold, and measure it at {self.setup.stops} stops'
+        said += ' once more and measure it again' if self.known else ', which this log does not hold, and measure it'
+        said += f' at {self.setup.stops} stops' if self.setup.is_linear and not self.known else ''
         said += f', {self.how}.' if self.how else '.'
         if self.watch:
             said += f' Before it moves, let it stand at its first stop for {self.watch / 60.0:.0f} min while the ' \
@@ -120,7 +122,8 @@ class ExtendedLog:
         noise = replace(joint.noise, sensor=np.concatenate([joint.noise.sensor, new_noise]), spread=spread)
         parameters = parameters_of(log.description, table)
         first, new = old.parameters.offset_first, len(table.run_ids) - old.parameters.runs
-        theta = np.concatenate([old.theta[:first], [0.0, 0.0, *run.mirror_turn_rad], old.theta[first:],
+        mounted = [] if run.as_mounted else [0.0, 0.0, *run.mirror_turn_rad]
+        theta = np.concatenate([old.theta[:first], mounted, old.theta[first:],
                                 np.zeros(new * old.parameters.beams)])
         model = ForwardModel(log.description, table, parameters)
         predicted, jacobian, arrival = model.jacobian(theta)
@@ -198,6 +201,13 @@ def _length_ns(table: StopTable) -> np.ndarray:
     return np.maximum(table.done_ns - table.dwell_ns, 1)
 
 
+def seconds_of(joint: Joint, run: Run) -> float:
+    """How long a run takes [s], with what goes before it, at the log's own pace."""
+    table, description = joint.observation.table, joint.observation.log.description
+    longer, _ = with_run(table, run, replace(description, setups={**description.setups, run.setup.name: run.setup}), 0)
+    return float(longer.done_ns.max() - table.done_ns.max()) * 1e-9
+
+
 def with_run(table: StopTable, run: Run, description: Description, usual: int) -> tuple[StopTable, np.ndarray]:
     """The table with the setup of ``run`` measured at its end, once or twice; and for each of the new stops the old
     one that it is like: that of the same diagonal or line or, where there was none, ``usual``."""
@@ -209,6 +219,9 @@ def with_run(table: StopTable, run: Run, description: Description, usual: int) -
     shifts = [int(table.done_ns.max()) + max(pause, 0) + int(run.wait * 1e9) - first]
     if run.again_after is not None:
         shifts.append(shifts[0] + longer + int(part['done_ns'].max()) - first + int(run.again_after * 1e9))
+    names = table.setup_names if run.as_mounted else (*table.setup_names, run.setup.name)
+    setup = names.index(run.as_mounted or run.setup.name)
+    held = int(table.repeat[table.setup == setup].max()) + 1 if run.as_mounted else 0
     parts, ids, rows = [], [], []
     for visit, shift in enumerate(shifts):
         # What is watched comes before the first stop as it usually is, cut as in a log.
@@ -222,12 +235,12 @@ def with_run(table: StopTable, run: Run, description: Description, usual: int) -
             for name, end in (('dwell_ns', 0), ('done_ns', 1)):
                 new[name][:before] = first + shift + longer * (np.arange(before) + end) // before
         parts.append(new | {
-            'run': new['run'] + len(table.run_ids) + len(ids), 'setup': np.full(len(own), len(table.setup_names)),
-            'repeat': new['repeat'] + visit * (int(part['repeat'].max()) + 1),
+            'run': new['run'] + len(table.run_ids) + len(ids), 'setup': np.full(len(own), setup),
+            'repeat': new['repeat'] + held + visit * (int(part['repeat'].max()) + 1),
             'intensity': new['intensity'] * run.light})
         ids += [f'{run.setup.name}/{visit}/{one}' for one in passes]
         rows.append(like[own])
-    return replace(table, run_ids=(*table.run_ids, *ids), setup_names=(*table.setup_names, run.setup.name),
+    return replace(table, run_ids=(*table.run_ids, *ids), setup_names=names,
                    **{name: np.concatenate([getattr(table, name), *(part[name] for part in parts)])
                       for name in parts[0]}), np.concatenate(rows)
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from stepdiag_ros.gap.alternatives.unmodelled import NAME as UNKNOWN
 from stepdiag_ros.gap.experiment_design.discrimination import Mixture, apart, expected_evidence
-from stepdiag_ros.gap.experiment_design.extended_log import ExtendedLog, Known, Run, Ways
+from stepdiag_ros.gap.experiment_design.extended_log import ExtendedLog, Known, Run, Ways, seconds_of
 from stepdiag_ros.gap.inference.joint import Joint
 from stepdiag_ros.gap.inference.search import NOTHING
 from stepdiag_ros.model.description import LINEAR, Setup, path_of
@@ -81,8 +81,13 @@ class NextRun:
                 'between': list(self.between), 'text': self.text}
 
 
-def recommend(joint: Joint, models: Sequence[Ways]) -> NextRun | None:
-    """The further run that tells the likeliest set, the first of ``models``, from all others best."""
+def recommend(joint: Joint, models: Sequence[Ways], able: Sequence[Run] | None = None,
+              longest_s: float = np.inf) -> NextRun | None:
+    """The further run that tells the likeliest set, the first of ``models``, from all others best.
+
+    ``able``: the runs to choose from, which are only watched, left standing or waited for, for a cell that sets nothing
+    up otherwise; None: all that hands can do.  ``longest_s``: a run that takes longer [s] is not thought of.
+    """
     if len(models) < 2:
         return None
     names = [{effect.name for effect, _ in ways[0][1]} or {NOTHING} for ways in models]
@@ -91,18 +96,21 @@ def recommend(joint: Joint, models: Sequence[Ways]) -> NextRun | None:
         return None
     # Which diagonal or line, whether it is watched or left standing, matters most; how it is set up is tried on the
     # best.
-    log, best, plain = Known(joint), None, _once_more(joint)
+    log, best, plain = Known(joint), None, _once_more(joint) if able is None else able
+
+    def better(runs: Sequence[Run], than: Best) -> Best:
+        return _best(joint, models, [run for run in runs if seconds_of(joint, run) <= longest_s], than, log)
     for runs in (plain, [_watched(joint, run) for run in plain], [_standing(joint, run)[-1] for run in plain]):
         if best is None or best[1] < ENOUGH:
-            best = _best(joint, models, runs, best, log)
+            best = better(runs, best)
+    if best and best[1] < ENOUGH and able is None:
+        best = better(_set_up(joint, best[0], between), best)
     if best and best[1] < ENOUGH:
-        best = _best(joint, models, _set_up(joint, best[0], between), best, log)
-    if best and best[1] < ENOUGH:
-        best = _best(joint, models, [_watched(joint, best[0]), *_standing(joint, best[0])], best, log)
+        best = better([_watched(joint, best[0]), *_standing(joint, best[0])], best)
     if best is None:
         return None
     if best[0].watch or best[0].again_after is not None:
-        best = _best(joint, models, [_patient(joint, best[0])], None, log) or best
+        best = better([_patient(joint, best[0])], None) or best
     run, separation, first, others = best
     evidence = min(min(expected_evidence(first, other), expected_evidence(other, first)) for other in others)
     error, at_once = 0.5 * float(np.exp(-max(separation, 0.0))), FRESH in between
@@ -112,16 +120,29 @@ def recommend(joint: Joint, models: Sequence[Ways]) -> NextRun | None:
 
 def _best(joint: Joint, models: Sequence[Ways], runs: Sequence[Run], best: Best,
           log: Known) -> Best:
-    """The run that tells the sets apart best among ``runs`` and ``best``."""
+    """The run that tells the sets apart best among ``runs`` and ``best``.
+
+    A mounting by code may bring back the directions that it had or not: what tells less counts.
+    """
     for run in runs:
-        extended = ExtendedLog(joint, run, log)
-        forecasts = [extended.forecasts(ways) for ways in models]
-        if not all(forecasts):
+        found = [_separation(joint, models, way, log) for way in ([run, replace(run, as_mounted='')] if run.as_mounted
+                                                            else [run])]
+        if None in found:
             continue
-        separation = min(apart(forecasts[0], other) for other in forecasts[1:])
+        separation, first, others = min((one for one in found if one), key=lambda one: one[0])
         if best is None or separation > best[1]:
-            best = run, separation, forecasts[0], forecasts[1:]
+            best = run, separation, first, others
     return best
+
+
+def _separation(joint: Joint, models: Sequence[Ways], run: Run,
+                log: Known) -> tuple[float, Mixture, list[Mixture]] | None:
+    """−ln ρ of a run and the forecasts of the likeliest set and of the others; None where one forecasts nothing."""
+    extended = ExtendedLog(joint, run, log)
+    forecasts = [extended.forecasts(ways) for ways in models]
+    if not all(forecasts):
+        return None
+    return min(apart(forecasts[0], other) for other in forecasts[1:]), forecasts[0], forecasts[1:]
 
 
 def _hope(error: float, between: Sequence[str]) -> str:
