@@ -9,6 +9,7 @@ from stepdiag_ros.bag.cdr import alike
 from stepdiag_ros.bag.tables import TopicTable
 from stepdiag_ros.model.description import Description
 from stepdiag_ros.model.log import DONE, DWELL, Samples, StepEvents
+from stepdiag_ros.model.path import stops
 
 
 def lost_messages(table: TopicTable) -> int | None:
@@ -26,9 +27,8 @@ def lost_messages(table: TopicTable) -> int | None:
 
 
 def planned_stops(description: Description, setup: str) -> int:
-    """Stops of one traverse: 3N + 1 on a diagonal, a linear setup's own number."""
-    own = description.setups[setup].stops
-    return own if own is not None else 3 * description.plan.steps + 1
+    """Stops of one traverse: 3N + 1 on a step diagonal, a linear setup's own number."""
+    return len(stops(description, setup))
 
 
 @dataclass(frozen=True)
@@ -117,8 +117,8 @@ def stop_warnings(description: Description, steps: StepEvents, displacement: Sam
         repeats = {t.repeat for t in found if t.setup == name}
         if not repeats:
             warnings.append(f'setup {name} is described but has no run')
-        elif len(repeats) < description.plan.repeats:
-            warnings.append(f'setup {name}: {len(repeats)} of {description.plan.repeats} '
+        elif len(repeats) < description.repeats_of(name):
+            warnings.append(f'setup {name}: {len(repeats)} of {description.repeats_of(name)} '
                             'planned repeats are there')
     ends = int((steps.phase == DONE).sum())
     begins = int((steps.phase == DWELL).sum())

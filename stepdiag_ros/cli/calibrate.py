@@ -2,14 +2,19 @@
 
 TARGET is a cell file (the cell is brought up, calibrated and ended), or the namespace of a
 machine that `stepdiag up` runs, e.g. /demo; without it, the one that runs.  The log goes into
-a new bag.  Ctrl-C cancels: the machine stands still and the bag is whole.
+a new bag.  With --all every machine that runs is calibrated, side by side.  Ctrl-C cancels:
+the machine stands still and the bag is whole.
 
 With --until-settled the log is diagnosed (as `stepdiag gap` does), and while it leaves open which cause acts, the cell
 makes the further run that separates them best, if it can without hands: setups that its control mounts by code, waits,
 long looks, repeats.  It ends when the answer is sure (status 0), or when no such run helps or time is up (status 1).
 
   stepdiag calibrate cells/demo.yaml
+<<<<<<< HEAD
   stepdiag calibrate cells/demo.yaml --until-settled --settle-time 1800
+=======
+  stepdiag calibrate --all
+>>>>>>> hall
   stepdiag calibrate /demo --setups ppp npp --repeats 1 --bag bags/today
 """
 
@@ -32,6 +37,8 @@ HELP = 'run the calibration on a cell and evaluate it'
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('target', metavar='TARGET', nargs='?',
                         help='cell file, or namespace of a running machine (default: the one that runs)')
+    parser.add_argument('--all', action='store_true',
+                        help='calibrate every running machine, as those of a hall, side by side')
     parser.add_argument('--setups', nargs='+', default=[], metavar='NAME',
                         help="setups in the order of measuring (default: all of the cell's)")
     parser.add_argument('--steps', type=_count, default=0, metavar='N',
@@ -68,6 +75,9 @@ def _count(text: str) -> int:
 
 
 def run(args: argparse.Namespace) -> int:
+    if args.all:
+        from stepdiag_ros.cli.side_by_side import calibrate_all
+        return calibrate_all(args)
     bar = Bar('calibrating', quiet=args.json)
     bag = None if args.bag is None else args.bag.expanduser().absolute()
     if bag is not None and bag.exists():

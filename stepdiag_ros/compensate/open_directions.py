@@ -12,7 +12,7 @@ import numpy as np
 
 from stepdiag_ros.estimate.gauge import STRAIGHTNESS
 from stepdiag_ros.estimate.solution import Solution
-from stepdiag_ros.model.description import DIAGONALS, path_of
+from stepdiag_ros.model.description import LINEAR, path_of
 from stepdiag_ros.model.machine import AXES, CURVES, SQUARENESS
 
 OWED = 0.5
@@ -32,7 +32,7 @@ def openness(solution: Solution) -> Openness:
     """What ``solution`` leaves open; needs nothing but what it reports."""
     absent = [name for name in CURVES if not solution.has(name) or len(solution.positions[name]) < 2]
     absent += [name for name in SQUARENESS if not solution.has(name)]
-    if solution.misalignments and not any(path_of(setup) in DIAGONALS for setup in solution.misalignments):
+    if solution.misalignments and all(path_of(setup) in LINEAR for setup in solution.misalignments):
         # A line tells how far an axis goes (and how it turns), not how straight or square.
         absent += [*STRAIGHTNESS, *SQUARENESS]
     named = []

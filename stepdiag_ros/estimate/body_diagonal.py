@@ -34,7 +34,7 @@ import numpy as np
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate.readings import CellReadings
 from stepdiag_ros.estimate.traceability import Traceability
-from stepdiag_ros.model.description import DIAGONALS, Machine
+from stepdiag_ros.model.description import DIAGONALS, Machine, Setup
 from stepdiag_ros.model.machine import GeometricErrors, tool_pose
 from stepdiag_ros.model.path import setup_direction, start_corner
 
@@ -71,12 +71,14 @@ class DiagonalTest:
     """All diagonals of a machine by name, and the worst of them.
 
     ``sigma_m``: standard uncertainty [m] of each of :meth:`figures` by the whole budget, empty where not computed.
+    ``travel_m``: (3,) of the axes from end to end, by name; the volume's where nothing is said.
     """
 
     diagonals: Mapping[str, DiagonalResult]
     method: str = 'body_diagonal'
     sigma_m: Mapping[str, float] = field(default_factory=dict)
     traceability: Traceability | None = None
+    travel_m: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     def figures(self) -> dict[str, float]:
         """E and B of each diagonal and of the worst [m], by name; without those that were not measured."""
@@ -91,10 +93,12 @@ class DiagonalTest:
 
     def slope_sigma(self, slopes: Mapping[str, np.ndarray], machine: Machine) -> dict[str, float]:
         """What uncertain slopes (k,) [1] of EXX, EYY, EZZ do to each E [m]."""
-        length = np.linalg.norm(machine.volume)
-        by_axis = [float(np.linalg.norm(slopes.get(f'E{a}{a}', 0.0))) * machine.volume[i]**2 / length
-                   for i, a in enumerate('XYZ')]
-        return {name: float(np.linalg.norm(by_axis)) for name in self.figures() if name[0] == 'E'}
+        def effect(travel: np.ndarray | tuple[float, ...]) -> float:
+            length = np.linalg.norm(travel)
+            return float(np.linalg.norm([float(np.linalg.norm(slopes.get(f'E{a}{a}', 0.0))) * travel[i]**2 / length
+                                         for i, a in enumerate('XYZ')]))
+        own = {name: effect(self.travel_m.get(name, machine.volume)) for name in self.diagonals}
+        return {name: own.get(name[2:], max(own.values())) for name in self.figures() if name[0] == 'E'}
 
     @property
     def Ed(self) -> float:
@@ -154,7 +158,7 @@ def diagonal(position_m: np.ndarray, forward_m: np.ndarray,
     return DiagonalResult(position, forward, backward, float(np.ptp(both)))
 
 
-def deviations_of(errors: GeometricErrors, machine: Machine, setup: str,
+def deviations_of(errors: GeometricErrors, machine: Machine, setup: Setup | str,
                   targets: int) -> tuple[np.ndarray, np.ndarray]:
     """What the test reads on a known machine: target positions (n,) and deviations (n,) [m].
 
@@ -162,7 +166,8 @@ def deviations_of(errors: GeometricErrors, machine: Machine, setup: str,
     from the start projected on the nominal diagonal.
     """
     start, d = start_corner(machine, setup), setup_direction(machine, setup)
-    length = np.linalg.norm(machine.volume)
+    way = setup.way if isinstance(setup, Setup) else None
+    length = np.linalg.norm(machine.volume if way is None else np.subtract(way.end, way.start))
     along = np.linspace(0.0, length, targets)
     commanded = start + along[:, None] * d
     point, _ = tool_pose(errors, commanded, machine.tool, machine.chain)

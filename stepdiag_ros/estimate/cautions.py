@@ -55,7 +55,8 @@ def _alike(cell: CellReadings, names: list[str]) -> list[str]:
 
 
 def _without_lines(cell: CellReadings) -> str:
-    missing = [axis for axis in AXES if f'lin_{axis.lower()}' not in cell.setups]
+    moved = [tuple(np.flatnonzero(np.ptp(s.sight.positions, axis=0))) for s in cell.setups.values()]
+    missing = [letter for axis, letter in enumerate(AXES) if (axis,) not in moved]
     if not missing:
         return ''
     return (f'no linear setup of {", ".join(missing)}: diagonals do not tell the slopes of single axes apart where '

@@ -47,8 +47,9 @@ class Setting:
         machine, out = self.description.machine, np.empty(len(self.table))
         for number, name in enumerate(self.table.setup_names):
             rows = self.table.setup == number
-            out[rows] = self.description.setups[name].standoff + \
-                (self.table.commanded[rows] - start_corner(machine, name)) @ setup_direction(machine, name)
+            setup = self.description.setups[name]
+            out[rows] = setup.standoff + \
+                (self.table.commanded[rows] - start_corner(machine, setup)) @ setup_direction(machine, setup)
         return out
 
 
@@ -65,9 +66,9 @@ def systematic(kind: str, contributor: Contributor, setting: Setting) -> np.ndar
     if kind in ('dead_path', 'air_variation'):
         return _in_runs(kind, setting, length)
     if kind == 'cosine':
-        linear = [i for i, n in enumerate(table.setup_names) if setting.description.setups[n].is_linear]
+        straight = [i for i, n in enumerate(table.setup_names) if setting.description.setups[n].is_straight]
         # L ε² E with E exponential; the value squares, the standard uncertainty is taken off outside.
-        effects = [-contributor.standard * np.where((table.setup == i)[:, None], length, 0.0) for i in linear]
+        effects = [-contributor.standard * np.where((table.setup == i)[:, None], length, 0.0) for i in straight]
         return np.array(effects) if effects else np.zeros((1, *readings.shape))
     if kind == 'psd_gain':
         return np.stack([np.where(np.arange(beams + 2) == beams + k, spot, 0.0) for k in range(2)])

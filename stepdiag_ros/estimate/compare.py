@@ -131,7 +131,7 @@ def _figures(result: Any, reference: GeometricErrors,
     if isinstance(result, DiagonalTest):
         rows = []
         for name, measured in result.diagonals.items():
-            position, deviation = deviations_of(reference, machine, name, len(measured.position_m))
+            position, deviation = deviations_of(reference, machine, description.setups[name], len(measured.position_m))
             rows.append((f'E {name}', measured.E, diagonal(position, deviation).E))
         rows.append(('Ed', result.Ed, max(r[2] for r in rows)))
         if result.Bd is not None:
@@ -140,8 +140,10 @@ def _figures(result: Any, reference: GeometricErrors,
     if isinstance(result, LinearTest):
         rows = []
         for name, axis in result.axes.items():
-            curve = reference.curves.get(f'E{name[-1].upper() * 2}')
+            curve = reference.curves.get(f'E{result.letter(name) * 2}')
             true = float(np.ptp(curve(axis.target_m))) if curve else 0.0
+            if description.setups[name].way is not None:
+                true = float(np.ptp(deviations_of(reference, machine, description.setups[name], axis.target_m.size)[1]))
             rows.append((f'E {name}', axis.E, true))
             rows.append((f'B {name}', axis.B, 0.0))
         return rows

@@ -34,7 +34,7 @@ from stepdiag_ros.estimate.gauge import slope_weights
 from stepdiag_ros.estimate.noise import NoiseModel, Whitener, estimate_noise, whiteners
 from stepdiag_ros.estimate.parameters import Parameters, parameters_of
 from stepdiag_ros.estimate.reduce import StopTable
-from stepdiag_ros.model.description import LINEAR, Description, path_of
+from stepdiag_ros.model.description import Description
 from stepdiag_ros.model.machine import CURVES
 
 PRIOR_SHIFT_M = 1e-3
@@ -93,7 +93,7 @@ def readings_of(table: StopTable) -> np.ndarray:
 
 
 def prior_precision(parameters: Parameters, linear_laser: float = PRIOR_LASER_RAD) -> np.ndarray:
-    """Inverse covariance (size, size) of the priors; ``linear_laser`` [rad] in linear setups."""
+    """Inverse covariance (size, size) of the priors; ``linear_laser`` [rad] in straight setups."""
     rows = frame_rows(parameters)
     return np.diag(prior_sigmas(parameters, linear_laser)**-2.0) + rows.T @ rows / PRIOR_FRAME_RAD**2
 
@@ -105,7 +105,7 @@ def prior_sigmas(parameters: Parameters, linear_laser: float = PRIOR_LASER_RAD) 
         sigma[parameters.slice(name)] = PRIOR_SHIFT_M if name[1] in 'XYZ' else PRIOR_TURN_RAD
     for setup in parameters.setups:
         first = parameters.setup_first[setup]
-        laser = linear_laser if path_of(setup) in LINEAR else PRIOR_LASER_RAD
+        laser = linear_laser if setup in parameters.straight else PRIOR_LASER_RAD
         sigma[first:first + 2], sigma[first + 2:first + 4] = laser, PRIOR_MIRROR_RAD
     sigma[parameters.offset_first:] = PRIOR_OFFSET_M
     return sigma

@@ -16,6 +16,10 @@ from stepdiag_ros.model.machine import CURVES, SQUARENESS
 
 OPEN = 0.25
 """Share of the prior variance left by the data above which a direction is open."""
+LOOSE = 1e-4
+"""Standard uncertainty [m, rad] of a single error above which it is open too: readings that depend on it to second
+order only narrow a millimetre to a tenth of one, which is no measurement."""
+LOOSELY = 'the readings depend on it to second order only; its uncertainty is larger than such an error of any machine'
 NAMED = 0.25
 """Weight, against the greatest of a direction, from which a name takes part in it."""
 
@@ -34,6 +38,7 @@ def unidentifiable(parameters: Parameters, names: list[tuple[str, int]], reporti
     blind = seen * sigma**2 < 1e-9
     found = [Unidentifiable((label,), 'no reading of this log depends on it')
              for label, is_blind in zip(labels, blind, strict=True) if is_blind]
+    named = {label for label, is_blind in zip(labels, blind, strict=True) if is_blind}
     rows, sigma = rows[~blind], sigma[~blind]
     labels = [label for label, is_blind in zip(labels, blind, strict=True) if not is_blind]
     if len(labels):
@@ -44,7 +49,12 @@ def unidentifiable(parameters: Parameters, names: list[tuple[str, int]], reporti
             members = tuple(dict.fromkeys(
                 labels[i] for i in np.argsort(-weight, kind='stable')
                 if weight[i] > NAMED * weight.max()))
-            found.append(Unidentifiable(members, _why(members)))
+            found.append(Unidentifiable(members, _why(members, parameters.straight)))
+            named.update(members)
+        loose = np.sqrt(np.einsum('ij,jk,ik->i', rows, covariance, rows)) > LOOSE
+        errors = {name for name, _ in names}
+        found += [Unidentifiable((label,), LOOSELY) for label, is_loose in zip(labels, loose, strict=True)
+                  if is_loose and label not in named and label.split()[0] in errors]
     unique = {tuple(sorted(entry.names)): entry for entry in found}
     return tuple(unique.values())
 
@@ -92,11 +102,11 @@ def _echelon(directions: np.ndarray) -> np.ndarray:
     return rows
 
 
-def _why(members: tuple[str, ...]) -> str:
+def _why(members: tuple[str, ...], straight: frozenset[str]) -> str:
     kinds = {member.split()[-2] if ' laser ' in member or ' mirror ' in member else 'error'
              for member in members}
-    if all(member.startswith('lin_') for member in members):
-        return ('a beam that is not along its axis lengthens the readings to second order only (cosine '
+    if all(member.split()[0] in straight for member in members):
+        return ('a beam that is not along its line lengthens the readings to second order only (cosine '
                 'error); its prior is part of the uncertainty of the positioning errors')
     if kinds == {'laser'} or kinds == {'laser', 'mirror'}:
         return ('turning these together with the machine changes the readings to second order only; '

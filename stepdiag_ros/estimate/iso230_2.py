@@ -38,7 +38,7 @@ class AxisResult:
     """ISO 230-2 of one axis.  All arrays (m,) by target, all lengths [m].
 
     ``E``, ``A`` and ``R`` are bidirectional; ``*_up``, ``*_down`` unidirectional.  R and A are
-    None with a single run a direction: a standard deviation needs two.
+    None with a single run a direction: a standard deviation needs two.  ``letter`` of the axis, where it is known.
     """
 
     target_m: np.ndarray
@@ -47,6 +47,7 @@ class AxisResult:
     s_up: np.ndarray | None
     s_down: np.ndarray | None
     runs: int
+    letter: str = ''
 
     @property
     def reversal(self) -> np.ndarray:
@@ -132,6 +133,10 @@ class LinearTest:
     traceability: Traceability | None = None
     wanted: tuple[str, ...] = ('A', 'E', 'R', 'B', 'M')
 
+    def letter(self, name: str) -> str:
+        """X, Y or Z: what the line ``name`` measures."""
+        return self.axes[name].letter or name[-1].upper()
+
     def figures(self) -> dict[str, float]:
         """The figures [m] of each axis by name, e.g. ``E lin_x``; without those that need more cycles."""
         named = {f'{figure} {name}': getattr(axis, figure) for name, axis in self.axes.items()
@@ -155,9 +160,13 @@ class LinearTest:
 
     def slope_sigma(self, slopes: Mapping[str, np.ndarray], machine: Machine) -> dict[str, float]:
         """What uncertain slopes (k,) [1] of EXX, EYY, EZZ do to A, E and M [m], of one direction too."""
-        return {figure: float(np.linalg.norm(slopes.get(f'E{figure[-1].upper() * 2}', 0.0))
-                              * np.ptp(self.axes[figure.split()[1]].target_m))
-                for figure in self.figures() if figure[0] in 'AEM'}
+        found = {}
+        for figure in self.figures():
+            letter, name = figure.split()
+            slope = np.linalg.norm(slopes.get(f'E{self.letter(name) * 2}', 0.0))
+            if letter[0] in 'AEM':
+                found[figure] = float(slope * np.ptp(self.axes[name].target_m))
+        return found
 
     def text(self) -> str:
         """For people, µm; R and A need two cycles."""

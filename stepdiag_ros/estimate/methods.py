@@ -7,7 +7,7 @@ sees what exists; they work on arrays.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -17,8 +17,11 @@ from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate import (
     body_diagonal,
     enhanced_dahlem,
+    face_diagonal,
     iso230_2,
+    linear_lines,
     new_formulation,
+    of_ways,
     squareness_diagonals,
     step_diagonal,
 )
@@ -68,6 +71,10 @@ def _linear(cell: CellReadings) -> str | None:
     return f'linear setups {", ".join(missing)}' if missing else None
 
 
+def _needs(text: str, found: Callable[[CellReadings], Any]) -> Callable[[CellReadings], str | None]:
+    return lambda cell: None if found(cell) else text
+
+
 def _both_ways(cell: CellReadings) -> str | None:
     if _bidirectional_lines(cell):
         return None
@@ -111,6 +118,38 @@ def body_diagonal_test(cell: CellReadings) -> body_diagonal.DiagonalTest:
     return body_diagonal.evaluate_runs(runs)
 
 
+def diagonal_displacement(cell: CellReadings, method: str, kinds: tuple[str, ...]) -> body_diagonal.DiagonalTest:
+    """E and B of the diagonals with ways of their own of these kinds, after ISO 230-6."""
+    found, travel = {}, {}
+    for name in of_ways.of_kind(cell, *kinds):
+        along, forward, backward = corner_deviations(cell.setups[name])
+        if len(forward):
+            found[name] = body_diagonal.diagonal(along, forward, backward if len(backward) else None)
+            travel[name] = cell.setups[name].sight.positions[-1] - cell.setups[name].sight.positions[0]
+    if not found:
+        raise StepdiagError(f'{method}: no {" or ".join(kinds)} has a complete forward run')
+    return body_diagonal.DiagonalTest(found, method, travel_m=travel)
+
+
+def _diagonal_entry(name: str, space: str) -> Method:
+    kinds = f'{space} diagonal', f'{space} step diagonal'
+    return Method(name, f'{space.capitalize()} diagonal displacement along ways of their own',
+                  'ISO 230-6 / ASME B5.54-2005', f'one {space} diagonal with from and to',
+                  _needs(f'a {space} diagonal with a way of its own (from, to)',
+                         lambda cell: of_ways.of_kind(cell, *kinds)),
+                  lambda log, cell: diagonal_displacement(cell, name, kinds))
+
+
+def _face_entry(plane: str) -> Method:
+    def lacks(cell: CellReadings) -> str | None:
+        missing = {f'{plane}_p', f'{plane}_n'} - set(of_ways.faces(cell).setups)
+        return f'both step diagonals of the face {plane} at the origin (from, to, moves), in the plan\'s steps' \
+            if missing else None
+    return Method(f'face_diagonal_{plane}', f'Step diagonals of the face {plane}', 'Wang & Liotto 2003, eqs. 19-22',
+                  'two stepped face diagonals', lacks,
+                  lambda log, cell: face_diagonal.evaluate(of_ways.faces(cell), plane))
+
+
 def squareness_test(cell: CellReadings):
     """Squareness from the total lengths of the four diagonals of a log."""
     names = cell.diagonals('squareness_diagonals', 4)
@@ -121,8 +160,8 @@ def squareness_test(cell: CellReadings):
 
 
 def _bidirectional_lines(cell: CellReadings) -> list[str]:
-    return [n for n in ('lin_x', 'lin_y', 'lin_z')
-            if n in cell.setups and len(cell.setups[n].forward_m) and len(cell.setups[n].backward_m)]
+    return [n for n in (*(n for n in ('lin_x', 'lin_y', 'lin_z') if n in cell.setups), *of_ways.of_kind(cell, 'line'))
+            if len(cell.setups[n].forward_m) and len(cell.setups[n].backward_m)]
 
 
 def linear_test(cell: CellReadings) -> iso230_2.LinearTest:
@@ -130,18 +169,16 @@ def linear_test(cell: CellReadings) -> iso230_2.LinearTest:
     axes = {}
     for name in _bidirectional_lines(cell):
         setup = cell.setups[name]
-        axis = 'xyz'.index(name[-1])
+        axis = int(np.argmax(np.abs(travel_signs(setup.sight))))
         target = setup.sight.positions[:, axis]
         travel = (target - target[0]) * travel_signs(setup.sight)[axis]
         runs = min(len(setup.forward_m), len(setup.backward_m))
-        axes[name] = iso230_2.evaluate(target, setup.forward_m[:runs] - travel,
-                                       setup.backward_m[:runs] - travel)
+        axes[name] = replace(iso230_2.evaluate(target, setup.forward_m[:runs] - travel,
+                                               setup.backward_m[:runs] - travel), letter='XYZ'[axis])
     return iso230_2.LinearTest(axes)
 
 
 def _entries() -> tuple[Method, ...]:
-    face = _never('step diagonals along the faces of the volume')
-    lines = _never('linear runs along three parallel lines of each axis')
     stations = _never('distances from four tracking interferometers')
     beam = _never('a rectangular path with the beam regulated to a fixed retroreflector')
     return (
@@ -167,12 +204,15 @@ def _entries() -> tuple[Method, ...]:
                'one body diagonal', _diagonals(1), lambda log, cell: body_diagonal_test(cell)),
         Method('iso230_2', 'Linear displacement', 'ISO 230-2', 'a linear setup run both ways',
                _both_ways, lambda log, cell: linear_test(cell)),
-        Method('face_diagonal', 'Face diagonals, step face diagonals',
-               'Wang & Liotto 2003, eqs. 17-22', 'stepped face diagonals', *face),
+        _diagonal_entry('body_displacement', 'body'), _diagonal_entry('face_displacement', 'face'),
+        *(_face_entry(plane) for plane in face_diagonal.PLANES),
         Method('three_face', 'Three-face step diagonal', 'Bui et al. 2012',
-               'stepped diagonals of three faces from one corner', *face),
+               'stepped diagonals of three faces from one corner, and the lines between', of_ways.three_faces_lack,
+               lambda log, cell: of_ways.three_faces(cell)),
         Method('linear_lines', 'Three lines with Abbe offsets', 'Wang & Liotto 2003, eqs. 23-25',
-               'three parallel lines an axis', *lines),
+               'three parallel lines an axis',
+               _needs('three parallel lines of an axis whose offsets are not in one line', of_ways.parallel),
+               lambda log, cell: linear_lines.evaluate(of_ways.parallel(cell))),
         Method('multilateration', 'Multilateration', 'Ibaraki & Hiruya 2020, eq. 1',
                'distances from three (plane) or four (space) stations', *stations),
         Method('regulated_beam', 'Rectangular path, beam regulated',

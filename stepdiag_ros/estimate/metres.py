@@ -256,8 +256,8 @@ def _along(description: Description, table: StopTable) -> np.ndarray:
     """Way (n,) [m] from each setup's start corner to each stop along its nominal direction."""
     machine, way = description.machine, np.empty(len(table))
     for number, name in enumerate(table.setup_names):
-        rows = table.setup == number
-        way[rows] = (table.commanded[rows] - start_corner(machine, name)) @ setup_direction(machine, name)
+        rows, setup = table.setup == number, description.setups[name]
+        way[rows] = (table.commanded[rows] - start_corner(machine, setup)) @ setup_direction(machine, setup)
     return way
 
 
@@ -265,7 +265,8 @@ def _referred(log: CalibrationLog, table: StopTable,
               conditions: Conditions) -> tuple[StopTable, Conditions, dict[str, float]]:
     """The stops with the scales' expansion taken off where it is known; mean scale temperatures by axis."""
     description, middle = log.description, (table.dwell_ns + table.done_ns) // 2
-    directions = np.array([setup_direction(description.machine, name) for name in table.setup_names])[table.setup]
+    directions = np.array([setup_direction(description.machine, description.setups[name])
+                           for name in table.setup_names])[table.setup]
     excess, referred = np.zeros(len(table)), [False] * 3
     scales, measured = list(conditions.scales), {}
     expansion, sigma, away = list(conditions.expansion), list(conditions.expansion_sigma), [np.nan] * 3

@@ -151,7 +151,7 @@ def draw_readings(acting: Sequence[Cause], setting: Setting, solution: Solution,
                 shift[..., axis] += setting.noise.position * unit[:, first + own]
                 first += int(own.max()) + 1
         elif cause.contributor.kind == 'angle_repeatability':
-            triads = np.array([local_triad(setup_direction(description.machine, name))
+            triads = np.array([local_triad(setup_direction(description.machine, description.setups[name]))
                                for name in table.setup_names])[table.setup]
             for k in range(2):
                 turn += setting.noise.angle * unit[:, k * n:(k + 1) * n, None] * triads[:, k]

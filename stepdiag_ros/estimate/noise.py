@@ -20,7 +20,7 @@ import numpy as np
 from scipy import linalg
 
 from stepdiag_ros.errors import StepdiagError
-from stepdiag_ros.estimate.reduce import StopTable
+from stepdiag_ros.estimate.reduce import MOVED_M, StopTable
 from stepdiag_ros.model.description import Noise
 from stepdiag_ros.model.log import NONE, STOOD
 
@@ -140,9 +140,11 @@ def arrivals(table: StopTable) -> np.ndarray:
     for run in np.unique(table.run):
         rows = np.flatnonzero(table.run == run)
         index = table.index[rows].astype(int)
-        fresh = np.zeros((len(rows), 3), bool)
-        for axis in range(3):
-            fresh[:, axis] = (table.axis[rows] == axis) | (table.axis[rows] == NONE)
+        fresh = (table.axis[rows, None] == np.arange(3)) | (table.axis[rows, None] == NONE)
+        # Where several axes moved together their commanded positions say which.
+        change = np.abs(np.diff(table.commanded[rows], axis=0)) > MOVED_M
+        together = (table.axis[rows[1:]] == NONE) & change.any(axis=1)
+        fresh[1:][together] = change[together]
         # A stop left out hides which axes moved meanwhile.
         fresh[1:][(np.abs(np.diff(index)) != 1) & (table.axis[rows[1:]] != STOOD)] = True
         fresh[0] = True

@@ -6,7 +6,7 @@ are zero by definition; a laser and a mirror misalignment for every setup; one
 reset offset for every beam of every run.
 
 A positioning curve (EXX, EYY, EZZ) has knots at the plan's positions and wherever
-a linear setup stops; the others at the plan's positions only.  A stop between
+a line of that axis stops; the others at the plan's positions only.  A stop between
 knots takes part in both neighbours.
 """
 
@@ -16,7 +16,7 @@ import numpy as np
 from scipy import sparse
 
 from stepdiag_ros.estimate.reduce import StopTable
-from stepdiag_ros.model.description import Description, path_of
+from stepdiag_ros.model.description import Description
 from stepdiag_ros.model.machine import AXES, CURVES
 from stepdiag_ros.model.path import plan_positions
 
@@ -31,7 +31,8 @@ class Parameters:
 
     ``knots``: curve name → (k,) [m], the first being 0.  ``first``: curve name → column of
     its knot 1.  ``setup_first``: setup → column of its ``laser u``.  ``offset_first``: column of
-    run 0, beam 0; then row-major [run, beam].  ``size``: number of columns.
+    run 0, beam 0; then row-major [run, beam].  ``straight``: setups whose beam lies along the motion.
+    ``size``: number of columns.
     """
 
     knots: dict[str, np.ndarray]
@@ -41,6 +42,7 @@ class Parameters:
     offset_first: int
     runs: int
     beams: int
+    straight: frozenset[str] = frozenset()
 
     @property
     def size(self) -> int:
@@ -63,13 +65,13 @@ class Parameters:
 def parameters_of(description: Description, table: StopTable) -> Parameters:
     """Lay out the unknowns for the stops in ``table``."""
     knots: dict[str, np.ndarray] = {}
-    linear = np.array([description.setups[s].is_linear for s in table.setup_names])
+    linear = np.array([description.setups[s].is_line for s in table.setup_names])
     # A log without diagonals knows nothing between its own stops: its stops are the knots.
     only_linear = bool(linear[table.setup].all())
     for axis, letter in enumerate(AXES):
         plan = plan_positions(description, axis)
         own = np.isin(table.setup, [i for i, s in enumerate(table.setup_names)
-                                    if path_of(s) == f'lin_{letter.lower()}'])
+                                    if description.setups[s].axes == (axis,)])
         extra = np.unique(table.commanded[own, axis])
         for motion in 'XYZABC':
             name = f'E{motion}{letter}'
@@ -88,7 +90,7 @@ def parameters_of(description: Description, table: StopTable) -> Parameters:
         setup_first[setup] = column
         column += len(MISALIGNMENTS)
     return Parameters(knots, first, tuple(used), setup_first, column, len(table.run_ids),
-                      table.displacement.shape[1])
+                      table.displacement.shape[1], frozenset(s for s in used if description.setups[s].is_straight))
 
 
 def _merge(positions: np.ndarray) -> np.ndarray:

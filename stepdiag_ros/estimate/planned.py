@@ -35,7 +35,7 @@ def planned_table(description: Description, setups: Sequence[str] | None = None,
     for number, name in enumerate(names):
         path = stops(description, name)
         count = len(path)
-        for repeat in range(description.plan.repeats):
+        for repeat in range(description.repeats_of(name)):
             for direction in directions:
                 whole = {'run': len(run_ids), 'setup': number, 'repeat': repeat, 'direction': direction}
                 for key, value in whole.items():

@@ -1,9 +1,7 @@
 """Readings of a cell as the methods of the literature want them: one row a stop, means over runs.
 
 A :class:`SetupReadings` is a straight line of sight and the stops that were visited in it.
-Body diagonals and linear setups come from a log (:func:`readings_of_stops`) or
-from the closed-form sensor (:func:`simulate`); face diagonals, which the log format does
-not know, only from arrays.
+All setups come from a log (:func:`readings_of_stops`) or from the closed-form sensor (:func:`simulate`).
 """
 
 from collections.abc import Callable, Mapping
@@ -28,7 +26,8 @@ class Sight:
 
     ``direction`` (3,) unit vector away from the source; ``positions`` (n, 3) [m] commanded,
     ``axis`` (n,) number of the axis that moved to reach a stop (255 at the first);
-    ``beams`` (k, 2), ``psd_offset`` (2,) [m] along (u, v); ``standoff`` [m].
+    ``beams`` (k, 2), ``psd_offset`` (2,) [m] along (u, v); ``standoff`` [m].  ``kind`` of a setup with a way of its
+    own (:attr:`~stepdiag_ros.model.description.Setup.kind`); empty for a short name.
     """
 
     name: str
@@ -38,6 +37,7 @@ class Sight:
     standoff: float = 0.0
     beams: tuple[tuple[float, float], ...] = ((0.0, 0.0),)
     psd_offset: tuple[float, float] = (0.0, 0.0)
+    kind: str = ''
 
     @property
     def triad(self) -> np.ndarray:
@@ -98,8 +98,8 @@ class CellReadings:
 def sight_of(description: Description, name: str) -> Sight:
     """The line of sight of a setup of the cell description."""
     path, setup = stops(description, name), description.setups[name]
-    return Sight(name, setup_direction(description.machine, name), path.positions, path.axis,
-                 setup.standoff, setup.beams, setup.psd_offset)
+    return Sight(name, setup_direction(description.machine, setup), path.positions, path.axis,
+                 setup.standoff, setup.beams, setup.psd_offset, '' if setup.way is None else setup.kind)
 
 
 def face_sight(machine: Machine, plane: str, sign: str, steps: int, standoff: float = 0.0) -> Sight:

@@ -117,7 +117,8 @@ def gradient(table: StopTable, rows: np.ndarray) -> np.ndarray | None:
     if len(rows) < 2 + moved.sum() - (moved.sum() == 1) or not moved.any():
         return None
     slope, _, rank, _ = np.linalg.lstsq(place[:, moved], length, rcond=1e-6)
-    if rank < moved.sum():
+    # Where all stops lie on one line the least slope is the one along it.
+    if rank < moved.sum() and rank != 1:
         return None
     result = np.full(3, np.nan)
     result[moved] = slope
@@ -129,7 +130,7 @@ def _distances(description: Description, table: StopTable, setup: str, rows: np.
     seen = gradient(table, rows)
     if seen is None:
         return []
-    moved, nominal = np.isfinite(seen), setup_direction(description.machine, setup)
+    moved, nominal = np.isfinite(seen), setup_direction(description.machine, description.setups[setup])
     if np.linalg.norm(nominal[moved]) < 0.5:
         return [Finding('axis', f'setup {setup}: it measures along {_letters(np.abs(nominal) > 0.5)}, the commanded '
                         f'positions move {_letters(moved)}', 'exchange the names of the linear setups')]

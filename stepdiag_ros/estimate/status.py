@@ -15,7 +15,6 @@ from scipy import stats
 
 from stepdiag_ros.estimate.enhanced import Fit
 from stepdiag_ros.estimate.reduce import StopTable
-from stepdiag_ros.model.description import path_of
 
 OK = 'ok'
 LEAST_DOF = 10
@@ -58,13 +57,13 @@ def reasons(result: Fit, table: StopTable) -> list[str]:
 
 
 def without_tilts(result: Fit, table: StopTable) -> list[str]:
-    """Diagonals whose stops have neither spots nor three beams."""
+    """Step diagonals whose stops have neither spots nor three beams."""
     beams = table.displacement.shape[1]
     tilted = result.present[:, beams:].all(axis=1)
     if beams >= 3:
         tilted |= result.present[:, :3].all(axis=1)
     return [name for k, name in enumerate(table.setup_names)
-            if path_of(name)[:3] != 'lin' and np.any(table.setup == k)
+            if name not in result.parameters.straight and np.any(table.setup == k)
             and np.mean(tilted[table.setup == k]) < LEAST_SPOTS]
 
 

@@ -25,7 +25,8 @@ def without_applied(log: CalibrationLog, taken_off: TakenOff) -> CalibrationLog:
     steps, samples = log.steps, log.displacement
     values = samples.values.copy()
     taken = taken_off(steps.commanded)
-    directions = {name: setup_direction(log.description.machine, name) for name in steps.setup_names}
+    directions = {name: setup_direction(log.description.machine, log.description.setups[name])
+                  for name in steps.setup_names}
     zero: dict[tuple[int, int, int], np.ndarray] = {}
     begun: dict[tuple[int, int, int], int] = {}
     for row in range(len(steps)):

@@ -5,6 +5,7 @@ that an evaluation knows about the cell besides the measurements.
 """
 
 import math
+import re
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -14,12 +15,17 @@ from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.guard import limits, strict_yaml
 from stepdiag_ros.model.budget import Budget
 from stepdiag_ros.model.surroundings import AirValues, Expansion, air_of, scales_of, scales_to_dict
+from stepdiag_ros.model.way import TOGETHER, Way, problem
 
 MADE_UP = 'made_up'
 """What ``times`` of a description says where a table had none."""
 SCHEMA = 1
 DIAGONALS = ('ppp', 'npp', 'pnp', 'nnp')
 LINEAR = ('lin_x', 'lin_y', 'lin_z')
+OWN_NAME = re.compile(r'[A-Za-z][A-Za-z0-9_]{0,39}')
+"""A name that a setup with a way of its own may bear; in a log of joined logs with a number after a point."""
+NAMING = (f'the short names are {", ".join(DIAGONALS + LINEAR)}; any other setup needs the keys from and to, and a '
+          'name of letters, digits and _ that begins with a letter')
 
 
 def path_of(setup: str) -> str:
@@ -57,7 +63,8 @@ class Setup:
 
     ``standoff`` [m] from the base unit to the mirror's reference point at stop 0;
     ``psd_offset`` [m] of the PSD's beam and ``beams`` [m] of the interferometer's,
-    each along (u, v).  ``length`` [m] and ``stops`` belong to linear setups only.
+    each along (u, v).  ``length`` [m] and ``stops`` belong to ``lin_x``, ``lin_y``, ``lin_z`` only; ``way`` to a setup
+    without a short name.  ``repeats``: of this setup, None: as many as the plan's.
     """
 
     name: str
@@ -66,10 +73,37 @@ class Setup:
     beams: tuple[tuple[float, float], ...]
     length: float | None = None
     stops: int | None = None
+    way: Way | None = None
+    repeats: int | None = None
 
     @property
     def is_linear(self) -> bool:
-        return path_of(self.name) in LINEAR
+        """Whether it is a line by a short name, from the origin, with ``length`` and ``stops``."""
+        return self.way is None and path_of(self.name) in LINEAR
+
+    @property
+    def axes(self) -> tuple[int, ...]:
+        """Numbers of the axes that move."""
+        if self.way is not None:
+            return self.way.axes
+        return ('xyz'.index(path_of(self.name)[-1]),) if self.is_linear else (0, 1, 2)
+
+    @property
+    def is_line(self) -> bool:
+        """Whether a single axis moves."""
+        return len(self.axes) == 1
+
+    @property
+    def is_straight(self) -> bool:
+        """Whether the machine moves along the beam, so that the beam's own direction shows to second order only."""
+        return self.is_linear if self.way is None else self.way.is_straight
+
+    @property
+    def kind(self) -> str:
+        """``line``, ``face diagonal``, ``body diagonal``, or the latter two with ``step``."""
+        if self.is_line:
+            return 'line'
+        return f'{"face" if len(self.axes) == 2 else "body"} {"" if self.is_straight else "step "}diagonal'
 
 
 @dataclass(frozen=True)
@@ -98,6 +132,10 @@ class Description:
     scales: dict[str, Expansion] = field(default_factory=dict)
     budget: Budget | None = None
     timed: bool = True
+
+    def repeats_of(self, setup: str) -> int:
+        """How often a setup is measured, forward and backward."""
+        return self.setups[setup].repeats or self.plan.repeats
 
     @classmethod
     def from_yaml(cls, text: str, source: str = 'cell_description') -> 'Description':
@@ -136,9 +174,12 @@ class Description:
             raise StepdiagError(f'{source}: setups names {len(raw)} setups; at most {limits.SETUPS} are read')
         setups = {}
         for name, body in raw.items():
-            if path_of(str(name)) not in DIAGONALS + LINEAR:
-                raise StepdiagError(f'{source}: unknown setup {name!r} in setups; known are '
-                                    f'{", ".join(DIAGONALS + LINEAR)}')
+            own, short = isinstance(body, dict) and ('from' in body or 'to' in body), path_of(str(name))
+            if own and short in DIAGONALS + LINEAR:
+                raise StepdiagError(f'{source}: setups.{name} has from or to, but its short name says its way; leave '
+                                    'them out or give it another name')
+            if not own and short not in DIAGONALS + LINEAR or not OWN_NAME.fullmatch(short):
+                raise StepdiagError(f'{source}: unknown setup {name!r} in setups; {NAMING}')
             setups[name] = _setup(get, name, get.mapping(body, f'setups.{name}'), machine)
         n = data.get('noise') or {}
         get.mapping(n, 'noise')
@@ -156,6 +197,11 @@ class Description:
                             'beams': [list(b) for b in s.beams]}
             if s.is_linear:
                 setups[name] |= {'length': s.length, 'stops': s.stops}
+            if s.way is not None:
+                setups[name] |= {'from': list(s.way.start), 'to': list(s.way.end), 'moves': s.way.moves}
+                setups[name] |= {} if s.way.steps is None else {'steps': s.way.steps}
+            if s.repeats is not None:
+                setups[name]['repeats'] = s.repeats
         machine = {'name': self.machine.name, 'chain': self.machine.chain,
                    'volume': list(self.machine.volume), 'tool': list(self.machine.tool)}
         if self.machine.origin is not None:
@@ -188,11 +234,25 @@ def _setup(get: '_Getter', name: str, body: dict, machine: Machine) -> Setup:
         raise StepdiagError(f'{get.source}: {path}.beams must be a list of 1 to {limits.BEAMS} [u, v] offsets '
                             'in metres')
     beams = tuple(get.vector({'beams': b}, f'{path}.beams', 2) for b in raw)
+    repeats = None if body.get('repeats') is None else get.count(body, f'{path}.repeats', 1, limits.REPEATS)
+    if 'from' in body or 'to' in body:
+        return Setup(name, standoff, offset, beams, way=_way(get, path, body, machine), repeats=repeats)
     if path_of(name) not in LINEAR:
-        return Setup(name, standoff, offset, beams)
+        return Setup(name, standoff, offset, beams, repeats=repeats)
     length = get.number(body, f'{path}.length', minimum=0.0, maximum=limits.LENGTH_M,
                         default=machine.volume['xyz'.index(path_of(name)[-1])])
-    return Setup(name, standoff, offset, beams, length, get.count(body, f'{path}.stops', 2, limits.STOPS, default=2))
+    return Setup(name, standoff, offset, beams, length, get.count(body, f'{path}.stops', 2, limits.STOPS, default=2),
+                 repeats=repeats)
+
+
+def _way(get: '_Getter', path: str, body: dict, machine: Machine) -> Way:
+    steps = None if body.get('steps') is None else get.count(body, f'{path}.steps', 1, limits.STEPS)
+    way = Way(get.vector(body, f'{path}.from', 3), get.vector(body, f'{path}.to', 3),
+              str(body.get('moves', TOGETHER)), steps)
+    wrong = problem(way, machine.volume)
+    if wrong is not None:
+        raise StepdiagError(f'{get.source}: {path}.{wrong[0]} {wrong[1]}')
+    return way
 
 
 def _budget(raw: Any, source: str) -> Budget | None:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stepdiag_ros.errors import StepdiagError
-from stepdiag_ros.model.description import LINEAR, Description, Machine, path_of
+from stepdiag_ros.model.description import LINEAR, Description, Machine, Setup, path_of
 from stepdiag_ros.model.log import NONE
 
 
@@ -14,7 +14,7 @@ class SetupPath:
     """The stops of one setup in forward order.
 
     ``positions`` (n, 3) [m] commanded; ``axis`` (n,) number of the axis that moved to
-    reach the stop going forward, 255 at the first.
+    reach the stop going forward, 255 at the first and where several moved together.
     """
 
     positions: np.ndarray
@@ -29,18 +29,23 @@ class SetupPath:
         return self.axis if direction > 0 else np.concatenate([self.axis[:1], self.axis[:0:-1]])
 
 
-def start_corner(machine: Machine, setup: str) -> np.ndarray:
-    """The lower corner where a setup begins, (3,) [m]."""
-    setup = path_of(setup)
+def start_corner(machine: Machine, setup: Setup | str) -> np.ndarray:
+    """The point where a setup begins, (3,) [m]: a lower corner for a short name."""
+    if isinstance(setup, Setup) and setup.way is not None:
+        return np.array(setup.way.start)
+    setup = path_of(setup if isinstance(setup, str) else setup.name)
     if setup in LINEAR:
         return np.zeros(3)
     return np.array([0.0 if sign == 'p' else length
                      for sign, length in zip(setup, machine.volume, strict=True)])
 
 
-def setup_direction(machine: Machine, setup: str) -> np.ndarray:
-    """Unit vector ``d`` (3,) along which a setup measures."""
-    setup = path_of(setup)
+def setup_direction(machine: Machine, setup: Setup | str) -> np.ndarray:
+    """Unit vector ``d`` (3,) along which a setup measures; a short name needs no more than the name."""
+    if isinstance(setup, Setup) and setup.way is not None:
+        travel = np.array(setup.way.end) - setup.way.start
+        return travel / np.linalg.norm(travel)
+    setup = path_of(setup if isinstance(setup, str) else setup.name)
     if setup in LINEAR:
         return np.eye(3)['xyz'.index(setup[-1])]
     signs = np.array([1.0 if sign == 'p' else -1.0 for sign in setup])
@@ -58,13 +63,16 @@ def local_triad(direction: np.ndarray) -> np.ndarray:
 
 
 def stops(description: Description, setup: str) -> SetupPath:
-    """The stops of ``setup``: a zig-zag of ``3 steps + 1`` stops, or a line of its own."""
+    """The stops of ``setup``: a zig-zag of ``3 steps + 1`` stops, a line from the origin, or a way of its own."""
     machine, plan = description.machine, description.plan
     if setup not in description.setups:
         raise StepdiagError(f'setup {setup!r} is not in the cell description; '
                             f'it has {", ".join(description.setups)}')
     given = description.setups[setup]
-    if given.is_linear:
+    if given.way is not None:
+        positions, axes = given.way.stops(given.way.steps or plan.steps)
+        moved = np.array([NONE, *(NONE if axis < 0 else axis for axis in axes)], np.uint8)
+    elif given.is_linear:
         axis = 'xyz'.index(path_of(setup)[-1])
         positions = np.zeros((given.stops, 3))
         positions[:, axis] = np.linspace(0.0, given.length, given.stops)

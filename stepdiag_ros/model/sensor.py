@@ -40,8 +40,8 @@ class Station:
 
 def station(machine: Machine, setup: Setup) -> Station:
     """The nominal base unit of a setup: ``O = S + τ − standoff·d``."""
-    d = setup_direction(machine, setup.name)
-    origin = start_corner(machine, setup.name) + np.array(machine.tool) - setup.standoff * d
+    d = setup_direction(machine, setup)
+    origin = start_corner(machine, setup) + np.array(machine.tool) - setup.standoff * d
     return Station(local_triad(d), origin)
 
 

@@ -58,7 +58,7 @@ def planned_runs(description: Description, setups: Sequence[str] = (), repeats: 
         forward = tuple(Stop(i, int(axis), position) for i, (axis, position)
                         in enumerate(zip(path.axis, path.positions, strict=True)))
         begin = (first_repeat or {}).get(name, 0)
-        for repeat in range(begin, begin + (repeats or description.plan.repeats)):
+        for repeat in range(begin, begin + (repeats or description.repeats_of(name))):
             runs.append(Run(f'{name}/{repeat}/+', name, repeat, 1, forward))
             runs.append(Run(f'{name}/{repeat}/-', name, repeat, -1, _backward(forward)))
     return runs

@@ -24,6 +24,7 @@ class _Source:
     dark_s: float | None = None     # since when there has been no signal; None: there is
     hole_s: float = 0.0             # longest time left out between two blocks since the last zero
     setups: set[str] = field(default_factory=set)   # that blocks since the last zero speak of
+    expected: bool = True           # False: nothing is wanted of it, its light is another machine's
 
 
 @dataclass(frozen=True)
@@ -79,6 +80,20 @@ class Watch:
                 if source.dark_s is not None:
                     source.dark_s = time.monotonic()
 
+    def expect(self, topic: str, expected: bool) -> None:
+        """From now on ``topic`` has to deliver, or need not: a source that machines share serves one at a time."""
+        with self._lock:
+            source = self._sources[topic]
+            if expected and not source.expected:
+                # What was left out while it served others is no silence and no hole.
+                source.last_s, source.end_ns, source.dark_s = time.monotonic(), HOST.now_ns(), None
+                source.setups.clear()
+                source.hole_s = 0.0
+            source.expected = expected
+
+    def _present(self) -> dict[str, _Source]:
+        return {topic: source for topic, source in self._sources.items() if source.expected}
+
     def recorder(self, recording: Recording) -> None:
         """The recorder's status came."""
         with self._lock:
@@ -99,7 +114,11 @@ class Watch:
                 if said_s < since_s:
                     wants.append(f'{name} has not reported what it receives')
                 else:
+<<<<<<< HEAD
                     wants += [f'{name} does not receive {topic}' for topic in self._sources if topic not in receives]
+=======
+                    wants += [f'{name} does not hear {topic}' for topic in self._present() if topic not in hears]
+>>>>>>> hall
             return wants
 
     @property
@@ -118,7 +137,7 @@ class Watch:
         now = time.monotonic()
         with self._lock:
             wants = []
-            for topic, source in self._sources.items():
+            for topic, source in self._present().items():
                 if source.last_s is None:
                     wants.append(f'nothing was received on {topic}')
                 elif source.last_s < since_s:
@@ -133,8 +152,13 @@ class Watch:
             elif not said.recording:
                 wants.append('the recorder is not recording')
             else:
+<<<<<<< HEAD
                 missing = [t for t in (*self._sources, *self._besides) if t not in said.receives]
                 wants += [f'the recorder does not receive {topic}' for topic in missing]
+=======
+                deaf = [t for t in (*self._present(), *self._besides) if t not in said.hears]
+                wants += [f'the recorder does not hear {topic}' for topic in deaf]
+>>>>>>> hall
         return wants
 
     def check(self, bag: str, setup: str) -> None:
@@ -147,8 +171,8 @@ class Watch:
         said = self.recording
         with self._lock:
             wants += [f'{topic} speaks of setup {other!r} in a run of {setup!r}'
-                      for topic, source in self._sources.items() for other in sorted(source.setups - {setup})]
-            wants += [f'{topic} left out {source.hole_s:.1f} s' for topic, source in self._sources.items()
+                      for topic, source in self._present().items() for other in sorted(source.setups - {setup})]
+            wants += [f'{topic} left out {source.hole_s:.1f} s' for topic, source in self._present().items()
                       if source.hole_s > HOLE_S]
         if not wants and said is not None and said.bag != bag:
             wants = [f'the recorder began another bag ({said.bag}) while a run was under way']
@@ -158,9 +182,9 @@ class Watch:
     def dark(self) -> bool:
         """A source's last block holds no light."""
         with self._lock:
-            return any(source.dark_s is not None for source in self._sources.values())
+            return any(source.dark_s is not None for source in self._present().values())
 
     def delivered_until(self) -> int:
         """All sources have delivered up to this time [ns since the epoch]."""
         with self._lock:
-            return min((s.end_ns for s in self._sources.values()), default=0)
+            return min((s.end_ns for s in self._present().values()), default=0)

@@ -25,7 +25,7 @@ SQUARE_WORDS = {'EC0Y': 'Y to X', 'EB0Z': 'Z to X', 'EA0Z': 'Z to Y'}
 def evaluation_page(solution: Solution, description: Description, name: str) -> str:
     """The HTML of one evaluation."""
     sections = [_head(solution, description, name), _tied(solution), _curves(solution), _squareness(solution),
-                _misalignments(solution), _residuals(solution), closure_section(solution.closure, 3),
+                _misalignments(solution, description), _residuals(solution), closure_section(solution.closure, 3),
                 _open(solution), _notes(solution), _small_print(solution)]
     return page(f'{name}: the 21 geometric errors', '\n'.join(s for s in sections if s))
 
@@ -100,10 +100,11 @@ def _with_unit(solution: Solution, name: str) -> tuple[float, str, float]:
     return value, 'rad', 2.0 * sigma
 
 
-def _misalignments(solution: Solution) -> str:
+def _misalignments(solution: Solution, description: Description) -> str:
     if not solution.misalignments:
         return ''
-    rows = [[escape(name), escape(setup_words(name)), *(quantity(a, 'rad') for a in (*m.laser, *m.mirror))]
+    rows = [[escape(name), escape(setup_words(description.setups[name])),
+             *(quantity(a, 'rad') for a in (*m.laser, *m.mirror))]
             for name, m in solution.misalignments.items()]
     return ('<h2>How laser and mirror were aligned</h2><p>Found together with the errors and taken out of them: '
             'small angles about the beam\'s sideways directions u and v.</p>'

@@ -2,7 +2,7 @@
 
 import io
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import matplotlib
 import numpy as np
@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from stepdiag_ros.estimate.reduce import StopTable
 from stepdiag_ros.estimate.solution import Solution
 from stepdiag_ros.gap.noise.coherent_lines import Spectrum
+from stepdiag_ros.model.description import Setup
 from stepdiag_ros.model.machine import CURVES, SQUARENESS
 from stepdiag_ros.report.legends import legend_outside
 from stepdiag_ros.report.series import Inside, Series
@@ -320,6 +321,6 @@ def _keep_legible(ax, after: Solution, before: Solution, name: str) -> None:
                     color=BEFORE)
 
 
-def legend_of_setups(names: tuple[str, ...]) -> str:
+def legend_of_setups(setups: Sequence[Setup]) -> str:
     """``ppp: diagonal …`` for the small print."""
-    return '; '.join(f'{name}: {setup_words(name)}' for name in names)
+    return '; '.join(f'{setup.name}: {setup_words(setup)}' for setup in setups)

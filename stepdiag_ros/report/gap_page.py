@@ -10,6 +10,7 @@ from stepdiag_ros.gap.constants import LEAST_SHARE
 from stepdiag_ros.gap.diagnosis import Diagnosis, Found
 from stepdiag_ros.gap.summary.bands import Band
 from stepdiag_ros.gap.summary.margins import SETTLING, Margins
+from stepdiag_ros.model.description import Description
 from stepdiag_ros.report import gap_figures, gap_words
 from stepdiag_ros.report.page import bars, figure, page, table
 from stepdiag_ros.report.series import Series, inside, series, spectra
@@ -187,10 +188,11 @@ def _where(diagnosis: Diagnosis) -> str:
         bars([(said, v, closed_percent(v)) for said, v in kind.items()]) for kind in kinds if kind) + '</div>'
     if not shares.cells.any():
         return text + sides + _bands(diagnosis)
-    return text + '<div class="cols"><div>' + _map(shares) + '</div><div>' + sides + '</div></div>' + _bands(diagnosis)
+    return (text + '<div class="cols"><div>' + _map(shares, diagnosis.log.description) + '</div><div>' + sides
+            + '</div></div>' + _bands(diagnosis))
 
 
-def _map(shares: Margins) -> str:
+def _map(shares: Margins, description: Description) -> str:
     names, top = shares.setups, shares.cells.max()
     rows = ''
     for c, channel in enumerate(SHORT_CHANNELS.values()):
@@ -203,7 +205,7 @@ def _map(shares: Margins) -> str:
     return (f'<table class="heat"><tr><th></th>{heads}</tr>{rows}</table>'
             f'<small>Share of the gap by what was measured and in which setup: the length by the laser, the spot of '
             'light that tells how the mirror turns. '
-            f'{escape(gap_figures.legend_of_setups(names))}.</small>')
+            f'{escape(gap_figures.legend_of_setups([description.setups[n] for n in names]))}.</small>')
 
 
 def _shaded(depth: float, said: str) -> str:

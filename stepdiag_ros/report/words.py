@@ -5,7 +5,7 @@ import re
 import numpy as np
 
 from stepdiag_ros.effects import short_title
-from stepdiag_ros.model.description import LINEAR, path_of
+from stepdiag_ros.model.description import LINEAR, Setup, path_of
 
 WITHOUT_EFFECT = {'unknown': 'Something that is not in the list', 'nothing': 'Nothing wrong'}
 SHORT_CHANNELS = {'displacement': 'length', 'spot_x': 'spot x', 'spot_y': 'spot y'}
@@ -110,10 +110,16 @@ def parameter_name(name: str) -> str:
     return bare + (tail or '')
 
 
-def setup_words(name: str) -> str:
-    """Where a setup runs, for someone who does not know the signs."""
+def setup_words(setup: Setup | str) -> str:
+    """Where a setup runs, for someone who does not know the signs; a short name needs no more than the name."""
+    name = setup if isinstance(setup, str) else setup.name
     path, ends = path_of(name), {'p': 'to +', 'n': 'to −'}
     again = '' if path == name else ', mounted once more'
+    if isinstance(setup, Setup) and setup.way is not None:
+        points = ' to '.join('(' + ', '.join(f'{1e3 * v:g}' for v in p) + ')' for p in (setup.way.start, setup.way.end))
+        kind = f'line along {"XYZ"[setup.axes[0]]}' if setup.is_line else setup.kind
+        moves = '' if setup.is_line else ', axes together' if setup.is_straight else f', moves {setup.way.moves}'
+        return f'{kind} from {points} mm{moves}{again}'
     if path in LINEAR:
         return f'line along {path[-1].upper()}{again}'
     return 'diagonal ' + ' '.join(f'{ends[sign]}{axis}' for sign, axis in zip(path, 'XYZ', strict=True)) + again

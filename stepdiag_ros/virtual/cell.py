@@ -18,6 +18,8 @@ from stepdiag_ros.guard import limits
 from stepdiag_ros.model.description import (
     DIAGONALS,
     LINEAR,
+    NAMING,
+    OWN_NAME,
     Description,
     Machine,
     Noise,
@@ -26,6 +28,7 @@ from stepdiag_ros.model.description import (
 )
 from stepdiag_ros.model.machine import GeometricErrors
 from stepdiag_ros.model.sensor import Misalignment
+from stepdiag_ros.model.way import TOGETHER, Way, problem
 from stepdiag_ros.virtual import drawn
 from stepdiag_ros.virtual.noise import NoiseLaw, NoiseLaws, Spread
 from stepdiag_ros.virtual.surroundings import BELIEVED, believed_air, budget, scales
@@ -221,7 +224,7 @@ def _cell(top: Reader) -> Cell:
                 geometry=drawn.geometry(keys.get('geometry'), seed, description),
                 misalignments=misalignments, psd_zero=zero, air=_air(keys.get('air')),
                 motion=motion, effects=_named_mappings(keys.get('effects')),
-                instruments=_instruments(keys.get('instruments'), machine.name),
+                instruments=_instruments(keys.get('instruments'), machine.name, tuple(setups)),
                 sampling=_sampling(keys.get('sampling')),
                 faults=_named_mappings(keys.get('faults')), client=_client(keys.get('client')),
                 network=keys['network'].text(('loopback', 'open')) if 'network' in keys else 'loopback',
@@ -256,10 +259,14 @@ def _plan(node: Reader) -> Plan:
 
 def _setups(node: Reader, machine: Machine) -> dict[str, Setup]:
     setups = {}
-    for name, child in node.mapping(DIAGONALS + LINEAR).items():
-        linear = name in LINEAR
-        keys = child.mapping(('standoff', 'psd_offset', 'beams')
-                             + (('length', 'stops') if linear else ()))
+    for name, child in node.mapping().items():
+        linear, short = name in LINEAR, name in DIAGONALS + LINEAR
+        if not short and not OWN_NAME.fullmatch(name):
+            raise child.fail(f'is no name of a setup; {NAMING}')
+        keys = child.mapping(('standoff', 'psd_offset', 'beams', 'repeats')
+                             + (('length', 'stops') if linear else () if short else ('from', 'to', 'moves', 'steps')))
+        if not short and not {'from', 'to'} <= set(keys):
+            raise child.fail(f'is not a short name and lacks from or to; {NAMING}')
         standoff = keys['standoff'].number(minimum=0.0, maximum=limits.LENGTH_M, unit='m') if 'standoff' in keys \
             else 0.0
         offset = keys['psd_offset'].vector(2) if 'psd_offset' in keys else (0.0, 0.0)
@@ -273,10 +280,21 @@ def _setups(node: Reader, machine: Machine) -> dict[str, Setup]:
             length = keys['length'].number(above=0.0, maximum=travel, unit='m') \
                 if 'length' in keys else travel
             stops = keys['stops'].count(2, limits.STOPS) if 'stops' in keys else 2
-        setups[name] = Setup(name, standoff, offset, beams, length, stops)
+        setups[name] = Setup(name, standoff, offset, beams, length, stops, None if short else _way(keys, machine),
+                             keys['repeats'].count(1, limits.REPEATS) if 'repeats' in keys else None)
     if not setups:
         raise node.fail(f'is empty; name at least one of {", ".join(DIAGONALS + LINEAR)}')
     return setups
+
+
+def _way(keys: Mapping[str, Reader], machine: Machine) -> Way:
+    """From where to where a setup without a short name goes, and how."""
+    way = Way(keys['from'].vector(3), keys['to'].vector(3), keys['moves'].text() if 'moves' in keys else TOGETHER,
+              keys['steps'].count(1, limits.STEPS) if 'steps' in keys else None)
+    wrong = problem(way, machine.volume)
+    if wrong is not None:
+        raise keys[wrong[0]].fail(wrong[1])
+    return way
 
 
 def _noise(node: Reader | None) -> Noise:
@@ -344,7 +362,7 @@ def _endpoint(keys: dict[str, Reader], port: str = 'port') -> Endpoint:
     return Endpoint(host, keys[port].count(0, 65535) if port in keys else 0)
 
 
-def _instruments(node: Reader | None, name: str) -> Instruments:
+def _instruments(node: Reader | None, name: str, setups: tuple[str, ...]) -> Instruments:
     if node is None or node.is_null:
         return Instruments()
     given: dict[str, Any] = {}
@@ -397,7 +415,8 @@ def _instruments(node: Reader | None, name: str) -> Instruments:
             given['watch_port'] = keys['watch_port'].count(0, 65535)
         if 'setup_codes' in keys:
             given['setup_codes'] = {setup: _m_code(code) for setup, code
-                                    in keys['setup_codes'].mapping(DIAGONALS + LINEAR).items()}
+                                    in keys['setup_codes'].mapping(tuple(dict.fromkeys(
+                                        (*DIAGONALS, *LINEAR, *setups)))).items()}
     return Instruments(**given)
 
 

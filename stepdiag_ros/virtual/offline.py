@@ -108,7 +108,7 @@ def execute(cell: Cell, history: History, start_ns: int, setups: tuple[str, ...]
         now += COMMAND_DELAY_NS + round(visit.wait * 1e9)
         history.append(now, place, place, rest, number)
         now += int((cell.motion.mount if visit.mount is None else visit.mount) * 1e9)
-        repeats = cell.description.plan.repeats
+        repeats = cell.description.repeats_of(setup)
         for repeat in range(repeats if visit.again is None else 2 * repeats):
             if repeat == repeats:
                 now += int(visit.again * 1e9)

@@ -54,7 +54,7 @@ class Run:
     @property
     def text(self) -> str:
         """What is to be done."""
-        label = f'{"line" if self.setup.is_linear else "diagonal"} {path_of(self.setup.name)}'
+        label = f'{"line" if self.setup.is_line else "diagonal"} {path_of(self.setup.name)}'
         said = '' if not self.wait else \
             f'Leave the cell as it is for {self.wait / 60.0:.0f} min, the laser on and the control under power. '
         if self.light != 1.0:

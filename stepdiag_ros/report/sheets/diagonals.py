@@ -1,5 +1,6 @@
-"""The sheet of the body diagonals after ISO 230-6: E and B of each diagonal, Ed and Bd, the plots."""
+"""The sheets of body and face diagonals after ISO 230-6: E and B of each diagonal, Ed and Bd, the plots."""
 
+from collections.abc import Callable
 from functools import partial
 
 import numpy as np
@@ -8,9 +9,10 @@ from matplotlib.figure import Figure
 from stepdiag_ros.estimate.body_diagonal import DiagonalTest
 from stepdiag_ros.estimate.evaluate import Evaluation
 from stepdiag_ros.estimate.method_budget import with_cell_budget
-from stepdiag_ros.estimate.methods import body_diagonal_test, corner_deviations
+from stepdiag_ros.estimate.methods import body_diagonal_test, corner_deviations, diagonal_displacement
+from stepdiag_ros.estimate.of_ways import of_kind
 from stepdiag_ros.estimate.readings import CellReadings
-from stepdiag_ros.model.description import DIAGONALS, path_of
+from stepdiag_ros.model.description import DIAGONALS, Description, path_of
 from stepdiag_ros.model.log import CalibrationLog
 from stepdiag_ros.report.gap_figures import AFTER, BEFORE
 from stepdiag_ros.report.legends import legend_outside
@@ -21,39 +23,55 @@ from stepdiag_ros.report.words import setup_words
 
 BLIND = ('Errors of two axes that are opposite leave a body diagonal as long as it was: a small Ed says nothing of the '
          'volume by itself. ASME B5.54-2005 asks for linear tests of each axis besides.')
+BLIND_FACE = ('Errors of two axes that are opposite leave a face diagonal as long as it was; the third axis and what '
+              'leaves the plane are not seen.')
 STEPPED = ('The diagonals were measured by a step diagonal with a flat mirror: the deviations are those of the stops '
            'that lie on the diagonal, reached by one axis after the other and not along the diagonal as ISO 230-6 has '
            'it.')
 
 
 def diagonal_sheets(log: CalibrationLog, evaluation: Evaluation, cell: CellReadings, source: str) -> list[Sheet]:
-    """One sheet for all body diagonals of a log; none where it holds none."""
-    names = [name for name in DIAGONALS if name in cell.setups]
-    if not names:
-        return []
-    test = with_cell_budget(body_diagonal_test, evaluation)
+    """A sheet for the diagonals of each kind that a log holds: in one motion or stepped, of the body or of faces."""
+    asked: list[tuple[str, list[str], Callable[[CellReadings], DiagonalTest]]] = []
+    if short := [name for name in DIAGONALS if name in cell.setups]:
+        asked.append(('body step diagonal', short, body_diagonal_test))
+    for kind in ('body diagonal', 'body step diagonal', 'face diagonal', 'face step diagonal'):
+        if names := of_kind(cell, kind):
+            asked.append((kind, names, partial(diagonal_displacement, method=kind, kinds=(kind,))))
+    return [_sheet(kind, names, with_cell_budget(test, evaluation), log, evaluation, cell, source)
+            for kind, names, test in asked]
+
+
+def _sheet(kind: str, measured: list[str], test: DiagonalTest, log: CalibrationLog, evaluation: Evaluation,
+           cell: CellReadings, source: str) -> Sheet:
+    names = [name for name in measured if name in test.diagonals]
     runs = {name: corner_deviations(cell.setups[name]) for name in names}
     short = [sentence for name, (along, forward, backward) in runs.items()
              for sentence in shortfalls(name, along, min(len(forward), len(backward)) or len(forward), diagonal=True)]
     short += [f'{name}: run in one direction only; B is not given.' for name, (_, _, backward) in runs.items()
               if not len(backward)]
-    if len(names) < len(DIAGONALS):
+    body = kind.startswith('body')
+    if body and len(names) < len(DIAGONALS):
         short.append(f'{len(names)} of the four body diagonals were measured.')
     sigma = max(float(cell.setups[name].displacement_sigma_m.max()) for name in names)
     again = [name for name in cell.setups if path_of(name) in names and name not in names]
-    notes = [STEPPED, BLIND] + ([f'Not in this sheet: {", ".join(again)}, mounted once more.'] if again else [])
-    return [Sheet('Body diagonals', 'ISO 230-6', _results(test, runs), conditions(log, evaluation, names, source),
-                  short, partial(draw, test, runs),
-                  'Deviation from the commanded length of each diagonal: means of the forward and the backward runs, '
-                  'single runs thin.',
-                  [_targets(name, test, sigma) for name in names], notes)]
+    notes = ([STEPPED] if 'step' in kind else []) + [BLIND if body else BLIND_FACE]
+    notes += [f'Not in this sheet: {", ".join(again)}, mounted once more.'] if again else []
+    what = f'{"Body" if body else "Face"} diagonals'
+    return Sheet(what if 'step' in kind else f'{what} in one motion', 'ISO 230-6',
+                 _results(test, runs, log.description), conditions(log, evaluation, names, source), short,
+                 partial(draw, test, runs),
+                 'Deviation from the commanded length of each diagonal: means of the forward and the backward runs, '
+                 'single runs thin.',
+                 [_targets(name, test, sigma) for name in names], notes)
 
 
-def _results(test: DiagonalTest, runs: dict[str, tuple[np.ndarray, ...]]) -> Grid:
+def _results(test: DiagonalTest, runs: dict[str, tuple[np.ndarray, ...]], description: Description) -> Grid:
     def cells(key: str, value: float | None) -> tuple[str, str]:
         return micro(value), micro(None if key not in test.sigma_m else 2.0 * test.sigma_m[key])
-    rows = [(name, setup_words(name), f'{runs[name][0].size}', f'{len(runs[name][1])} / {len(runs[name][2])}',
-             *cells(f'E {name}', own.E), *cells(f'B {name}', own.B)) for name, own in test.diagonals.items()]
+    rows = [(name, setup_words(description.setups[name]), f'{runs[name][0].size}',
+             f'{len(runs[name][1])} / {len(runs[name][2])}', *cells(f'E {name}', own.E), *cells(f'B {name}', own.B))
+            for name, own in test.diagonals.items()]
     rows.append(('Ed, Bd', 'the largest of all diagonals', '', '', *cells('Ed', test.Ed), *cells('Bd', test.Bd)))
     return Grid('Bidirectional systematic deviation E and reversal B',
                 ('', 'diagonal', '>targets', '>runs ↑ / ↓', '>E [µm]', '>U (k = 2)', '>B [µm]', '>U (k = 2)'), rows)

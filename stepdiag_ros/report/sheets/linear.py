@@ -18,6 +18,7 @@ from stepdiag_ros.report.legends import legend_outside
 from stepdiag_ros.report.sheets.record import conditions
 from stepdiag_ros.report.sheets.rules import shortfalls
 from stepdiag_ros.report.sheets.sheet import Grid, Sheet, micro
+from stepdiag_ros.report.words import setup_words
 
 FIGURES = (('A', 'accuracy, bidirectional'), ('A_up', 'accuracy, forward'), ('A_down', 'accuracy, backward'),
            ('E', 'systematic deviation, bidirectional'), ('E_up', 'systematic deviation, forward'),
@@ -44,7 +45,7 @@ def linear_sheets(log: CalibrationLog, evaluation: Evaluation, cell: CellReading
 def _sheet(name: str, test: LinearTest, log: CalibrationLog, evaluation: Evaluation, cell: CellReadings,
            source: str) -> Sheet:
     axis = test.axes[name]
-    letter = name[-1].upper()
+    letter = test.letter(name)
     rows = [(SYMBOLS.get(figure, figure), words, micro(getattr(axis, figure)),
              micro(None if f'{figure} {name}' not in test.sigma_m else 2.0 * test.sigma_m[f'{figure} {name}']))
             for figure, words in FIGURES]
@@ -53,7 +54,8 @@ def _sheet(name: str, test: LinearTest, log: CalibrationLog, evaluation: Evaluat
     sigma = cell.setups[name].displacement_sigma_m
     again = [other for other in cell.setups if path_of(other) == name and other != name]
     notes = [f'Not in this sheet: {", ".join(again)}, the same line mounted once more.'] if again else []
-    return Sheet(f'Positioning of axis {letter}', 'ISO 230-2', results,
+    where = '' if log.description.setups[name].way is None else f', {setup_words(log.description.setups[name])}'
+    return Sheet(f'Positioning of axis {letter}{where}', 'ISO 230-2', results,
                  conditions(log, evaluation, [name], source),
                  [*shortfalls(name, axis.target_m, axis.runs), f'{name}: {NO_OVERRUN}'],
                  partial(draw, axis, letter),

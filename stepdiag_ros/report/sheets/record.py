@@ -7,7 +7,6 @@ import numpy as np
 from stepdiag_ros.estimate.evaluate import Evaluation
 from stepdiag_ros.estimate.reduce import StopTable
 from stepdiag_ros.estimate.traceability import WORDS
-from stepdiag_ros.model.description import LINEAR, path_of
 from stepdiag_ros.model.log import CalibrationLog
 from stepdiag_ros.model.path import stops
 
@@ -25,7 +24,7 @@ def conditions(log: CalibrationLog, evaluation: Evaluation, names: list[str], so
     mine = table.select(np.isin(table.setup, [table.setup_names.index(n) for n in names]))
     return [*_identity(log, mine, source), *_instrument(log), *_positions(log, names),
             *_motion(mine, log.description.timed),
-            *_surroundings(log, mine, names), *_corrections(evaluation, names)]
+            *_surroundings(log, mine, names), *_corrections(evaluation, _axes(log, names))]
 
 
 def moment(time_ns: int) -> str:
@@ -107,7 +106,7 @@ def _surroundings(log: CalibrationLog, table: StopTable, names: list[str]) -> li
         if value is None and said is not None:
             value = f'{factor * said:.{digits}f} {unit} (the cell file\'s value, not measured)'
         rows.append((what, value or NOT_STATED))
-    for axis in _axes(names):
+    for axis in _axes(log, names):
         rows.append((f'temperature of scale {axis.upper()}',
                      _course(log, f'scale_temperature/{axis}', ends, 1.0, '°C', 2) or NOT_STATED))
     return [*rows, ('temperature of workpiece and machine bed', NOT_STATED)]
@@ -125,15 +124,16 @@ def _course(log: CalibrationLog, topic: str, ends: np.ndarray, factor: float, un
     return f'{first:.{digits}f} {unit} at the beginning, {last:.{digits}f} {unit} at the end{known}'
 
 
-def _axes(names: list[str]) -> str:
+def _axes(log: CalibrationLog, names: list[str]) -> str:
     """Letters of the axes that move in the setups."""
-    return ''.join(dict.fromkeys(name[-1] for name in names)) if all(path_of(n) in LINEAR for n in names) else 'xyz'
+    moved = {axis for name in names for axis in log.description.setups[name].axes}
+    return ''.join('xyz'[axis] for axis in sorted(moved))
 
 
-def _corrections(evaluation: Evaluation, names: list[str]) -> list[Row]:
+def _corrections(evaluation: Evaluation, axes: str) -> list[Row]:
     tied, known, scales = evaluation.solution.traceability, evaluation.metres.conditions, []
     described = evaluation.setting.description.scales
-    for axis in _axes(names):
+    for axis in axes:
         place = 'xyz'.index(axis)
         if axis in described:
             used = described[axis]

@@ -87,7 +87,7 @@ misalignments:
     (('repeats: 1', 'repeats: 0'), 4, ['plan.repeats', 'at least 1']),
     (('volume: [0.2, 0.16, 0.12]', 'volume: [0.2, 0.16]'), 3, ['machine.volume', '2 items']),
     (('volume: [0.2, 0.16, 0.12]', 'volume: [0.2, -0.16, 1]'), 3, ['machine.volume.1', 'above 0']),
-    (('  ppp:', '  ppq:'), 6, ['setups.ppq', 'known here', 'ppp']),
+    (('  ppp:', '  ppq:'), 6, ['setups.ppq', 'short names', 'ppp', 'from']),
     (('stops: 3', 'stops: 1'), 7, ['setups.lin_x.stops', 'at least 2']),
     (('name: small', 'name: small, chain: FXXZ'), 3, ['machine.chain', 'FXXZ']),
     (('schema: 1', 'schema: 7'), 1, ['schema', 'must be 1']),

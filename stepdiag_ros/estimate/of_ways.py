@@ -1,0 +1,114 @@
+"""What the closed forms of the literature take, out of a log whose setups have ways of their own.
+
+The joint estimate needs none of this: to it every way is stops and a beam.  The older methods know faces and lines by
+name, from one corner or along one edge; here they are found by where a setup begins and ends, whatever it is called.
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.estimate import linear_lines, three_face
+from stepdiag_ros.estimate.linear_lines import Lines
+from stepdiag_ros.estimate.readings import CellReadings, SetupReadings
+from stepdiag_ros.estimate.solution import Solution
+from stepdiag_ros.estimate.stepwise import travel_signs
+from stepdiag_ros.model.machine import AXES, Curve, GeometricErrors, tool_pose
+
+SAME_M = 1e-6
+TURN_RAD = 1e-6
+"""By how much an axis is turned to see its arm."""
+
+
+def of_kind(cell: CellReadings, *kinds: str) -> list[str]:
+    """Names of the setups with ways of their own of these ``kinds`` (``Setup.kind`` of the description)."""
+    return [name for name, setup in cell.setups.items() if setup.sight.kind in kinds]
+
+
+def faces(cell: CellReadings) -> CellReadings:
+    """The step diagonals of the faces at the origin alone, named by plane and sign as ``xy_p``, ``xz_n``."""
+    found: dict[str, SetupReadings] = {}
+    for name in of_kind(cell, 'face step diagonal'):
+        setup, volume = cell.setups[name], np.array(cell.machine.volume)
+        start, end = setup.sight.positions[0], setup.sight.positions[-1]
+        axes = np.flatnonzero(np.abs(end - start) > SAME_M)
+        corner = np.zeros(3)
+        corner[axes[0]] = 0.0 if end[axes[0]] > start[axes[0]] else volume[axes[0]]
+        far = corner.copy()
+        far[axes] = volume[axes] - corner[axes]
+        far[axes[1]] = volume[axes[1]]
+        label = ''.join('xyz'[axis] for axis in axes) + ('_p' if corner[axes[0]] == 0.0 else '_n')
+        whole = np.allclose(start, corner, atol=SAME_M) and np.allclose(end, far, atol=SAME_M)
+        if whole and len(setup.sight.positions) == 2 * cell.steps + 1 and label not in found:
+            found[label] = replace(setup, sight=replace(setup.sight, name=label))
+    return replace(cell, setups=found)
+
+
+def edges(cell: CellReadings) -> dict[str, np.ndarray]:
+    """EXX, EYY, EZZ (steps + 1,) [m] at the plan's positions, of lines along the edges that meet in the origin."""
+    found = {}
+    for setup in cell.setups.values():
+        positions = setup.sight.positions
+        axes = np.flatnonzero(np.ptp(positions, axis=0) > SAME_M)
+        if len(axes) != 1 or np.abs(positions[0]).max() > SAME_M:
+            continue
+        plan = np.linspace(0.0, cell.machine.volume[axes[0]], cell.steps + 1)
+        if len(positions) == len(plan) and np.allclose(positions[:, axes[0]], plan, atol=SAME_M):
+            found[f'E{AXES[axes[0]] * 2}'] = setup.displacement_m[:, 0] - plan
+    return found
+
+
+def three_faces_lack(cell: CellReadings) -> str | None:
+    """What the three-face step diagonal misses in a log, in words."""
+    missing = [plane for plane in three_face.FACES if f'{plane}_p' not in faces(cell).setups]
+    if missing:
+        return (f'step diagonals of the faces {", ".join(missing)} from the origin (from, to, moves), in the plan\'s '
+                'steps')
+    missing = [name for name in ('EXX', 'EYY', 'EZZ') if name not in edges(cell)]
+    return None if not missing else \
+        f'lines along the edges from the origin for {", ".join(missing)}, at the plan\'s positions'
+
+
+def three_faces(cell: CellReadings) -> Solution:
+    """The three-face step diagonal of a log, with tilts where every face has spots."""
+    found = faces(cell)
+    found = replace(found, setups={name: found.setups[name] for name in (f'{p}_p' for p in three_face.FACES)})
+    return three_face.evaluate(found, edges(cell), all(s.spot_m is not None for s in found.setups.values()))
+
+
+def parallel(cell: CellReadings) -> Mapping[str, Lines]:
+    """Lines of each axis that at least three setups measured at the same positions, by letter."""
+    found = {}
+    for axis, letter in enumerate(AXES):
+        group = [s for s in cell.setups.values()
+                 if np.array_equal(np.flatnonzero(np.ptp(s.sight.positions, axis=0) > SAME_M), [axis])
+                 and travel_signs(s.sight)[axis] > 0.0]
+        group = [s for s in group if len(s.sight.positions) == len(group[0].sight.positions)
+                 and np.allclose(s.sight.positions[:, axis], group[0].sight.positions[:, axis], atol=SAME_M)]
+        if len(group) < 3:
+            continue
+        position = group[0].sight.positions[:, axis]
+        arms = np.array([_arm(cell, s, axis) for s in group])
+        try:
+            linear_lines.evaluate({letter: Lines(position, arms, np.zeros((len(group), len(position))))})
+        except StepdiagError:
+            continue    # offsets in one line
+        found[letter] = Lines(position, arms,
+                              np.array([s.displacement_m[:, 0] - (position - position[0]) for s in group]),
+                              float(np.sqrt(np.mean([np.mean(s.displacement_sigma_m**2) for s in group]))))
+    return found
+
+
+def _arm(cell: CellReadings, setup: SetupReadings, axis: int) -> np.ndarray:
+    """From the axis's carriage to the tool point on a line (3,) [m]: what a turn of the axis moves it by."""
+    machine, place, arm = cell.machine, setup.sight.positions[:1], np.zeros(3)
+    nothing, _ = tool_pose(GeometricErrors({}, {}), place, machine.tool, machine.chain)
+    for turn in range(3):
+        errors = GeometricErrors({f'E{"ABC"[turn]}{AXES[axis]}': Curve(np.zeros(1), np.full(1, TURN_RAD))}, {})
+        moved = (tool_pose(errors, place, machine.tool, machine.chain)[0] - nothing)[0] / TURN_RAD
+        # e_k × l gives l along the next two axes.
+        arm[(turn + 2) % 3] = moved[(turn + 1) % 3] * -1.0
+        arm[(turn + 1) % 3] = moved[(turn + 2) % 3]
+    return arm
