@@ -10,11 +10,8 @@ makes the further run that separates them best, if it can without hands: setups 
 long looks, repeats.  It ends when the answer is sure (status 0), or when no such run helps or time is up (status 1).
 
   stepdiag calibrate cells/demo.yaml
-<<<<<<< HEAD
   stepdiag calibrate cells/demo.yaml --until-settled --settle-time 1800
-=======
   stepdiag calibrate --all
->>>>>>> hall
   stepdiag calibrate /demo --setups ppp npp --repeats 1 --bag bags/today
 """
 

@@ -40,6 +40,7 @@ from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.model.description import Description
 from stepdiag_ros.model.log import NONE
 from stepdiag_ros.nodes.base import ERROR, OK, Health, StepdiagNode, overridable, reliable, run_node
+from stepdiag_ros.nodes.light import Light
 from stepdiag_ros.nodes.marked import Marked
 from stepdiag_ros.nodes.ownership import SEQUENCER, Ownership
 from stepdiag_ros.nodes.run_plan import (
@@ -52,13 +53,6 @@ from stepdiag_ros.nodes.run_plan import (
     remaining,
     with_steps,
 )
-<<<<<<< HEAD
-=======
-from stepdiag_ros.nodes.ears import HEARS
-from stepdiag_ros.nodes.light import Light
-from stepdiag_ros.nodes.marked import Marked
-from stepdiag_ros.nodes.ownership import SEQUENCER, Ownership
->>>>>>> hall
 from stepdiag_ros.nodes.runner import Cancelled, Interrupted, Outcome, Progress, Runner
 from stepdiag_ros.nodes.stamps import clock_name, ns_of, stamp_of
 from stepdiag_ros.nodes.subscription import RECEIVED_TOPICS
@@ -309,15 +303,9 @@ class StepSequencer(StepdiagNode):
                 f'{self.get_name()} and begin a new bag (stepdiag calibrate --steps does both)')
         self._marked.follow_clock()
         self._clock_steps = []
-<<<<<<< HEAD
         asked = planned_runs(self.description, goal.setups)   # unknown setups are refused at once
-        self._claim(handle, asked[0].setup)
-        self._await_ready(handle)
-=======
-        asked = course(self.description, goal.setups)   # unknown setups are refused at once
         with self._lit(asked[0].setup, READY_S, handle):
             self._await_ready(handle)
->>>>>>> hall
         bag = self._watch.recording.bag
         held = [*goal.completed, *filter(None, [goal.broken])]
         self._begin_bag(bag, held)
@@ -363,7 +351,7 @@ class StepSequencer(StepdiagNode):
         def tell(doing: str) -> None:
             if self._progress is not None:
                 self._progress = replace(self._progress, doing=doing)
-            told = self._progress or Progress(course(self.description, [setup])[0], 0, 0, NONE, 0.0, doing)
+            told = self._progress or Progress(planned_runs(self.description, [setup])[0], 0, 0, NONE, 0.0, doing)
             handle.publish_feedback(RunStepDiagonal.Feedback(
                 run_id='' if self._progress is None else told.run.run_id, setup=setup, stop=told.done,
                 stops=told.total, axis=NONE, time_left=told.time_left_s, doing=doing,

@@ -114,11 +114,7 @@ class Watch:
                 if said_s < since_s:
                     wants.append(f'{name} has not reported what it receives')
                 else:
-<<<<<<< HEAD
-                    wants += [f'{name} does not receive {topic}' for topic in self._sources if topic not in receives]
-=======
-                    wants += [f'{name} does not hear {topic}' for topic in self._present() if topic not in hears]
->>>>>>> hall
+                    wants += [f'{name} does not receive {topic}' for topic in self._present() if topic not in receives]
             return wants
 
     @property
@@ -152,13 +148,8 @@ class Watch:
             elif not said.recording:
                 wants.append('the recorder is not recording')
             else:
-<<<<<<< HEAD
-                missing = [t for t in (*self._sources, *self._besides) if t not in said.receives]
+                missing = [t for t in (*self._present(), *self._besides) if t not in said.receives]
                 wants += [f'the recorder does not receive {topic}' for topic in missing]
-=======
-                deaf = [t for t in (*self._present(), *self._besides) if t not in said.hears]
-                wants += [f'the recorder does not hear {topic}' for topic in deaf]
->>>>>>> hall
         return wants
 
     def check(self, bag: str, setup: str) -> None:
