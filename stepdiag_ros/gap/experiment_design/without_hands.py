@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from stepdiag_ros.effects.base import Effect
 from stepdiag_ros.gap.diagnosis import Diagnosis
 from stepdiag_ros.gap.experiment_design.advice import WORTH
-from stepdiag_ros.gap.experiment_design.competing_models import rivals_of
+from stepdiag_ros.gap.experiment_design.competing_models import competing_models
 from stepdiag_ros.gap.experiment_design.extended_log import Run, seconds_of
 from stepdiag_ros.gap.experiment_design.next_run import NextRun, recommend
 from stepdiag_ros.gap.inference.search import NOTHING
@@ -47,12 +47,12 @@ def run_without_hands(diagnosis: Diagnosis, effects: Iterable[Effect], setups: C
     question already, which are not measured for it again; ``longest_s``: most that it may take [s].
     """
     best = diagnosis.hint.found if diagnosis.hint else diagnosis.raw[0]
-    rivals = rivals_of(diagnosis.screen, {effect.name: effect for effect in effects}, diagnosis.raw, best,
+    models = competing_models(diagnosis.screen, {effect.name: effect for effect in effects}, diagnosis.raw, best,
                        diagnosis.indistinguishable, diagnosis.hint is not None)
     joint = diagnosis.joint
     runs = {run.setup.name: (code, run) for code in setups if code not in made
             for run in [_of(diagnosis, code)]}
-    found = recommend(joint, rivals, [run for _, run in runs.values()], longest_s)
+    found = recommend(joint, models, [run for _, run in runs.values()], longest_s)
     least = diagnosis.hint.settles if diagnosis.hint else WORTH
     if found is None or not (found.at_once or found.evidence >= least):
         return None
