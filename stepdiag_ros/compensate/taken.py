@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stepdiag_ros.estimate.gauge import SLOPES, STRAIGHTNESS, slope_weights
-from stepdiag_ros.model.machine import AXES, CURVES, SQUARENESS, Curve, GeometricErrors
+from stepdiag_ros.model.machine import CURVES, SQUARENESS, Curve, GeometricErrors
 
 SAME_PLACE_M = 1e-9
 """Positions closer than this are one."""
@@ -110,11 +110,3 @@ def as_measured(errors: GeometricErrors, positions: Mapping[str, np.ndarray]) ->
     square = {name: errors.square.get(name, 0.0)
               + sum(sign * slopes.get(curve, 0.0) for curve, sign in SLOPES[name]) for name in SQUARENESS}
     return GeometricErrors(curves, square)
-
-
-def reversal_of(taken: Taken, axis: int) -> tuple[np.ndarray, np.ndarray]:
-    """Positions (k,) [m] and what the control does about the lost motion (k,) [m] of ``axis``: reverse less forward."""
-    trim = taken.get(f'E{AXES[axis]}{AXES[axis]}')
-    if trim is None:
-        return np.zeros(1), np.zeros(1)
-    return trim.position, trim.reverse - trim.forward

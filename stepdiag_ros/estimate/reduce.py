@@ -13,7 +13,6 @@ import numpy as np
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.model.log import DONE, DWELL, MOVE, STOOD, CalibrationLog, Samples
 
-SPOT_COLUMNS = 2
 MOVED_M = 1e-6
 """An axis moved if it is commanded further than this."""
 LONG = 8.0

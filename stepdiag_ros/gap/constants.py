@@ -18,6 +18,8 @@ DISCREPANCY_SHARE = 0.05
 (:mod:`stepdiag_ros.gap.inference.discrepancy`)."""
 MISFIT = 0.03
 """Share of the log evidence of slow noise inside the dwells by which a line beside it must be better."""
+LARGE_RESIDUAL = 5.0
+"""Root mean square of the residuals, in times of the noise, that calls for a search of the place to begin at."""
 LARGE_EVIDENCE = 1000.0
 """Log evidence (some 45 σ) from which an effect is tried in further forms of its own before others join it."""
 FORM_ERROR = 0.1
@@ -63,6 +65,8 @@ DRIFT_SIGMAS = 8.0
 """A change of an offset in the course of the log must exceed this many of its standard deviations …"""
 LEAST_DRIFT_S = 2e-4
 """… and this, what a warm control or a disciplined clock may change in an hour."""
+PRIOR_RESET_M = 1e-4
+"""Prior standard deviation [m] of the reset of a run that was not fitted: it is given free."""
 LEAST_SHARE = 0.01
 """Cells with less of the excess than this are not named."""
 CELL_SIGMAS = 3.0

@@ -19,6 +19,7 @@ from stepdiag_ros.effects.base import Effect
 from stepdiag_ros.gap.alternatives.unmodelled import NAME as UNKNOWN
 from stepdiag_ros.gap.constants import (
     ALARM,
+    LARGE_RESIDUAL,
     LEAST_LEFT,
     SCATTER_ALARM,
 )
@@ -27,7 +28,6 @@ from stepdiag_ros.gap.experiment_design.advice import advise
 from stepdiag_ros.gap.experiment_design.competing_models import competing_models, confused, separations
 from stepdiag_ros.gap.inference.discrepancy import residual
 from stepdiag_ros.gap.inference.evidence import prior_sigma_of
-from stepdiag_ros.gap.inference.initialisation import LARGE
 from stepdiag_ros.gap.inference.joint import Joint, unexplained
 from stepdiag_ros.gap.inference.noise_or_effects import settle_in_noise
 from stepdiag_ros.gap.inference.search import NOTHING, EffectSet, probabilities
@@ -85,7 +85,8 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
         unmodelled = _without_pattern(joint, how_far, bool(found))
     if unmodelled and UNKNOWN not in best.key and not untimed:
         outside[UNKNOWN] = BEYOND_PATTERNS
-    if found and not unmodelled and (how_far.left > LEAST_LEFT and how_far.after > 1.0 or how_far.after > LARGE**2):
+    if found and not unmodelled and (how_far.left > LEAST_LEFT and how_far.after > 1.0
+                                     or how_far.after > LARGE_RESIDUAL**2):
         unmodelled = (f'{100.0 * how_far.left:.2g} % of the gap does not follow the forms known of what was named '
                     f'({np.sqrt(how_far.after):.2g} times the noise is left)')
     hint = None if best.members or unmodelled else hint_of(sets, len(effects) + 1, screen)

@@ -23,7 +23,7 @@ MOST_KNOTS = 200
 MOST_M = 1.0e-3
 """No larger correction is written; the module refuses it too."""
 STEEPEST = 0.01
-"""Steepest change of the error with position; the module refuses more."""
+"""No steeper change of the error with position is written; the module refuses it too."""
 
 
 def field(errors: GeometricErrors, joints: np.ndarray, tool: Sequence[float], travel: Sequence[float],
@@ -75,6 +75,11 @@ def volume_file(errors: GeometricErrors, machine: str, tool: Sequence[float], tr
     if not largest <= limit <= MOST_M:
         raise StepdiagError(f'the largest error is {1e6 * largest:.1f} µm and the limit {1e6 * limit:.1f} µm; the '
                             f'volumetric component corrects at most its limit, which is at most {1e6 * MOST_M:g} µm')
+    steepest = steepest_change(errors, tool, travel, chain)
+    if steepest > STEEPEST:
+        raise StepdiagError(f'the error changes by up to {1e3 * steepest:.1f} µm a millimetre between two positions; '
+                            f'the volumetric component takes {1e3 * STEEPEST:g} at most; measure again, and look for '
+                            'an outlier there')
     lines = [FIRST_LINE, f'# machine {_word(machine)}: 21 geometric errors, mm and rad, written by stepdiag',
              f'chain {chain}', 'origin ' + _row(1e3 * np.asarray(origin, float)),
              'tool ' + _row(1e3 * np.asarray(tool, float)),
@@ -93,8 +98,21 @@ def volume_file(errors: GeometricErrors, machine: str, tool: Sequence[float], tr
 def largest_error(errors: GeometricErrors, tool: Sequence[float], travel: Sequence[float],
                   chain: str = 'FXYZ') -> float:
     """Largest component [m] of the error in the volume; it is at a crossing of knots."""
-    grid = np.stack(np.meshgrid(*knots(errors, travel), indexing='ij'), -1).reshape(-1, 3)
-    return float(np.max(np.abs(field(errors, grid, tool, travel, chain))))
+    return float(np.max(np.abs(_at_knots(errors, tool, travel, chain))))
+
+
+def steepest_change(errors: GeometricErrors, tool: Sequence[float], travel: Sequence[float],
+                    chain: str = 'FXYZ') -> float:
+    """Steepest change [m/m] of a component of the error from one knot of an axis to the next."""
+    values = _at_knots(errors, tool, travel, chain)
+    return max(float(np.max(np.abs(np.moveaxis(np.diff(values, axis=axis), axis, -1) / np.diff(grid))))
+               for axis, grid in enumerate(knots(errors, travel)))
+
+
+def _at_knots(errors: GeometricErrors, tool: Sequence[float], travel: Sequence[float], chain: str) -> np.ndarray:
+    """Error (kx, ky, kz, 3) [m] at the crossings of the axes' knots."""
+    grid = np.stack(np.meshgrid(*knots(errors, travel), indexing='ij'), -1)
+    return field(errors, grid.reshape(-1, 3), tool, travel, chain).reshape(grid.shape)
 
 
 @dataclass(frozen=True)

@@ -93,7 +93,7 @@ class Light:
         while not asked.hold.holds:
             alive()
             if result is not None and result.done():
-                if asked.said is None:      # refused at once; else it was not heard in time
+                if asked.said is None:      # refused at once; else no answer came in time
                     raise StepdiagError(f'{self._name}: {result.result().result.message}')
                 return False
             if time.monotonic() - asked.said_s > SILENCE_S:

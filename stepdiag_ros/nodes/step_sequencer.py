@@ -486,7 +486,7 @@ class StepSequencer(StepdiagNode):
             self._clock_steps.append(step_s)
             self._watch.begin()
         if self._light is not None and not self._light.held:
-            raise Interrupted('the light was taken back: this machine was not heard in time')
+            raise Interrupted('the light was taken back: nothing was received from this machine in time')
         self._watch.check(bag, setup)
         if self._watch.recording.file != self._file:
             raise Interrupted('the recorder was started again during the run')

@@ -9,7 +9,6 @@ from stepdiag_ros.model.description import LINEAR, Setup, path_of
 
 WITHOUT_EFFECT = {'unknown': 'Something that is not in the list', 'nothing': 'Nothing wrong'}
 SHORT_CHANNELS = {'displacement': 'length', 'spot_x': 'spot x', 'spot_y': 'spot y'}
-AXIS_STARTS = {'p': '0', 'n': 'far end'}
 
 SCALES = {'m': ((1e-7, 1e-9, 'nm'), (1e-3, 1e-6, 'µm'), (1.0, 1e-3, 'mm'), (np.inf, 1.0, 'm')),
           'rad': ((1e-3, 1e-6, 'µrad'), (np.inf, 1e-3, 'mrad')),

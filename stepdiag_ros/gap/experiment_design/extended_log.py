@@ -18,11 +18,11 @@ from stepdiag_ros.estimate.noise import whiteners
 from stepdiag_ros.estimate.parameters import parameters_of
 from stepdiag_ros.estimate.planned import planned_table
 from stepdiag_ros.estimate.reduce import PIECES, StopTable
+from stepdiag_ros.gap.constants import PRIOR_RESET_M
 from stepdiag_ros.gap.experiment_design.discrimination import Forecast, Mixture, predicted
 from stepdiag_ros.gap.inference.evidence import SIZES
 from stepdiag_ros.gap.inference.joint import Joint
 from stepdiag_ros.gap.preprocess.observe import view_of
-from stepdiag_ros.gap.summary.cross_validation import PRIOR_RESET_M
 from stepdiag_ros.model.description import Description, Setup, path_of
 from stepdiag_ros.model.log import STOOD
 

@@ -16,14 +16,12 @@ from stepdiag_ros.effects.base import Effect, Form
 from stepdiag_ros.effects.tuning import same_form
 from stepdiag_ros.estimate.enhanced import fit, readings_of
 from stepdiag_ros.estimate.noise import NoiseModel
-from stepdiag_ros.gap.constants import SUSPICION
+from stepdiag_ros.gap.constants import LARGE_RESIDUAL, SUSPICION
 from stepdiag_ros.gap.inference.candidates import Candidate, Screen
 from stepdiag_ros.gap.inference.joint import Active, Joint, fit_jointly, freed, refitted, solve, tuned, unexplained
 from stepdiag_ros.gap.inference.parity import Parity, parity
 from stepdiag_ros.gap.preprocess.observe import SETTLED, Observation
 
-LARGE = 5.0
-"""Residuals this many times the noise call for a search of the place to begin at."""
 TRIED = 5
 """Effects tried: the first by evidence against scaled-up noise."""
 MOST, BEAM = 3, 3
@@ -52,7 +50,7 @@ def place_to_begin(joint: Joint, effects: Mapping[str, Effect]) -> Joint:
     best = _Trial(joint.observation, (), _left(joint.parity, joint.parity.data))
     front = [best]
     for _ in range(MOST):
-        if best.scale < LARGE:
+        if best.scale < LARGE_RESIDUAL:
             break
         tried: dict[frozenset, _Trial] = {}
         for trial in front:

@@ -16,11 +16,11 @@ from stepdiag_ros.estimate.noise import NoiseModel, estimate_noise
 from stepdiag_ros.gap.alternatives.known_physics import beyond_families
 from stepdiag_ros.gap.alternatives.unmodelled import LEAN, inconsistent_forms, unknown_families
 from stepdiag_ros.gap.alternatives.unmodelled import NAME as UNKNOWN
-from stepdiag_ros.gap.constants import BEYOND_PENALTY, LEAN_PENALTY, SUSPICION, UNKNOWN_PENALTY
+from stepdiag_ros.gap.constants import BEYOND_PENALTY, LARGE_RESIDUAL, LEAN_PENALTY, SUSPICION, UNKNOWN_PENALTY
 from stepdiag_ros.gap.inference.candidates import Candidate, Screen
 from stepdiag_ros.gap.inference.discrepancy import modulations
 from stepdiag_ros.gap.inference.evidence import prior_sigma_of
-from stepdiag_ros.gap.inference.initialisation import LARGE, misfit, place_to_begin
+from stepdiag_ros.gap.inference.initialisation import misfit, place_to_begin
 from stepdiag_ros.gap.inference.joint import Joint, fit_jointly, solve, unexplained
 from stepdiag_ros.gap.inference.parity import parity
 from stepdiag_ros.gap.inference.search import EffectSet, search
@@ -57,7 +57,7 @@ def settle(nominal: Joint, effects: Mapping[str, Effect]) -> tuple[Joint, list[E
             break
         previous = identity
         fitted = fit_jointly(joint.observation, chosen, joint.noise) if chosen else nominal
-        if joint.active and misfit(fitted) > max(LARGE, misfit(joint)):
+        if joint.active and misfit(fitted) > max(LARGE_RESIDUAL, misfit(joint)):
             # The search predicted from its place what the joint fit does not hold: what did hold is kept.
             screen = Screen(joint.parity, [Candidate(a.effect.name or UNKNOWN, '', a.form) for a in joint.active],
                             float(sum(joint.noise.dof)), modulations=modulations(joint.observation.view))

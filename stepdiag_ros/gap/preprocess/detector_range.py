@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import least_squares
 
-from stepdiag_ros.gap.inference.initialisation import LARGE
+from stepdiag_ros.gap.constants import LARGE_RESIDUAL
 from stepdiag_ros.gap.preprocess.observe import Observation, sane_fit, view_of
 
 UNIT = 1e-3
@@ -54,7 +54,7 @@ def within_range(observation: Observation) -> tuple[Observation, str]:
     """
     table, fit = observation.table, observation.fit
     left = fit.residual[:, -2:] / fit.noise.sensor[:, -2:]
-    if np.isnan(left).all() or np.sqrt(np.nanmean(left**2)) <= LARGE:
+    if np.isnan(left).all() or np.sqrt(np.nanmean(left**2)) <= LARGE_RESIDUAL:
         return observation, ''
     bent = bent_by(table.setup, observation.view.distance.mean(axis=1), table.spot / UNIT)
     if bent is None:

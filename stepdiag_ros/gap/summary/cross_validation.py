@@ -18,9 +18,9 @@ import numpy as np
 from scipy import linalg
 
 from stepdiag_ros.estimate.noise import Whitener
+from stepdiag_ros.gap.constants import PRIOR_RESET_M
 from stepdiag_ros.gap.inference.joint import Joint, inverse, prior_sigmas
 
-PRIOR_RESET_M = 1e-4
 ONCE = 0.05
 """Share of an effect's columns outside the part held out below which the effect happened in that part alone."""
 TOO_WIDE = 0.5

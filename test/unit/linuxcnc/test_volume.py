@@ -125,7 +125,7 @@ def test_a_damaged_file_compensates_nothing(tmp_path, change, wrong):
 
 
 @needs_gcc
-def test_the_component_refuses_what_is_too_large_or_too_steep(tmp_path):
+def test_the_component_refuses_what_is_too_large_or_too_steep(tmp_path, monkeypatch):
     text = volume.volume_file(drawn_errors(), 'a', TOOL, TRAVEL)
 
     def signed(body: str) -> str:
@@ -136,6 +136,9 @@ def test_the_component_refuses_what_is_too_large_or_too_steep(tmp_path):
     (tmp_path / 'a').mkdir()
     assert b'beyond its limit' in Component(tmp_path / 'a', small).wrong
     steep = GeometricErrors({'EXX': Curve(np.array([0.0, 0.1, 0.11, 0.2]), np.array([0.0, 0.0, 2e-4, 0.0]))}, {})
+    with pytest.raises(StepdiagError, match='20.0 µm a millimetre'):
+        volume.volume_file(steep, 'a', TOOL, TRAVEL)
+    monkeypatch.setattr(volume, 'STEEPEST', np.inf)
     (tmp_path / 'b').mkdir()
     assert b'steep' in Component(tmp_path / 'b', volume.volume_file(steep, 'a', TOOL, TRAVEL)).wrong
 

@@ -154,7 +154,7 @@ class Machines(RuleBasedStateMachine):
         self.queue = SourceQueue(LEASE_S, self.clock)
         self.keys = 0
         self.alive: dict[bytes, Hold] = {}
-        self.frozen: dict[bytes, Hold] = {}          # cut off, not dead: it still believes what it last heard
+        self.frozen: dict[bytes, Hold] = {}          # cut off, not dead: it still believes what it last received
         self.to_owner: list[tuple] = []
         self.to_machine: list[tuple] = []
         self.picked = None

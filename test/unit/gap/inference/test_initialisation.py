@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from stepdiag_ros.effects import all_effects, effect_class
-from stepdiag_ros.gap.inference.initialisation import LARGE, misfit, place_to_begin
+from stepdiag_ros.gap.constants import LARGE_RESIDUAL
+from stepdiag_ros.gap.inference.initialisation import misfit, place_to_begin
 from stepdiag_ros.gap.inference.joint import fit_jointly, inverse
 from stepdiag_ros.gap.inference.select_effects import noise_of
 
@@ -23,7 +24,7 @@ def test_the_search_begins_where_the_effect_is_taken_out(case, name, values):
     # Bent as the readings are, machine and mounts stay what a machine and mounts can be.
     assert np.abs(observation.fit.theta[:min(setups) + 4 * len(setups)]).max() < 0.02
     nominal = fit_jointly(observation, [], noise_of(observation))
-    assert misfit(nominal) > LARGE
+    assert misfit(nominal) > LARGE_RESIDUAL
     begun = place_to_begin(nominal, {kind.name: kind() for kind in all_effects().values()})
     assert misfit(begun) < 0.3 * misfit(nominal)
     assert name in {a.effect.name for a in begun.active}
