@@ -17,6 +17,7 @@ NODES = (
     'evaluation_solver',
     'recorder',
     'gap_monitor',
+    'multiplexer',
     'bringup',
 )
 

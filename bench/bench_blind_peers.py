@@ -4,7 +4,7 @@ Sum of single effects (pysusie), best subset selection (abess with EBIC), and ex
 all single effects and pairs get what our diagnosis gets: the log in parity space, dwells' bins
 included, and every form of every effect as columns there.  None of them knows "something else".
 Logs with vibration or clock skew are left out: those are found in the samples and have no columns.
-Our own answers on the same logs stand beside them.
+Our own answers on the same logs are shown in addition.
 
     python bench/bench_blind_peers.py SET            a set that was sealed and answered (bags/blind)
     python bench/bench_blind_peers.py SET --peers    install the peers first (into build/blind_peers)

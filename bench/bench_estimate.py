@@ -39,8 +39,8 @@ def measure(steps: int) -> tuple[str, float | None, float]:
     residual = np.where(result.present, result.residual, 0.0).ravel()
     pull = result.precision @ theta
     arrival = model.jacobian(enhanced.start(parameters, model, case.table, enhanced.readings_of(case.table)))[2]
-    band = BandedNormal(case.table, case.noise, arrival, result.present, enhanced.widths(parameters),
-                        enhanced.frame_rows(parameters), enhanced.WIDTH_FRAME_RAD,
+    band = BandedNormal(case.table, case.noise, arrival, result.present, enhanced.prior_sigmas(parameters),
+                        enhanced.frame_rows(parameters), enhanced.PRIOR_FRAME_RAD,
                         min(parameters.setup_first.values()))
     band.solve(result.jacobian, residual, pull)
     best = 5 if steps <= 50 else 1
@@ -50,12 +50,12 @@ def measure(steps: int) -> tuple[str, float | None, float]:
     memory = peak_mb(lambda: enhanced.fit(case.description, case.table, case.noise)) if steps <= 50 else np.nan
     ratio, gap, dense_text, whole_text = None, 0.0, '', ''
     if steps <= LARGEST_DENSE:
-        # The same problem as rows: whitened readings, then the widths.
+        # The same problem as rows: whitened readings, then the priors.
         dense = result.jacobian.toarray()
         rows = np.concatenate([white(dense) for white in result.whiteners])
         right = np.concatenate([white(residual) for white in result.whiteners])
-        prior = np.concatenate([np.diag(1.0 / enhanced.widths(parameters)),
-                                enhanced.frame_rows(parameters) / enhanced.WIDTH_FRAME_RAD])
+        prior = np.concatenate([np.diag(1.0 / enhanced.prior_sigmas(parameters)),
+                                enhanced.frame_rows(parameters) / enhanced.PRIOR_FRAME_RAD])
         matrix = np.concatenate([rows, prior])
         target = np.concatenate([right, -prior @ theta])
         scale = 1.0 / np.linalg.norm(matrix, axis=0)

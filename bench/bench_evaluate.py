@@ -35,8 +35,8 @@ def measure(steps: int, repeats: int) -> str:
     result = whole()
     spent = time.process_time() - begin
     stops, memory = len(case.table), 1e3 * peak_mb(whole) / len(case.table)
-    band = BandedNormal(case.table, result.noise, result.arrival, result.present, enhanced.widths(result.parameters),
-                        enhanced.frame_rows(result.parameters), enhanced.WIDTH_FRAME_RAD,
+    band = BandedNormal(case.table, result.noise, result.arrival, result.present, enhanced.prior_sigmas(result.parameters),
+                        enhanced.frame_rows(result.parameters), enhanced.PRIOR_FRAME_RAD,
                         min(result.parameters.setup_first.values()))
     residual = np.where(result.present, result.residual, 0.0).ravel()
     pull = result.precision @ result.theta

@@ -227,10 +227,10 @@ def _markdown(rows: list[dict], seconds: float) -> str:
              'sequence numbers | lost | processor: drivers, recorder |', '|---|---:|---:|---:|---|---:|---|']
     for row in rows:
         got = [row[sensor] for sensor in ('displacement', 'spot')]
-        heard = ', '.join(f'{g["messages"]} ({g["sequence"][0]}–{g["sequence"][1]})' for g in got)
+        received = ', '.join(f'{g["messages"]} ({g["sequence"][0]}–{g["sequence"][1]})' for g in got)
         cpu = [round(100 * row['cpu'][n]) for n in ('interferometer_driver', 'psd_driver', 'recorder')]
         lines.append(f'| {row["source"]} | {row["rate_Hz"]:,.0f} | {got[0]["samples_a_second"]:,} | '
-                     f'{got[1]["samples_a_second"]:,} | {heard} | {sum(g["lost"] for g in got)} | '
+                     f'{got[1]["samples_a_second"]:,} | {received} | {sum(g["lost"] for g in got)} | '
                      f'{cpu[0]} %, {cpu[1]} %, {cpu[2]} % |')
     lines += ['', '`generator`: the instrument is inside the driver and makes the samples on time. '
               '`virtual cell`: over JSON-RPC, a request a sample, and over the T7\'s stream.', '']

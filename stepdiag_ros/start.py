@@ -51,6 +51,11 @@ def gap_monitor() -> int:
     return run('gap_monitor')
 
 
+def multiplexer() -> int:
+    """The exit status of the node `multiplexer`."""
+    return run('multiplexer')
+
+
 def bringup() -> int:
     """The exit status of the node `bringup`."""
     return run('bringup')

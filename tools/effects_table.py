@@ -29,7 +29,7 @@ each other.
 An effect of your own is one Python file with a class that has the same two faces: see
 [a new effect](../how-to/add_an_effect.md).
 
-| effect | what happens | signature | told apart from |
+| effect | what happens | signature | distinguished from |
 |---|---|---|---|
 '''
 

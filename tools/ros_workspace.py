@@ -1,7 +1,7 @@
 """Lays both packages side by side into a ROS workspace: `make ros-workspace WS=/path/to/ws`.
 
 ROS allows no package inside another: colcon, rosdep and bloom stop at the first package.xml and do not find
-msg_defs/ below it.  In WS/src they stand beside each other, as links to this checkout or, with --copy, as files
+msg_defs/ below it.  In WS/src they are next to each other, as links to this checkout or, with --copy, as files
 of their own (bloom wants a repository that holds them so).
 """
 
@@ -39,7 +39,7 @@ def lay(workspace: Path, copy: bool) -> list[Path]:
 
 
 def copy_tracked(package: Path, place: Path) -> None:
-    """Copy the files that git knows; the messages package stands beside the other, not in it."""
+    """Copy the files that git knows; the messages package is next to the other, not in it."""
     known = subprocess.run(['git', 'ls-files', '-z', '--cached', '--others', '--exclude-standard', '.'],
                            cwd=package, capture_output=True, check=True)
     for name in filter(None, known.stdout.decode().split('\0')):

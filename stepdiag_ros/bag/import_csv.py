@@ -4,7 +4,7 @@ The table has a line a measurement, in order of time, and named columns whose un
 is part of the name: ``target_mm`` and ``measured_mm`` (or ``deviation_mm``); also
 ``cycle``, ``direction`` and ``time_s`` if known.  Units: m, mm, um, nm.
 
-Three things a CSV does not say are chosen here and told (decision 0015): stop 0 is
+Three things a CSV does not say are chosen here and reported (decision 0015): stop 0 is
 the lowest target, the whole table is one run, so that nothing is lost to resets, and
 times are made up where no ``time_s`` is given.
 """

@@ -161,7 +161,7 @@ def notes_of(warnings: list[str], relative: str) -> str:
 
 
 def _notes(source: BagSource) -> list[str]:
-    """What was said when the bag was made of something else: whoever reads it should know."""
+    """What was reported when the bag was made of something else: whoever reads it should know."""
     custom = source.metadata.get('custom_data')
     if not isinstance(custom, dict):
         return []

@@ -17,7 +17,7 @@ _SECOND = 1e9
 
 
 def summarise(path: str | Path, namespace: str | None = None) -> dict[str, Any]:
-    """Everything that ``info`` shows, ready for JSON; damage is told, not raised.
+    """Everything that ``info`` shows, ready for JSON; damage is reported, not raised.
 
     Raises :class:`StepdiagError` only where there is no bag at all.
     """

@@ -32,10 +32,10 @@ def answer_log(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     seconds = time.process_time() - begin
     errors = {'before': diagnosis.plain.to_json_dict()['errors'],
               'after': diagnosis.solution.to_json_dict()['errors']}
-    closing = diagnosis.closing
+    gap = diagnosis.cross_validation
     extra = {'seconds': seconds, 'ranking': dict(diagnosis.ranking),
              'sets': [[list(names), p] for names, p in diagnosis.sets], 'errors': errors,
-             'closing': {'before': closing.before, 'after': closing.after, 'count': closing.count}}
+             'closing': {'before': gap.before, 'after': gap.after, 'count': gap.count}}
     return diagnosis.to_json_dict(), extra
 
 

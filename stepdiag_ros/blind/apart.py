@@ -2,8 +2,8 @@
 
 Of a log with one effect the same world is made again with and without it.  The change, in the
 parity space of the undisturbed log and with the true noise, is fitted by every form in which each
-rival effect may appear; what the best form leaves is what is there to tell the two apart, in
-standard deviations.  Where some rival leaves less than a few, no diagnosis could be sure, and the
+competing effect may appear; what the best form leaves is what is there to tell the two apart, in
+standard deviations.  Where some of them leaves less than a few, no diagnosis could be sure, and the
 log does not count among the separable ones.
 """
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from stepdiag_ros.blind.hidden import Hidden, Stage, course, direction
+from stepdiag_ros.blind.hidden import Hidden, Stage, direction, profile
 from stepdiag_ros.effects.base import Moment
 
 HALF_EDGE = 5e-3
@@ -89,11 +89,11 @@ class AmbientLight(Hidden):
 
     def __init__(self, stage: Stage, rng: np.random.Generator):
         super().__init__(stage, rng)
-        self._daylight, kind = course(rng, stage.span_s)
+        self._daylight, kind = profile(rng, stage.span_s)
         self._switch = np.sort(rng.uniform(0.0, stage.span_s, int(rng.integers(1, 6))))
         self._lamp = rng.uniform(0.2, 1.0)
         self.beam: dict[str, float] = {}
-        self.facts = {'course': kind, 'switched_s': self._switch.tolist()}
+        self.facts = {'profile': kind, 'switched_s': self._switch.tolist()}
 
     def after_light(self, moment: Moment) -> None:
         lamp = np.sum(moment.seconds[:, None] >= self._switch, axis=1) % 2

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from stepdiag_ros.blind.hidden import Hidden, Stage, course, courses, direction
+from stepdiag_ros.blind.hidden import Hidden, Stage, direction, profile, profiles
 from stepdiag_ros.effects.base import Moment
 from stepdiag_ros.model.air import refractive_index
 from stepdiag_ros.model.mirror_form import HeightForm
@@ -11,19 +11,19 @@ WAVELENGTHS = (1.53e-6, 632.8e-9)
 
 
 class AirRefractionDrift(Hidden):
-    """temperature, pressure and humidity each on a course of its own; size: the temperature's"""
+    """temperature, pressure and humidity each on a profile of its own; size: the temperature's"""
 
     name, unit, typical, largest = 'air_refraction_drift', 'degC', 1.0, 12.0
 
     def __init__(self, stage: Stage, rng: np.random.Generator):
         super().__init__(stage, rng)
-        self._courses, kinds = courses(rng, stage.span_s, 3)
+        self._profiles, kinds = profiles(rng, stage.span_s, 3)
         # 1 °C and 350 Pa change the index about alike.
         self._pressure, self._humidity = rng.normal(0.0, 200.0), rng.normal(0.0, 0.03)
-        self.facts = {'courses': kinds, 'pressure_Pa_per_degC': self._pressure}
+        self.facts = {'profiles': kinds, 'pressure_Pa_per_degC': self._pressure}
 
     def weather(self, seconds):
-        warm, press, wet = (c(seconds) for c in self._courses)
+        warm, press, wet = (c(seconds) for c in self._profiles)
         return self.size * warm, self.size * self._pressure * press, self.size * self._humidity * wet
 
     def before_light(self, moment: Moment) -> None:
@@ -81,18 +81,18 @@ class CountSlip(Hidden):
 
 
 class BeamPointingDrift(Hidden):
-    """the two angles turn on courses of their own, all through the log"""
+    """the two angles turn on profiles of their own, all through the log"""
 
     name, unit, typical, largest = 'beam_pointing_drift', 'rad', 2e-6, 2e-4
 
     def __init__(self, stage: Stage, rng: np.random.Generator):
         super().__init__(stage, rng)
-        self._courses, kinds = courses(rng, stage.span_s, 2)
+        self._profiles, kinds = profiles(rng, stage.span_s, 2)
         self._weight = direction(rng, 2)
-        self.facts = {'courses': kinds, 'direction': self._weight.tolist()}
+        self.facts = {'profiles': kinds, 'direction': self._weight.tolist()}
 
     def before_light(self, moment: Moment) -> None:
-        turn = np.stack([c(moment.seconds) for c in self._courses], axis=1)
+        turn = np.stack([c(moment.seconds) for c in self._profiles], axis=1)
         moment.laser = moment.laser + self.size * self._weight * turn
 
 
@@ -133,14 +133,14 @@ class MirrorMountCreep(Hidden):
 
     def __init__(self, stage: Stage, rng: np.random.Generator):
         super().__init__(stage, rng)
-        self._course, kind = course(rng, max(stage.span_s / len(stage.cell.setup_names), 60.0))
+        self._profile, kind = profile(rng, max(stage.span_s / len(stage.cell.setup_names), 60.0))
         while kind in ('walk', 'ramp_and_swing', 'warm_and_cool'):   # a relaxation only relaxes
-            self._course, kind = course(rng, max(stage.span_s / len(stage.cell.setup_names), 60.0))
+            self._profile, kind = profile(rng, max(stage.span_s / len(stage.cell.setup_names), 60.0))
         main = direction(rng, 2)
         self._vector = {name: main * rng.uniform(0.6, 1.0) + 0.3 * rng.standard_normal(2)
                         for name in stage.cell.setup_names}
-        self.facts = {'course': kind}
+        self.facts = {'profile': kind}
 
     def before_light(self, moment: Moment) -> None:
         moment.mirror = moment.mirror + self.size * (
-            self._course(moment.mount_seconds)[:, None] * self._vector[moment.setup])
+            self._profile(moment.mount_seconds)[:, None] * self._vector[moment.setup])

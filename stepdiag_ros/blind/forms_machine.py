@@ -4,27 +4,27 @@ from dataclasses import replace
 
 import numpy as np
 
-from stepdiag_ros.blind.hidden import Hidden, Stage, chosen_axes, courses, direction
+from stepdiag_ros.blind.hidden import Hidden, Stage, chosen_axes, direction, profiles
 from stepdiag_ros.effects.base import Moment
 from stepdiag_ros.model.log import CalibrationLog, Samples
 
 
 class ScaleThermalExpansion(Hidden):
-    """scales warm on courses of their own and grow from a point that is not the origin; size: warming"""
+    """scales warm on profiles of their own and grow from a point that is not the origin; size: warming"""
 
     name, unit, typical, largest = 'scale_thermal_expansion', 'degC', 0.3, 15.0
 
     def __init__(self, stage: Stage, rng: np.random.Generator):
         super().__init__(stage, rng)
-        self._courses, kinds = courses(rng, stage.span_s, 3)
+        self._profiles, kinds = profiles(rng, stage.span_s, 3)
         self._weight = chosen_axes(rng)
         self._coefficient = float(rng.choice([8e-6, 1.05e-5, 1.2e-5]))
         self._fixed = stage.travel * rng.choice([0.0, 0.5, 1.0], 3)
-        self.facts = {'courses': kinds, 'weight': self._weight.tolist(),
+        self.facts = {'profiles': kinds, 'weight': self._weight.tolist(),
                       'per_kelvin': self._coefficient, 'fixed_m': self._fixed.tolist()}
 
     def warming(self, seconds):
-        return self.size * self._weight * np.stack([c(seconds) for c in self._courses], axis=1)
+        return self.size * self._weight * np.stack([c(seconds) for c in self._profiles], axis=1)
 
     def before_pose(self, moment: Moment) -> None:
         grown = self._coefficient * self.warming(moment.seconds)
@@ -32,19 +32,19 @@ class ScaleThermalExpansion(Hidden):
 
 
 class StructuralThermalDrift(Hidden):
-    """each direction on a course of its own"""
+    """each direction on a profile of its own"""
 
     name, typical, largest = 'structural_thermal_drift', 2e-6, 2e-4
 
     def __init__(self, stage: Stage, rng: np.random.Generator):
         super().__init__(stage, rng)
-        self._courses, kinds = courses(rng, stage.span_s, 3)
+        self._profiles, kinds = profiles(rng, stage.span_s, 3)
         self._weight = direction(rng)
-        self.facts = {'courses': kinds, 'direction': self._weight.tolist()}
+        self.facts = {'profiles': kinds, 'direction': self._weight.tolist()}
 
     def before_pose(self, moment: Moment) -> None:
         moment.shift = moment.shift + self.size * self._weight * np.stack(
-            [c(moment.seconds) for c in self._courses], axis=1)
+            [c(moment.seconds) for c in self._profiles], axis=1)
 
 
 class Backlash(Hidden):
@@ -126,18 +126,18 @@ class NonRigidCoupling(Hidden):
 
 
 class SquarenessDrift(Hidden):
-    """one to three of the angles change, each on a course of its own"""
+    """one to three of the angles change, each on a profile of its own"""
 
     name, unit, typical, largest = 'squareness_drift', 'rad', 2e-6, 2e-4
 
     def __init__(self, stage: Stage, rng: np.random.Generator):
         super().__init__(stage, rng)
-        self._courses, kinds = courses(rng, stage.span_s, 3)
+        self._profiles, kinds = profiles(rng, stage.span_s, 3)
         self._weight = chosen_axes(rng)
-        self.facts = {'courses': kinds, 'EC0Y_EB0Z_EA0Z': self._weight.tolist()}
+        self.facts = {'profiles': kinds, 'EC0Y_EB0Z_EA0Z': self._weight.tolist()}
 
     def before_pose(self, moment: Moment) -> None:
-        square = self.size * self._weight * np.stack([c(moment.seconds) for c in self._courses], axis=1)
+        square = self.size * self._weight * np.stack([c(moment.seconds) for c in self._profiles], axis=1)
         _, y, z = moment.commanded.T
         moment.shift = moment.shift + np.stack(
             [-square[:, 0] * y + square[:, 1] * z, -square[:, 2] * z, 0.0 * z], axis=1)

@@ -18,7 +18,7 @@ from stepdiag_ros.effects.base import Effect
 from stepdiag_ros.model.log import CalibrationLog
 from stepdiag_ros.virtual.cell import Cell
 
-Course = Callable[[np.ndarray], np.ndarray]
+TimeProfile = Callable[[np.ndarray], np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -84,8 +84,8 @@ class Hidden(Effect):
         return log
 
 
-def course(rng: np.random.Generator, span_s: float) -> tuple[Course, str]:
-    """A random course over ``span_s`` seconds, about one from its least to its greatest; its kind."""
+def profile(rng: np.random.Generator, span_s: float) -> tuple[TimeProfile, str]:
+    """A random profile over ``span_s`` seconds, about one from its least to its greatest; its kind."""
     kind = str(rng.choice(['two_time_constants', 'ramp_and_swing', 'power', 'logarithm', 'walk',
                            'warm_and_cool']))
     if kind == 'two_time_constants':
@@ -130,9 +130,9 @@ def course(rng: np.random.Generator, span_s: float) -> tuple[Course, str]:
     return (lambda t: (at(t) - begin) / reach), kind
 
 
-def courses(rng: np.random.Generator, span_s: float, count: int) -> tuple[list[Course], list[str]]:
-    """Several courses that do not go together."""
-    both = [course(rng, span_s) for _ in range(count)]
+def profiles(rng: np.random.Generator, span_s: float, count: int) -> tuple[list[TimeProfile], list[str]]:
+    """Several profiles that are not correlated."""
+    both = [profile(rng, span_s) for _ in range(count)]
     return [c for c, _ in both], [kind for _, kind in both]
 
 

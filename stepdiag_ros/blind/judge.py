@@ -1,4 +1,4 @@
-"""What the sealed worlds themselves say of their logs, for the score: what noise alone leaves, which rivals there are.
+"""What the sealed worlds themselves say of their logs, for the score: what noise alone leaves, which effects compete.
 
 Both are kept in ``worlds.json`` beside the answers; a cut run is resumed.  Nothing is judged before the set is
 answered and both hashes are right.
@@ -27,7 +27,7 @@ def judge_floors(folder: Path, processes: int = 2, progress: bool = True) -> Non
 
 
 def judge_apart(folder: Path, processes: int = 2, progress: bool = True) -> None:
-    """Find for every log with one effect that counts how far the nearest rival stays off."""
+    """Find for every log with one effect that counts how far the nearest competing effect stays off."""
     _judge(folder, ('single',), 'least_apart', _apart, processes, progress)
 
 

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from stepdiag_ros.blind.hidden import Hidden, Stage, course, direction
+from stepdiag_ros.blind.hidden import Hidden, Stage, direction, profile
 from stepdiag_ros.effects.base import Moment
 from stepdiag_ros.model.log import CalibrationLog
 
@@ -61,15 +61,15 @@ class ThermalBending(Outside):
 
     def __init__(self, stage: Stage, rng: np.random.Generator):
         super().__init__(stage, rng)
-        self._course, kind = course(rng, stage.span_s)
+        self._profile, kind = profile(rng, stage.span_s)
         self._axis = int(rng.integers(3))
         self._across = (self._axis + int(rng.integers(1, 3))) % 3
         self._waves = float(rng.choice([1.0, 2.0]))
-        self.facts = {'course': kind, 'axis': self._axis, 'across': self._across, 'waves': self._waves}
+        self.facts = {'profile': kind, 'axis': self._axis, 'across': self._across, 'waves': self._waves}
 
     def before_pose(self, moment: Moment) -> None:
         place = moment.commanded[:, self._axis] / self.stage.travel[self._axis]
-        bow = self.size * self._course(moment.seconds) * np.sin(np.pi * self._waves * place)
+        bow = self.size * self._profile(moment.seconds) * np.sin(np.pi * self._waves * place)
         moment.shift = moment.shift + bow[:, None] * np.eye(3)[self._across]
 
 
@@ -106,7 +106,7 @@ class SpotCrosstalk(Outside):
 
 
 class AirTurbulence(Outside):
-    """the air boils: noise with a 1/f spectrum on the distance, more of it over a long path"""
+    """the air is turbulent: noise with a 1/f spectrum on the distance, more of it over a long path"""
 
     name, typical, largest, random = 'air_turbulence', 1e-7, 2e-5, True
     LINES = 120
@@ -119,12 +119,12 @@ class AirTurbulence(Outside):
 
     def after_light(self, moment: Moment) -> None:
         # Lines drawn evenly in the logarithm of frequency with equal amplitudes are 1/f.
-        boil = np.zeros(len(moment.seconds))
+        turbulence = np.zeros(len(moment.seconds))
         for frequency, phase in zip(self._frequency, self._phase, strict=True):
-            boil += np.sin(2.0 * np.pi * frequency * moment.seconds + phase)
+            turbulence += np.sin(2.0 * np.pi * frequency * moment.seconds + phase)
         path = moment.length / float(np.linalg.norm(self.stage.travel))
         moment.length = moment.length + self.size * np.sqrt(2.0 / self.LINES) \
-            * boil[:, None] * np.maximum(path, 0.0) ** self._power
+            * turbulence[:, None] * np.maximum(path, 0.0) ** self._power
 
 
 class ReversalTwist(Outside):

@@ -23,7 +23,7 @@ COVER = 0.9
 """Where: the smallest set of cells that holds this share of the excess."""
 CHANNELS = ('displacement', 'spot_x', 'spot_y')
 SEPARABLE = 5.0
-"""A log's effect is separable when every rival effect, at its best, leaves this many σ of it."""
+"""A log's effect is separable when every competing effect, at its best, leaves this many σ of it."""
 
 
 @dataclass(frozen=True)
@@ -68,12 +68,12 @@ class Case:
 
     @property
     def floor(self) -> float:
-        """Reduced χ² of what is held out that the noise which fell leaves without any effect; 1 where not judged."""
+        """Reduced χ² of what is held out that the realised noise leaves without any effect; 1 where not judged."""
         return self.truth.get('noise_chi2', 1.0)
 
     @property
     def separable(self) -> bool:
-        """Whether the sealed truth says that no rival could stand for the effect."""
+        """Whether the sealed truth says that no other could stand for the effect."""
         return self.truth.get('least_apart', np.inf) >= SEPARABLE
 
 
@@ -150,7 +150,7 @@ def credible_set(case: Case) -> set[str]:
     """
     leader = case.gap['effects'][0]['name'] if case.gap['effects'] else None
     if leader is not None and not any(leader in names for names, _ in case.extra['sets']):
-        # Found outside the sets, in the dwells' spectra or the stamps: there are no rivals.
+        # Found outside the sets, in the dwells' spectra or the stamps: nothing competes.
         return {leader}
     total, causes = 0.0, set()
     for names, probability in case.extra['sets']:
@@ -195,7 +195,7 @@ def where_f1(case: Case) -> float:
 
 
 def closed(case: Case) -> float:
-    """Share of the gap's variance above the noise that fell that is gone on held-out data; NaN: no gap there."""
+    """Share of the gap's variance above the realised noise that is gone on held-out data; NaN: no gap there."""
     before, after = (case.extra['closing'][when] - case.floor for when in ('before', 'after'))
     # Below three standard deviations of a reduced χ² the held-out part shows no gap to close.
     if before < 3.0 * np.sqrt(2.0 / max(case.extra['closing']['count'], 1)):
@@ -206,7 +206,7 @@ def closed(case: Case) -> float:
 def closed_together(cases: Sequence[Case]) -> dict[str, Any]:
     """Share of all logs' gaps that is gone, summed before it is divided.
 
-    Clipped log by log what is not known of the noise that fell only ever takes away from what was closed, summed it
+    Clipped log by log what is not known of the realised noise only ever takes away from what was closed, summed it
     cancels.
     """
     before, after = (sum(c.extra['closing'][when] - c.floor for c in cases) for when in ('before', 'after'))

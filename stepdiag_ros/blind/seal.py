@@ -87,7 +87,7 @@ def seal(out: Path, todo: list[Order], processes: int = 2, progress: bool = True
     parts.mkdir(parents=True, exist_ok=True)
     names = {name_of(order, len(todo)): order for order in todo}
     missing = [name for name in names if not (parts / f'{name}.json').exists()]
-    # A fresh process for every world: nothing of one log can be left over in the next.
+    # A fresh process for every world: nothing of one log can remain in the next.
     os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
     jobs = {name: (names[name], str(out / LOGS / name), str(parts / f'{name}.json'))
             for name in missing if not names[name].live}

@@ -2,7 +2,7 @@
 
 Of every log whose answer holds effects that may stand for each other and recommends a run, the sealed world
 is made again, the run is added at its end — the same machine, the same hidden effects going on, the mirror
-mounted and aligned anew — and the longer log is diagnosed as it stands.  It is settled when what truly acts of the
+mounted and aligned anew — and the extended log is diagnosed as it stands.  It is settled when what truly acts of the
 group has at least 95 %, both where both act, and all others have less than half.  Where none of the group acts, that
 must be seen, and what acts instead have at least 95 %.
 """
@@ -38,7 +38,7 @@ AT_ONCE_S = 10.0
 """From mounting to the first move of a run that is to begin at once."""
 
 
-def longer_log(made: SealedWorld, run: Mapping[str, Any]) -> CalibrationLog:
+def extended_log(made: SealedWorld, run: Mapping[str, Any]) -> CalibrationLog:
     """The log of a sealed world with the run ``next_run`` of an answer at its end."""
     beams = next(iter(made.cell.description.setups.values())).beams
     setup = Setup(run['setup'], run['standoff_m'], tuple(run['psd_offset_m']), beams,
@@ -139,7 +139,7 @@ def _settled(case: Case, purpose: str, seed: int) -> dict[str, Any]:
     if not run:
         return row
     made = make(kind_order(purpose, seed, case.truth))
-    after = diagnose(longer_log(made, run), [kind() for kind in all_effects().values()])
+    after = diagnose(extended_log(made, run), [kind() for kind in all_effects().values()])
     return row | {'settled': is_settled(after.ranking, run['between'], case.true_names),
                   'after': {name: after.ranking.get(name, 0.0) for name in run['between']},
                   'effects': [[found.name, found.probability] for found in after.effects]}

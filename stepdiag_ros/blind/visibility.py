@@ -6,7 +6,7 @@ resets can imitate, its norm is the root of the non-central χ² by which the be
 
     visibility² = min over θ of |W(f(θ₀) + δ − f(θ))|² + (θ − θ₀)ᵀP(θ − θ₀),
 
-f the enhanced method's model, θ₀ the truth, P the widths of its unknowns (:mod:`stepdiag_ros.estimate.imitation`).
+f the enhanced method's model, θ₀ the truth, P the priors of its unknowns (:mod:`stepdiag_ros.estimate.imitation`).
 Where the model is straight this is
 
     δᵀWᵀWδ − δᵀWᵀWJ (JᵀWᵀWJ + P)⁻¹ JᵀWᵀWδ.

@@ -23,7 +23,7 @@ from stepdiag_ros.virtual.truth import truth
 
 PURPOSES = {'develop': 1, 'sealed': 2}
 CATEGORIES = ('null', 'single', 'pair', 'outside')
-LEAST, MOST, GROSS = 3.0, 40.0, 1000.0
+LEAST, MOST, LARGE = 3.0, 40.0, 1000.0
 """Visibilities that are drawn lie between the first two; a few go up to the third."""
 CLOSE = 1.1
 """A size is found when the visibility is right within this factor."""
@@ -68,8 +68,8 @@ def kind_of(name: str) -> type[Hidden]:
 
 
 def draw_target(rng: np.random.Generator, pair: bool) -> float:
-    """A visibility: many near the threshold of 8 and above, some below, some far above, a few gross."""
-    low, high = ((8.0, 20.0), (LEAST, 8.0), (20.0, MOST), (MOST, GROSS))[
+    """A visibility: many near the threshold of 8 and above, some below, some far above, a few large."""
+    low, high = ((8.0, 20.0), (LEAST, 8.0), (20.0, MOST), (MOST, LARGE))[
         rng.choice(4, p=[0.55, 0.2, 0.15, 0.1])]
     if pair:
         low, high = (8.0, MOST)
@@ -132,7 +132,7 @@ def _acts_inside(effects: Sequence[Hidden]) -> str | None:
 
 
 def _as_seen(cell: Cell, effects: Sequence[Hidden]) -> Cell:
-    """The cell in whose log the effects are measured by the yardstick: wrong stamps are told from an exchange of
+    """The cell in whose log the effects are measured by the yardstick: wrong stamps are separated from an exchange of
     noise by doing without noise."""
     return without_sensor_noise(cell) if _acts_inside(effects) == 'stamps' else cell
 

@@ -2,9 +2,16 @@
 
 TARGET is a cell file (the cell is brought up, calibrated and ended), or the namespace of a
 machine that `stepdiag up` runs, e.g. /demo; without it, the one that runs.  The log goes into
-a new bag.  Ctrl-C cancels: the machine stands still and the bag is whole.
+a new bag.  With --all every machine that runs is calibrated, side by side.  Ctrl-C cancels:
+the machine stands still and the bag is whole.
+
+With --until-settled the log is diagnosed (as `stepdiag gap` does), and while it leaves open which cause acts, the cell
+makes the further run that separates them best, if it can without hands: setups that its control mounts by code, waits,
+long looks, repeats.  It ends when the answer is sure (status 0), or when no such run helps or time is up (status 1).
 
   stepdiag calibrate cells/demo.yaml
+  stepdiag calibrate cells/demo.yaml --until-settled --settle-time 1800
+  stepdiag calibrate --all
   stepdiag calibrate /demo --setups ppp npp --repeats 1 --bag bags/today
 """
 
@@ -27,6 +34,8 @@ HELP = 'run the calibration on a cell and evaluate it'
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('target', metavar='TARGET', nargs='?',
                         help='cell file, or namespace of a running machine (default: the one that runs)')
+    parser.add_argument('--all', action='store_true',
+                        help='calibrate every running machine, as those of a hall, side by side')
     parser.add_argument('--setups', nargs='+', default=[], metavar='NAME',
                         help="setups in the order of measuring (default: all of the cell's)")
     parser.add_argument('--steps', type=_count, default=0, metavar='N',
@@ -38,7 +47,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--bag', type=Path, help='rosbag2 directory to write (default: a new one here)')
     parser.add_argument('--hardware', action='store_true',
                         help="with a cell file: its instruments are real, start no virtual cell")
+    parser.add_argument('--until-settled', action='store_true',
+                        help='diagnose the log and make further runs until it is sure which cause acts')
+    parser.add_argument('--settle-time', type=_seconds, default=3600.0, metavar='S',
+                        help='with --until-settled: longest time for further runs [s] (default: %(default)g)')
+    parser.add_argument('--effect', metavar='FILE.py', action='append', default=[],
+                        help='with --until-settled: Python file with an effect of your own; it is run, so give only '
+                             'files that you trust')
     parser.add_argument('--json', action='store_true', help='print the evaluation as JSON')
+
+
+def _seconds(text: str) -> float:
+    value = float(text)
+    if not 0.0 <= value <= 1.0e6:
+        raise argparse.ArgumentTypeError(f'{text} is not between 0 and 1000000')
+    return value
 
 
 def _count(text: str) -> int:
@@ -49,29 +72,70 @@ def _count(text: str) -> int:
 
 
 def run(args: argparse.Namespace) -> int:
+    if args.all:
+        from stepdiag_ros.cli.side_by_side import calibrate_all
+        return calibrate_all(args)
     bar = Bar('calibrating', quiet=args.json)
     bag = None if args.bag is None else args.bag.expanduser().absolute()
     if bag is not None and bag.exists():
         raise StepdiagError(f'{bag}: exists already; give a new name or remove it')
+    effects = _effects(args)
+    settled = None
     with _target(args, bag, bar) as (operator, meanwhile):
         outcome = measure(operator, bar, args, meanwhile)
         bar.close()
         recorded = Path(operator.recorder.bag) if operator.recorder else bag
         document = operator.evaluate() if outcome.stops else None
         operator.bring('recorder', 'inactive')   # closes the bag
+        if args.until_settled and outcome.succeeded:
+            settled = _settled(operator, recorded, effects, bar, args, meanwhile)
+            bar.close()
     if args.json:
+        more = {} if settled is None else {'settled': settled.to_json_dict()}
         print(to_json({'outcome': outcome.how, 'message': outcome.message, 'bag': str(recorded),
                           'stops': outcome.stops, 'run_ids': list(outcome.run_ids),
-                          'evaluation': document}))
+                          'evaluation': document, **more}))
     else:
         print(f'{outcome.how}: {outcome.message}')
         print(f'log: {recorded}')
         if document is not None:
             print(summary(document))
             print(f'details: stepdiag evaluate {recorded}')
+        if settled is not None:
+            from stepdiag_ros.cli.settled import answer_words
+            print(answer_words(settled, args.settle_time))
+            further = ''.join(f' --further {one.bag}' for one in settled.rounds)
+            print(f'details: stepdiag gap {recorded}{further}')
+    if settled is not None and settled.how != 'settled':
+        return 130 if settled.outcome is not None and settled.outcome.how == 'canceled' else 1
     if outcome.how == 'succeeded' and document is not None and document['status'] != 'ok':
         return 1
     return {'succeeded': 0, 'canceled': 130}.get(outcome.how, 1)
+
+
+def _effects(args: argparse.Namespace) -> list[Any]:
+    """What the log is diagnosed against; a file that cannot be used is reported before anything moves."""
+    if not args.until_settled:
+        return []
+    from stepdiag_ros.effects import all_effects
+    return [kind() for kind in all_effects(args.effect).values()]
+
+
+def _settled(operator: Any, bag: Path, effects: list[Any], bar: Bar, args: argparse.Namespace, meanwhile: Any) -> Any:
+    """Further runs until the diagnosis is sure; each is said on the bar before it is made."""
+    from stepdiag_ros.cli.settled import round_line
+    from stepdiag_ros.nodes.settling import settle
+
+    rounds: list[Any] = []
+
+    def say(one: Any) -> None:
+        rounds.append(one)
+        bar.say(round_line(len(rounds), one))
+
+    bar.say('diagnosing what the log leaves open')
+    return settle(operator, bag, effects, time_s=args.settle_time, steps=args.steps, repeats=args.repeats,
+                  dwell_s=args.dwell, say=say, meanwhile=meanwhile,
+                  feedback=lambda f: bar.show(f.stop, f.stops, f.doing, f.time_left))
 
 
 def measure(operator: Any, bar: Bar, args: argparse.Namespace, meanwhile=lambda: None) -> Any:
@@ -98,7 +162,7 @@ def _target(args: argparse.Namespace, bag: Path | None, bar: Bar) -> Iterator[tu
     if target is not None and (target.endswith(('.yaml', '.yml')) or Path(target).is_file()):
         from stepdiag_ros.nodes.bringup import Bringup
         with Bringup(target, hardware=args.hardware, bag=bag, steps=args.steps,
-                     say=bar.say) as cell:
+                     bag_folder=Path('.') if bag is None else bag.parent, say=bar.say) as cell:
             yield cell.operator, cell.watch
         return
     from stepdiag_ros.nodes.operator import Operator, running_machines

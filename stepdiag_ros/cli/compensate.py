@@ -16,8 +16,7 @@ those of the line as they are, or none.
 import argparse
 from pathlib import Path
 
-import numpy as np
-
+from stepdiag_ros.cli.vector import vector
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.guard import limits
 from stepdiag_ros.guard.files import read_text
@@ -59,7 +58,7 @@ def run(args: argparse.Namespace) -> int:
     from stepdiag_ros.report.compensation_figure import draw_compensation
     from stepdiag_ros.report.compensation_words import readme, summary
 
-    origin, tool, line, workpiece = (vector(text, f'--{name}') for name, text in (
+    origin, tool, line, workpiece = (None if text is None else vector(text, f'--{name}') for name, text in (
         ('origin', args.origin), ('tool', args.tool), ('line', args.line), ('workpiece', args.workpiece)))
     if args.volume and (line is not None or workpiece is not None):
         raise StepdiagError('--volume serves no line; leave --line and --workpiece away')
@@ -95,19 +94,6 @@ def run(args: argparse.Namespace) -> int:
         for note in known.notes:
             print(f'note: {note}')
     return 0
-
-
-def vector(text: str | None, option: str) -> np.ndarray | None:
-    """Three numbers of an option, None where it was not given."""
-    if text is None:
-        return None
-    try:
-        numbers = [float(part) for part in text.split(',')]
-    except ValueError:
-        numbers = []
-    if len(numbers) != 3 or not np.all(np.isfinite(numbers)):
-        raise StepdiagError(f'{option} is {text!r}; give three numbers in metres, such as {option}=-0.5,0,-0.3')
-    return np.array(numbers)
 
 
 def _point(machine, origin, tool, line, workpiece):

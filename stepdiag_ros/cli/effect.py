@@ -39,7 +39,7 @@ def run(args: argparse.Namespace) -> int:
         raise StepdiagError(f'--seed is {args.seed}; give 0 or more')
     if not args.json:
         print(f'{args.file}: its code is run ...', flush=True)
-    all_effects([args.file])    # names that are taken are told before the work begins
+    all_effects([args.file])    # names that are taken are reported before the work begins
     results = [check_effect(kind, args.seed) for kind in effects_in_file(args.file)]
     if args.json:
         print(to_json({'file': args.file, 'effects': [asdict(result) | {'passed': not result.problems}

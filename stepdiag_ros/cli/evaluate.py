@@ -119,7 +119,7 @@ def text(bag: str, solution: Solution) -> str:
         if entry.names[0].removesuffix(' slope') not in nothing:
             reasons.setdefault(entry.why, []).append(' with '.join(entry.names))
     if reasons:
-        lines += ['', 'Not to be told from this log:']
+        lines += ['', 'Cannot be identified from this log:']
         lines += [f'  {"; ".join(names)}: {why}' for why, names in reasons.items()]
     if solution.parts:
         lines += ['', 'What each part contributed (U by repeats):', *(f'  {line}' for line in listed(solution.parts))]

@@ -88,7 +88,7 @@ def run(args: argparse.Namespace) -> int:
         raise StepdiagError('--adopt writes the cell of one log; give one bag')
     if args.further and len(args.bags) > 1:
         raise StepdiagError('--further belongs to one log; give one bag')
-    all_effects(args.effect)    # a file that cannot be used is told before the work begins
+    all_effects(args.effect)    # a file that cannot be used is reported before the work begins
     if args.cell is not None:
         from stepdiag_ros.virtual.cell import load_cell
         load_cell(args.cell)

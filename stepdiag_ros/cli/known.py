@@ -39,8 +39,9 @@ def known_errors(log: CalibrationLog, bag: str) -> Known:
     if names:
         solution = _with_budget(diagnosis.solution, plain)
         notes.append(f'the log shows {", ".join(names)}; it is taken out of the errors')
-    if diagnosis.leftover or any(name != 'backlash' for name in names):
-        what = 'something that no known cause explains' if diagnosis.leftover else 'more than the errors of the machine'
+    if diagnosis.unmodelled or any(name != 'backlash' for name in names):
+        what = ('something that no known cause explains' if diagnosis.unmodelled
+                else 'more than the errors of the machine')
         notes.append(f'the log shows {what}: read `stepdiag gap {bag}` before you act on this')
     return Known(solution, reversal, tuple(notes))
 

@@ -25,8 +25,10 @@ from stepdiag_ros.guard.show import SafeStream
 COMMANDS: tuple[tuple[str, str, str], ...] = (
     ('demo', 'demo', 'bring a virtual machine up, calibrate it, show the errors found'),
     ('up', 'up', 'start a cell from its YAML file and watch over it until Ctrl-C'),
+    ('hall', 'hall', 'start many cells that share one laser, and watch over them until Ctrl-C'),
     ('parameters', 'parameters', "write the parameter file of a cell's nodes, for ros2 launch"),
     ('calibrate', 'calibrate', 'run the calibration on a cell and evaluate it'),
+    ('watch', 'watch', "show who has the laser's light and how far each machine is"),
     ('simulate', 'simulate', 'write the log of a virtual cell without running the graph'),
     ('evaluate', 'evaluate', 'evaluate a log: the 21 errors with their uncertainties'),
     ('compare', 'compare', 'evaluate a log with every method that fits it, side by side'),
@@ -44,7 +46,7 @@ COMMANDS: tuple[tuple[str, str, str], ...] = (
     ('info', 'info', 'what a bag holds and what is missing'),
     ('recover', 'recover', 'mend a torn bag and say what is lost'),
     ('import', 'import_', 'bring a table of measurements (CSV) in as a bag'),
-    ('scene', 'scene', 'draw the beams, the mirror and the course of a cell'),
+    ('scene', 'scene', 'draw the beams, the mirror and the path of a cell'),
 )
 
 DESCRIPTION = """\

@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from stepdiag_ros.cli.evaluate import tied_lines
+from stepdiag_ros.cli.vector import vector
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate.methods import run_method
 from stepdiag_ros.estimate.prediction import Prediction, compensated_command, predict, volumetric_map
@@ -51,8 +52,8 @@ def run(args: argparse.Namespace) -> int:
         raise StepdiagError(f'--out {args.out}: unknown kind of picture; end the name in {" or ".join(FORMATS)}')
     if args.out is not None and args.at:
         raise StepdiagError('--out draws the grid; leave --at away or ask in two calls')
-    points = None if not args.at else np.array([_vector(text, '--at') for text in args.at])
-    tool = None if args.tool is None else _vector(args.tool, '--tool')
+    points = None if not args.at else np.array([vector(text, '--at') for text in args.at])
+    tool = None if args.tool is None else vector(args.tool, '--tool')
     log = read_log(args.bag, args.namespace)
     solution, machine = run_method(args.method, log), log.description.machine
     if not isinstance(solution, Solution):
@@ -86,16 +87,6 @@ def run(args: argparse.Namespace) -> int:
         if path is not None:
             print(f'{what}: {path}')
     return 0
-
-
-def _vector(text: str, option: str) -> np.ndarray:
-    try:
-        numbers = [float(part) for part in text.split(',')]
-    except ValueError:
-        numbers = []
-    if len(numbers) != 3 or not np.all(np.isfinite(numbers)):
-        raise StepdiagError(f'{option} is {text!r}; give three numbers in metres, such as 0.1,0.2,0.05')
-    return np.array(numbers)
 
 
 def _write_table(path: Path, prediction: Prediction, command: np.ndarray) -> None:

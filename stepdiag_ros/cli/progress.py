@@ -1,7 +1,10 @@
 """A progress bar on the terminal, a line now and then elsewhere."""
 
+import shutil
 import sys
+import threading
 import time
+from collections.abc import Sequence
 from typing import TextIO
 
 from stepdiag_ros.guard.show import escaped
@@ -63,6 +66,57 @@ class Bar:
             self._stream.write('\n')
             self._stream.flush()
             self._open = False
+
+
+class Lines:
+    """One line of progress for each of several things; may be written from several threads.
+
+    On a terminal the lines stand still and are rewritten; in a file a line is written every ten seconds for each.
+    """
+
+    def __init__(self, names: Sequence[str], quiet: bool = False, stream: TextIO | None = None):
+        self._width = max(map(len, names))
+        self._texts = dict.fromkeys(names, '')
+        self._stream = sys.stderr if stream is None else stream
+        self._quiet, self._terminal = quiet, self._stream.isatty()
+        self._last_s = dict.fromkeys(names, float('-inf'))
+        self._lock, self._drawn = threading.Lock(), False
+
+    def show(self, name: str, done: int, total: int, text: str = '', left_s: float | None = None,
+             final: bool = False) -> None:
+        """``name`` has ``done`` of ``total`` and does what ``text`` says; ``final``: it is the last word."""
+        if self._quiet:
+            return
+        full = round(WIDTH * done / total) if total else 0
+        left = '' if left_s is None else f'  {_minutes(left_s)} left'
+        with self._lock:
+            self._texts[name] = (f'{name:{self._width}} [{"█" * full}{"·" * (WIDTH - full)}] {done}/{total}{left}  '
+                                 f'{text}')
+            now = time.monotonic()
+            if not final and now - self._last_s[name] < (0.1 if self._terminal else PLAIN_PERIOD_S):
+                return
+            self._last_s[name] = now
+            if self._terminal:
+                self._draw()
+            else:
+                self._stream.write(escaped(self._texts[name]) + '\n')
+            self._stream.flush()
+
+    def _draw(self) -> None:
+        control = getattr(self._stream, 'control', self._stream.write)
+        if self._drawn:
+            control(f'\x1b[{len(self._texts)}A')
+        for text in self._texts.values():
+            control('\r\x1b[K')
+            self._stream.write(escaped(text)[:shutil.get_terminal_size().columns - 1] + '\n')
+        self._drawn = True
+
+    def close(self) -> None:
+        """Show the last state of all."""
+        if self._terminal and not self._quiet:
+            with self._lock:
+                self._draw()
+                self._stream.flush()
 
 
 def _minutes(seconds: float) -> str:

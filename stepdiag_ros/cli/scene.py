@@ -1,4 +1,4 @@
-"""Draw a setup of a cell: machine volume, course, mirror at the stops and the traced beams.
+"""Draw a setup of a cell: machine volume, path, mirror at the stops and the traced beams.
 
 The cell's own geometric errors and misalignments are in the beams, at true scale.
 
@@ -21,7 +21,7 @@ from stepdiag_ros.virtual.cell import Cell, load_cell
 from stepdiag_ros.virtual.scene import SensorScene
 
 NAME = 'scene'
-HELP = 'draw the beams, the mirror and the course of a cell'
+HELP = 'draw the beams, the mirror and the path of a cell'
 FORMATS = ('.png', '.svg', '.pdf')
 
 

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
+from stepdiag_ros.cli.vector import vector
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate import montecarlo
 from stepdiag_ros.estimate.evaluate import evaluate_in_full
@@ -67,7 +68,7 @@ def run(args: argparse.Namespace) -> int:
 
     budget = _budget(args.budget)
     log = read_log(args.bag, args.namespace)
-    points = np.array([_point(text) for text in args.at]) if args.at else \
+    points = np.array([vector(text, '--at') for text in args.at]) if args.at else \
         np.array([[0.5], [1.0]]) * np.array(log.description.machine.volume)
     full = evaluate_in_full(log, budget)
     found, setting = (full.fit, full.uncertainty), full.setting
@@ -83,16 +84,6 @@ def _budget(path: Path | None) -> Budget | None:
     if path is None:
         return None
     return Budget.from_yaml(read_text(path, limits.YAML_BYTES, 'budget'), str(path))
-
-
-def _point(words: str) -> list[float]:
-    try:
-        numbers = [float(part) for part in words.split(',')]
-    except ValueError:
-        numbers = []
-    if len(numbers) != 3 or not np.all(np.isfinite(numbers)):
-        raise StepdiagError(f'--at is {words!r}; give three numbers in metres, such as 0.1,0.2,0.05')
-    return numbers
 
 
 def _draw(args: argparse.Namespace, log: CalibrationLog, table: StopTable, found: tuple,

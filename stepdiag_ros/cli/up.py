@@ -2,7 +2,7 @@
 
 Starts the virtual cell of the file (or, with --hardware, connects to the instruments it
 names), the machine's nodes, and brings them to active.  A node that dies is started
-again, and that is said.  Ctrl-C ends every process and leaves a whole bag.
+again, and that is reported.  Ctrl-C ends every process and leaves a whole bag.
 """
 
 from stepdiag_ros.nodes import bringup

@@ -1,6 +1,6 @@
 """A machine control behind linuxcncrsh, LinuxCNC's line protocol over TCP.
 
-``hello`` opens, ``set …`` commands are acknowledged once ``set verbose on`` is said,
+``hello`` opens, ``set …`` commands are acknowledged once ``set verbose on`` was sent,
 ``get …`` answers with the name and the value.  Commands of motion go as G-code by
 ``set mdi``, in machine coordinates (G53), so that no work offset can interfere.
 """

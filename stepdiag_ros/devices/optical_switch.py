@@ -5,10 +5,11 @@ of channel n, ``ROUT:CLOS?`` tells which is closed.
 """
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from stepdiag_ros.devices.base import DeviceError
 from stepdiag_ros.devices.link import Link
+from stepdiag_ros.errors import StepdiagError
 
 PORT = 5025
 
@@ -57,3 +58,14 @@ class OpticalSwitch:
         if found is None:
             raise self._link.fail(f'answers nonsense ({line[:40]!r}); is it an optical switch?')
         return int(found.group(1))
+
+
+def channels(served: Sequence[str]) -> dict[str, int]:
+    """``['left=1', 'right=2']`` -> topic prefixes and channels; nothing named: no prefix, channel 1."""
+    found = {}
+    for entry in filter(None, served):
+        name, _, channel = entry.partition('=')
+        if not name.strip('/') or not channel.isdigit():
+            raise StepdiagError(f'parameter serves holds {entry!r}; write namespace=channel, e.g. left=1')
+        found[f'/{name.strip("/")}/'] = int(channel)
+    return found or {'': 1}

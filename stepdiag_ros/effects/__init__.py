@@ -20,7 +20,7 @@ VOCABULARY = (
     'servo_settling', 'non_rigid_coupling', 'squareness_drift', 'vibration', 'clock_skew')
 """Names of the wire contract, in its order."""
 _OWN: dict[str, type[Effect]] = {}
-"""Effects of the user's own by name, as last read from their files: what people are told of them is in the class."""
+"""Effects of the user's own by name, as last read from their files: what is reported of them is in the class."""
 
 
 def effect_class(name: str) -> type[Effect]:

@@ -51,7 +51,7 @@ class Fitted:
             min((tried(span * f)[0], span * f) for f in TAUS)[1]
         return tried(tau)[1], float(tau)
 
-    def course(self, signature: np.ndarray) -> Mapping[str, object]:
+    def profile(self, signature: np.ndarray) -> Mapping[str, object]:
         """``amp`` and ``tau`` of a signature (m, n, c) that grows from the log's first dwell on."""
         time = self.nominal.time
         sizes, tau = self.exponential(signature, time - time.min())

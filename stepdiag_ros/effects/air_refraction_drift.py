@@ -14,7 +14,7 @@ import numpy as np
 from stepdiag_ros.effects.adoption import Fitted
 from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
 from stepdiag_ros.effects.patterns import Drawn, drawn_size, follow, on_lengths, recorded, saturating
-from stepdiag_ros.effects.timeforms import ROUGHNESS, courses
+from stepdiag_ros.effects.timeforms import ROUGHNESS, time_profiles
 from stepdiag_ros.model.air import refractive_index
 
 TEMPERATURE, PRESSURE, HUMIDITY = 20.0, 101325.0, 0.5
@@ -60,17 +60,17 @@ class AirRefractionDrift(Effect):
 
     def appearance(self, view: StopView) -> list[Form]:
         way, forms = on_lengths(view, view.distance)[None], []
-        pace = courses(view.elapsed, view.watches)
+        pace = time_profiles(view.elapsed, view.watches)
         for share in (1.0, *DEAD_PATHS):
-            # The air of the dead path changes as that of the way does: one course, and one dead path a log.
+            # The air of the dead path changes as that of the way does: one profile, and one dead path a log.
             label = '' if share == 1.0 else f'dead path {share:g} times as described'
             path = on_lengths(view, view.distance + (share - 1.0) * float(np.nanmin(view.distance)))[None]
-            forms += [replace(follow(view, course, path, ('index',), 1e-6, '1', label), source=f'dead path {share}')
-                      for course in pace if share == 1.0 or course.label in ('linear', *ROUGHNESS)]
+            forms += [replace(follow(view, profile, path, ('index',), 1e-6, '1', label), source=f'dead path {share}')
+                      for profile in pace if share == 1.0 or profile.label in ('linear', *ROUGHNESS)]
         logged = self._logged(view)
         if logged is not None:
-            course = recorded(view, logged[None], 'logged air, not divided out')
-            forms.insert(0, follow(view, course, way, ('share',), 1.0, '1'))
+            profile = recorded(view, logged[None], 'logged air, not divided out')
+            forms.insert(0, follow(view, profile, way, ('share',), 1.0, '1'))
         return forms
 
     @staticmethod

@@ -11,7 +11,7 @@ import numpy as np
 
 from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
 from stepdiag_ros.effects.patterns import Drawn, follow, recorded
-from stepdiag_ros.effects.timeforms import courses, drift_form, with_constant
+from stepdiag_ros.effects.timeforms import drift_form, time_profiles, with_constant
 
 DIMMED = 0.7
 """A setup whose sum signal is a smaller share of the brightest's than this had less light in its beam: no
@@ -30,7 +30,7 @@ class AmbientLight(Effect):
     sources = ('Andersson 2008, Position sensitive detectors: background light',)
     remedy = 'Shade the detector, use an interference filter, or modulate the beam and detect in phase.'
     signature = 'The spot shrinks towards the centre by a share that follows the clock; the sum signal rises.'
-    neighbours = 'psd_gain is a share that does not change; a constant background cannot be told from it.'
+    neighbours = 'psd_gain is a share that does not change; a constant background is indistinguishable from it.'
 
     @classmethod
     def draw(cls, rng: np.random.Generator) -> Drawn:
@@ -48,8 +48,8 @@ class AmbientLight(Effect):
         pull[0, :, view.beams:] = -view.spot_model
         beam = _beam(view)
         pull_of_light = pull / beam[:, None]
-        forms = [follow(view, with_constant(course), pull_of_light, ('share',), 0.02, '1')
-                 for course in courses(view.elapsed, view.watches)]
+        forms = [follow(view, with_constant(profile), pull_of_light, ('share',), 0.02, '1')
+                 for profile in time_profiles(view.elapsed, view.watches)]
         return self._from_intensity(view, pull, beam) + forms
 
     @staticmethod

@@ -175,7 +175,7 @@ class Form:
     in the name, e.g. ``{'tau_s': 400.0}``.  ``retune``: the form with other shape parameters, or None where
     there are none to tune; ``tuned_from``: label of the form that it was tuned from, empty if it was not.
     ``process``: whether the coefficients are a random process whose standard deviations go as ``scale``, an
-    unknown course; it is held to the size that the log shows, other coefficients are free.  ``held``:
+    unknown time profile; it is held to the size that the log shows, other coefficients are free.  ``held``:
     that size, in scales, once it is known.  ``by_reading`` (k, n, c): derivatives of columns that are made of the
     readings themselves, by the reading.  ``source``: what it comes from where a cell has but one, as its
     laser or its dead path; two forms of an effect with different sources do not act together.  ``beside``: what may act
@@ -222,7 +222,7 @@ class Effect:
     needs_dwells: bool = False
     """Whether only what happens inside the dwells tells it from its neighbours: without samples, no claim."""
     needs_times: bool = False
-    """Whether its course in time is what it is known by: of a log whose times were made up, no claim."""
+    """Whether its time profile is what it is known by: of a log whose times were made up, no claim."""
     file: str = ''
     """The Python file of the user's own that holds it; empty: it is one of the vocabulary."""
     by_chance: bool = False
@@ -291,7 +291,7 @@ class Effect:
         out begin in the middle of their bounds."""
         return {}
 
-    def decoys(self, view: StopView) -> list[Form]:
+    def negative_controls(self, view: StopView) -> list[Form]:
         """Forms as rich as the effect's that it cannot take: what they explain as well is not its doing.
 
         Only effects with forms so rich that they may follow anything need some.

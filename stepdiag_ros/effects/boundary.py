@@ -29,7 +29,7 @@ def checked(kind: type[Effect], path: str) -> type[Effect]:
     for method in ACTING:
         _wrap(kind, path, method, _acting)
     _wrap(kind, path, 'appearance', _appearing)
-    _wrap(kind, path, 'decoys', _appearing)
+    _wrap(kind, path, 'negative_controls', _appearing)
     _wrap(kind, path, 'clock_offset', _offset)
     _wrap(kind, path, 'environment', _environment)
     _wrap(kind, path, 'guess', _guessing)

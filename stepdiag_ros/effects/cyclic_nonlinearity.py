@@ -18,7 +18,7 @@ from stepdiag_ros.effects.patterns import Drawn
 
 WAVELENGTHS = (632.8e-9, 632.991e-9, 1530e-9, 1550e-9)
 """Vacuum wavelengths [m] of common sources: He-Ne (rounded, exact), diode lasers of the IDS3010 kind."""
-DECOYS = (5.1e-7, 5.7e-7, 7.03e-7, 8.11e-7, 9.47e-7, 1.083e-6, 1.237e-6, 1.417e-6, 1.703e-6, 1.97e-6)
+CONTROLS = (5.1e-7, 5.7e-7, 7.03e-7, 8.11e-7, 9.47e-7, 1.083e-6, 1.237e-6, 1.417e-6, 1.703e-6, 1.97e-6)
 """Wavelengths [m] beside those, their halves and doubles: a swing that shows at these too is no fringe's."""
 PARTS = ('cos', 'sin', 'cos 2', 'sin 2')
 MIN_STOPS = 6
@@ -61,9 +61,9 @@ class CyclicNonlinearity(Effect):
                                          reading * rise, rise, wavelength)
         return forms
 
-    def decoys(self, view: StopView) -> list[Form]:
+    def negative_controls(self, view: StopView) -> list[Form]:
         reading, forms = self._reading(view), []
-        for wavelength in DECOYS:
+        for wavelength in CONTROLS:
             forms += self._of_length(view, f'displacement: swings as no laser does, λ = {wavelength * 1e9:.0f} nm',
                                      reading, np.ones((len(reading), 1)), wavelength)[1:]
         return forms
@@ -79,7 +79,7 @@ class CyclicNonlinearity(Effect):
     def _of_length(self, view: StopView, label: str, length: np.ndarray, rise: np.ndarray,
                    wavelength: float) -> list[Form]:
         # The phase is that of the reading itself, noise and all: it is to be known to nanometres, which no
-        # fitted length is.  What a column then owes to the noise that it holds goes with the form.
+        # fitted length is.  The Jacobian correction for the noise that a column then holds is part of the form.
         slope = 4.0 * np.pi / wavelength * rise
 
         def form(kind: str, columns: np.ndarray, slopes: np.ndarray, names: tuple[str, ...]) -> Form:

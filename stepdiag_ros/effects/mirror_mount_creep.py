@@ -60,22 +60,22 @@ class MirrorMountCreep(Effect):
                                          * self.amp * amount)
 
     def appearance(self, view: StopView) -> list[Form]:
-        courses = [*relaxations(view.mount_time, FASTEST_S), power_law(view.mount_time, LETS_GO)]
-        forms = [follow(view, course, view.by_mirror, ('u', 'v'), 1e-5, 'rad') for course in courses]
+        profiles = [*relaxations(view.mount_time, FASTEST_S), power_law(view.mount_time, LETS_GO)]
+        forms = [follow(view, profile, view.by_mirror, ('u', 'v'), 1e-5, 'rad') for profile in profiles]
         if len(np.unique(view.setup)) > 1:
             own, names = by_setup(view, view.by_mirror, ('u', 'v'))
-            forms += [follow(view, course, own, names, 1e-5, 'rad', 'each mounting another amount')
-                      for course in courses]
+            forms += [follow(view, profile, own, names, 1e-5, 'rad', 'each mounting another amount')
+                      for profile in profiles]
             # The same glue, clamped in much the same way.
             both, size = np.concatenate([view.by_mirror, own]), np.full(2 + len(names), 1e-5 * BETWEEN_MOUNTINGS)
             size[:2] = 1e-5
-            forms += [drift_form(view, course, both, ('u', 'v', *names), size,
+            forms += [drift_form(view, profile, both, ('u', 'v', *names), size,
                                  'each mounting nearly the same amount', 'rad')
-                      for course in (*courses, relaxing(view.mount_time, FASTEST_S))]
+                      for profile in (*profiles, relaxing(view.mount_time, FASTEST_S))]
             # A mount that stays on the tool while base unit and mirror's face are turned, but for a further run.
             since = np.where(_further(view), view.mount_time, view.elapsed)
-            forms += [follow(view, course, view.by_mirror, ('u', 'v'), 1e-5, 'rad', 'mounted once')
-                      for course in relaxations(since, FASTEST_S)]
+            forms += [follow(view, profile, view.by_mirror, ('u', 'v'), 1e-5, 'rad', 'mounted once')
+                      for profile in relaxations(since, FASTEST_S)]
         return forms
 
     def guess(self, fitted: Fitted) -> Mapping[str, object]:

@@ -1,4 +1,4 @@
-"""Columns that several effects share: a signature that follows a course in time, one for each setup."""
+"""Columns that several effects share: a signature that follows a time profile, one for each setup."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
@@ -6,27 +6,27 @@ from dataclasses import replace
 import numpy as np
 
 from stepdiag_ros.effects.base import Form, StopView
-from stepdiag_ros.effects.timeforms import SLOWING, Course, drift_form, exponential
+from stepdiag_ros.effects.timeforms import SLOWING, TimeProfile, drift_form, exponential
 
 BETWEEN_SETUPS = 0.1
 """Standard deviation from setup to setup of what is nearly the same in all, as a share of it."""
 
 
-def follow(view: StopView, course: Course, signature: np.ndarray, names: tuple[str, ...], scale: float,
+def follow(view: StopView, profile: TimeProfile, signature: np.ndarray, names: tuple[str, ...], scale: float,
            units: str = 'm', label: str = '') -> Form:
     """:func:`~stepdiag_ros.effects.timeforms.drift_form` with one typical size for all coefficients."""
-    return drift_form(view, course, signature, names, np.full(len(names), scale), label, units)
+    return drift_form(view, profile, signature, names, np.full(len(names), scale), label, units)
 
 
-def each_alone(view: StopView, pace: Iterable[Course], signature: np.ndarray, names: tuple[str, ...],
+def each_alone(view: StopView, pace: Iterable[TimeProfile], signature: np.ndarray, names: tuple[str, ...],
                scale: float, units: str = 'm', label: str = '') -> list[Form]:
     """Forms for each row of ``signature`` (m, n, c) by itself: often one axis warms and the others hardly.
 
     Rows that this log cannot show, an axis that never moved, have none; nor have cycles and what slows down, which
-    an unknown course follows as well and which all rows together have.
+    an unknown profile follows as well and which all rows together have.
     """
-    return [follow(view, course, row[None], (name,), scale, units, f'{name} alone{label}')
-            for course in pace if 'period_s' not in course.shape and course.label != SLOWING
+    return [follow(view, profile, row[None], (name,), scale, units, f'{name} alone{label}')
+            for profile in pace if 'period_s' not in profile.shape and profile.label != SLOWING
             for row, name in zip(signature, names, strict=True) if np.any(row)]
 
 
@@ -66,8 +66,8 @@ def saturating(seconds: np.ndarray, tau: float) -> np.ndarray:
     return -np.expm1(-np.maximum(seconds, 0.0) / tau)
 
 
-def recorded(view: StopView, values: np.ndarray, label: str) -> Course:
-    """A course that was itself measured, ``values`` (k, n): its rates from a smooth line through each run."""
+def recorded(view: StopView, values: np.ndarray, label: str) -> TimeProfile:
+    """A profile that was itself measured, ``values`` (k, n): its rates from a smooth line through each run."""
     rates = np.zeros_like(values)
     for run in np.unique(view.run):
         rows = view.run == run
@@ -80,7 +80,7 @@ def recorded(view: StopView, values: np.ndarray, label: str) -> Course:
         steps = np.arange(1, degree + 1)
         slopes = steps * powers[:, :degree] / span
         rates[:, rows] = (slopes @ np.linalg.lstsq(powers, values[:, rows].T, rcond=None)[0][1:]).T
-    return Course(label, values, rates, {})
+    return TimeProfile(label, values, rates, {})
 
 
 RELAXING_FRACTIONS = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)
@@ -89,15 +89,15 @@ SHORTEST = 0.1
 """In a short log the least time constant is this share of the longest time."""
 
 
-def settlings(time: np.ndarray, fastest: float) -> list[Course]:
+def settlings(time: np.ndarray, fastest: float) -> list[TimeProfile]:
     """What settles after a beginning at time 0 in one way: linear, exponential with a time constant not below
     ``fastest`` [s]; ``time`` (n,) [s]."""
     span, least = _limits(time, fastest)
-    return [Course('linear', (time / span)[None], np.full((1, len(time)), 1.0 / span), {})] + [
+    return [TimeProfile('linear', (time / span)[None], np.full((1, len(time)), 1.0 / span), {})] + [
         _not_below(least, time, tau) for tau in _time_constants(span, least)]
 
 
-def relaxations(time: np.ndarray, fastest: float = 0.0) -> list[Course]:
+def relaxations(time: np.ndarray, fastest: float = 0.0) -> list[TimeProfile]:
     """:func:`settlings`, logarithmic with a start not before ``fastest`` [s], as a power, two exponentials in one
     ratio."""
     span, least = _limits(time, fastest)
@@ -107,14 +107,14 @@ def relaxations(time: np.ndarray, fastest: float = 0.0) -> list[Course]:
         power_law(time, 0.5), _two(time, 0.1 * span, span)]
 
 
-def relaxing(time: np.ndarray, fastest: float) -> Course:
+def relaxing(time: np.ndarray, fastest: float) -> TimeProfile:
     """What relaxes after a beginning at time 0 in no known way, ``time`` (n,) [s]: on many time constants at once, none
     below ``fastest`` [s], each by an amount of its own.
 
     Glue and clamped metal relax on a whole spectrum of time constants; logarithm and power law are two of those.
     """
     each = [exponential(time, tau) for tau in _time_constants(*_limits(time, fastest))]
-    return Course('many time constants', np.concatenate([c.values for c in each]),
+    return TimeProfile('many time constants', np.concatenate([c.values for c in each]),
                   np.concatenate([c.rates for c in each]), {}, sizes=np.ones(len(each)))
 
 
@@ -128,34 +128,34 @@ def _time_constants(span: float, least: float) -> list[float]:
     return list(dict.fromkeys(max(fraction * span, least) for fraction in RELAXING_FRACTIONS))
 
 
-def _not_below(fastest: float, time: np.ndarray, tau: float) -> Course:
+def _not_below(fastest: float, time: np.ndarray, tau: float) -> TimeProfile:
     """An exponential whose time constant never gets below ``fastest`` [s]."""
     return replace(exponential(time, max(tau, fastest)),
                    retune=lambda shape: _not_below(fastest, time, shape['tau_s']))
 
 
-def _logarithm(time: np.ndarray, start: float, span: float, earliest: float) -> Course:
+def _logarithm(time: np.ndarray, start: float, span: float, earliest: float) -> TimeProfile:
     start = max(start, earliest)
     size = np.log1p(span / start)
-    return Course(f'logarithmic from {start:.0f} s', np.log1p(time / start)[None] / size,
+    return TimeProfile(f'logarithmic from {start:.0f} s', np.log1p(time / start)[None] / size,
                   1.0 / (start + time)[None] / size, {'start_s': start},
                   lambda shape: _logarithm(time, shape['start_s'], span, earliest))
 
 
-def power_law(time: np.ndarray, exponent: float) -> Course:
+def power_law(time: np.ndarray, exponent: float) -> TimeProfile:
     """A power law after a beginning at time 0; the first second, in which its rate may have no bound, is left out."""
     span, _ = _limits(time, 0.0)
     since = np.maximum(time, 1.0) / span
-    return Course(f'power {exponent:.2f}', since[None] ** exponent,
+    return TimeProfile(f'power {exponent:.2f}', since[None] ** exponent,
                   exponent / span * since[None] ** (exponent - 1.0), {'exponent': exponent},
                   lambda shape: power_law(time, shape['exponent']))
 
 
-def _two(time: np.ndarray, fast: float, slow: float, ratio: float = 1.0) -> Course:
+def _two(time: np.ndarray, fast: float, slow: float, ratio: float = 1.0) -> TimeProfile:
     """Two exponentials in one ratio, slow to fast: what gives way once more does so by another amount, not in another
     way."""
     both, weights = [exponential(time, tau) for tau in (fast, slow)], np.array([1.0, ratio]) / (1.0 + ratio)
-    return Course(f'exponentials, τ = {fast:.0f} s and {slow:.0f} s, 1 : {ratio:.2g}',
+    return TimeProfile(f'exponentials, τ = {fast:.0f} s and {slow:.0f} s, 1 : {ratio:.2g}',
                   sum(w * c.values for w, c in zip(weights, both, strict=True)),
                   sum(w * c.rates for w, c in zip(weights, both, strict=True)),
                   {'fast_s': fast, 'slow_s': slow, 'ratio': ratio},

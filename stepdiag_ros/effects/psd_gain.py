@@ -12,7 +12,7 @@ import numpy as np
 from stepdiag_ros.effects.adoption import Fitted
 from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
 from stepdiag_ros.effects.patterns import Drawn, drawn_size
-from stepdiag_ros.effects.timeforms import Course, drift_form, with_constant
+from stepdiag_ros.effects.timeforms import TimeProfile, drift_form, with_constant
 
 SIZE = 0.02
 """Typical error of a gain."""
@@ -30,7 +30,7 @@ class PsdGain(Effect):
     remedy = 'Calibrate the detector on a stage with known shifts, or enter its gain.'
     signature = 'The spot is too large or too small by a fixed share, wherever it lies.'
     neighbours = ('ambient_light shrinks the spot by a share that varies with time; psd_nonlinearity by a '
-                  'share that grows with the spot; a constant share of light cannot be told from a gain.')
+                  'share that grows with the spot; a constant share of light is indistinguishable from a gain.')
 
     @classmethod
     def draw(cls, rng: np.random.Generator) -> Drawn:
@@ -61,10 +61,10 @@ class PsdGain(Effect):
         return dict(zip('xy', fitted.solve(columns)[0].tolist(), strict=True))
 
 
-def _ageing(time: np.ndarray) -> Course:
+def _ageing(time: np.ndarray) -> TimeProfile:
     """A gain and a straight line about the middle of the log: amplifiers age and warm up, so that a small share of it
-    changes in the log's course, in a long dwell too."""
+    changes in the course of the log, in a long dwell too."""
     span = max(float(np.ptp(time)), 1e-9)
     late = (time - time.mean()) / span
-    return with_constant(Course('ageing', late[None], np.full((1, len(time)), 1.0 / span), {},
+    return with_constant(TimeProfile('ageing', late[None], np.full((1, len(time)), 1.0 / span), {},
                                 sizes=np.array([AGEING])))

@@ -2,7 +2,7 @@
 
 A scale that is warmer by ``ΔT`` is longer by ``α ΔT`` of its length: the axis goes ``α ΔT x`` too far.
 What it was at the start belongs to the positioning error; what changes during the log does not.  Glass
-scales have 8e-6/K, steel 11e-6/K.  Without sensors the course of the temperature is open.
+scales have 8e-6/K, steel 11e-6/K.  Without sensors the time profile of the temperature is open.
 """
 
 from collections.abc import Mapping
@@ -12,12 +12,12 @@ import numpy as np
 from stepdiag_ros.effects.adoption import Fitted
 from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
 from stepdiag_ros.effects.patterns import Drawn, drawn_size, each_alone, follow, recorded, saturating
-from stepdiag_ros.effects.timeforms import ROUGHNESS, courses, drift_form
+from stepdiag_ros.effects.timeforms import ROUGHNESS, drift_form, time_profiles
 
 HELD = {'': 0.0, ', held in the middle': 0.5, ', held at the end': 1.0}
 """Where a scale may be held, as a share of its travel."""
 GLASS = 8e-6
-"""Expansion of a glass scale [1/K], by which a growth is said as a temperature."""
+"""Expansion of a glass scale [1/K], by which a growth is reported as a temperature."""
 NOTICEABLE = 0.03
 """Standard deviation of a scale's temperature over the log [K] that is more than its sensor's noise."""
 
@@ -54,8 +54,8 @@ class ScaleThermalExpansion(Effect):
     def appearance(self, view: StopView) -> list[Form]:
         axes = ('X', 'Y', 'Z')
         growth = view.commanded.T[:, :, None] * view.by_shift
-        pace = courses(view.elapsed, view.watches)
-        forms = [follow(view, course, growth, axes, 1e-5, '1') for course in pace]
+        pace = time_profiles(view.elapsed, view.watches)
+        forms = [follow(view, profile, growth, axes, 1e-5, '1') for profile in pace]
         # A scale that is held elsewhere than at its zero also shifts the axis as a whole: somewhere along the
         # travel, so that it is taken from the middle on, by at most half of it either way.
         travel = np.maximum(np.ptp(view.commanded, axis=0), 1e-3)
@@ -63,10 +63,10 @@ class ScaleThermalExpansion(Effect):
         both = np.concatenate([(view.commanded - middle).T[:, :, None] * view.by_shift, view.by_shift])
         named = axes + tuple(f'{axis} shift' for axis in axes)
         size = 1e-5 * np.concatenate([np.ones(3), travel / np.sqrt(12.0)])
-        forms += [drift_form(view, course, both, named, size, 'held elsewhere than at zero', '1, m')
-                  for course in pace
-                  if course.label in ('linear', *ROUGHNESS)
-                  or course.shape.get('tau_s', 0.0) > 0.2 * np.ptp(view.time)]
+        forms += [drift_form(view, profile, both, named, size, 'held elsewhere than at zero', '1, m')
+                  for profile in pace
+                  if profile.label in ('linear', *ROUGHNESS)
+                  or profile.shape.get('tau_s', 0.0) > 0.2 * np.ptp(view.time)]
         # One axis that warms: the place where its scale is held does not change while it does.
         moved = np.ptp(view.commanded, axis=0) > 0.0
         for label, share in HELD.items():
@@ -78,7 +78,7 @@ class ScaleThermalExpansion(Effect):
 
     @staticmethod
     def _logged(view: StopView, growth: np.ndarray, both: np.ndarray, size: np.ndarray) -> list[Form]:
-        """The expansion that the logged temperatures foretell, with open coefficients."""
+        """The expansion that the logged temperatures predict, with open coefficients."""
         if view.scale_temperature is None:
             return []
         first = view.first_scale_temperature
@@ -88,11 +88,11 @@ class ScaleThermalExpansion(Effect):
         use = [a for a in range(3) if np.isfinite(warm[:, a]).all() and warm[:, a].std() > NOTICEABLE]
         if not use:
             return []
-        course = {a: recorded(view, warm[:, [a]].T, '') for a in use}
+        profile = {a: recorded(view, warm[:, [a]].T, '') for a in use}
 
         def together(label: str, signature: np.ndarray, names: tuple[str, ...], scale: np.ndarray,
                      units: str) -> Form:
-            parts = [drift_form(view, course[k % 3], signature[[k]], (names[k],), scale[[k]])
+            parts = [drift_form(view, profile[k % 3], signature[[k]], (names[k],), scale[[k]])
                      for k in range(len(signature)) if k % 3 in use]
             return Form(label, np.concatenate([part.columns for part in parts]),
                         tuple(part.names[0] for part in parts),

@@ -116,10 +116,10 @@ class ServoSettling(Effect):
                   creep: float) -> Form:
         """A loop of low damping swings to its goal, and something slower creeps after it; each axis for itself."""
         turning = self._bin_means(since, 1.0 / (1.0 / tau - 2.0j * np.pi * swing))
-        courses = np.stack([turning.real, turning.imag, self._bin_means(since, creep)])
-        mean = courses.mean(axis=2)
+        shapes = np.stack([turning.real, turning.imag, self._bin_means(since, creep)])
+        mean = shapes.mean(axis=2)
         columns = np.einsum('anc,kn->aknc', along, mean)
-        inside = np.einsum('anc,knb->aknbc', along, courses - mean[:, :, None])
+        inside = np.einsum('anc,knb->aknbc', along, shapes - mean[:, :, None])
         names = tuple(f'{axis} {part}' for axis in 'XYZ' for part in ('cos', 'sin', 'creep'))
         return Form(f'swings at {swing:.3g} Hz, τ = {tau:.3g} s, creeps with {creep:.3g} s{start}, each axis',
                     columns.reshape(9, *columns.shape[2:]), names, np.full(9, TYPICAL_M),

@@ -11,7 +11,7 @@ import numpy as np
 from stepdiag_ros.effects.adoption import Fitted
 from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
 from stepdiag_ros.effects.patterns import Drawn, drawn_size, each_alone, follow, saturating
-from stepdiag_ros.effects.timeforms import courses
+from stepdiag_ros.effects.timeforms import time_profiles
 from stepdiag_ros.model.machine import CURVES, SQUARENESS, SQUARENESS_SHIFT
 
 
@@ -41,8 +41,8 @@ class SquarenessDrift(Effect):
 
     def appearance(self, view: StopView) -> list[Form]:
         signature = np.stack([self._column(view, name) for name in SQUARENESS])
-        pace = courses(view.elapsed, view.watches)
-        return [follow(view, course, signature, SQUARENESS, 1e-5, 'rad') for course in pace] \
+        pace = time_profiles(view.elapsed, view.watches)
+        return [follow(view, profile, signature, SQUARENESS, 1e-5, 'rad') for profile in pace] \
             + each_alone(view, pace, signature, SQUARENESS, 1e-5, 'rad')
 
     @staticmethod
@@ -53,4 +53,4 @@ class SquarenessDrift(Effect):
         return per_metre[along] * view.commanded[:, [axis]] * motion
 
     def guess(self, fitted: Fitted) -> Mapping[str, object]:
-        return fitted.course(np.stack([self._column(fitted.view, name) for name in SQUARENESS]))
+        return fitted.profile(np.stack([self._column(fitted.view, name) for name in SQUARENESS]))

@@ -1,7 +1,7 @@
 """The tool point drifts against the workpiece with time: the structure warms up or cools down.
 
 A shift of the tool common to all positions, of any direction, slow against a run.  The reset at
-each run's start takes away what came before it; what is left is the drift inside the runs.
+each run's start takes away what came before it; the residual is the drift inside the runs.
 """
 
 from collections.abc import Mapping
@@ -11,7 +11,7 @@ import numpy as np
 from stepdiag_ros.effects.adoption import Fitted
 from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
 from stepdiag_ros.effects.patterns import each_alone, follow
-from stepdiag_ros.effects.timeforms import courses
+from stepdiag_ros.effects.timeforms import time_profiles
 
 
 class StructuralThermalDrift(Effect):
@@ -32,9 +32,9 @@ class StructuralThermalDrift(Effect):
         moment.shift = moment.shift + grown[:, None] * self.amp
 
     def appearance(self, view: StopView) -> list[Form]:
-        pace, axes = courses(view.elapsed, view.watches), ('X', 'Y', 'Z')
-        return [follow(view, course, view.by_shift, axes, 1e-5) for course in pace] \
+        pace, axes = time_profiles(view.elapsed, view.watches), ('X', 'Y', 'Z')
+        return [follow(view, profile, view.by_shift, axes, 1e-5) for profile in pace] \
             + each_alone(view, pace, view.by_shift, axes, 1e-5)
 
     def guess(self, fitted: Fitted) -> Mapping[str, object]:
-        return fitted.course(fitted.view.by_shift)
+        return fitted.profile(fitted.view.by_shift)

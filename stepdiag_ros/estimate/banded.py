@@ -5,10 +5,10 @@ are neighbours; and the errors of arrival, which tie the stops of a run together
 each lasts until its axis moves again.  With one more unknown for each arrival, of known variance, all
 readings of different stops become independent, and ordered along the diagonals, folded in their middle,
 curves and arrivals form a band of some hundred columns, whatever the number of steps.  Misalignments and offsets, which
-meet every stop of a setup, stand beside it as a border of a few dozen columns; so do the rows that hold the
+meet every stop of a setup, form a border of a few dozen columns; so do the rows that hold the
 frame, in the form ``[[B, w], [wᵀ, −σ²]]`` of ``B + w wᵀ/σ²``.
 
-Eliminating the arrivals gives back the dense equations exactly.  Rounding costs more digits here, above all where
+Eliminating the arrivals returns the dense equations exactly.  Rounding costs more digits here, above all where
 the border decides; the steps serve to get there, the last one is taken from the dense equations.
 """
 
@@ -27,15 +27,15 @@ class BandedNormal:
     """Normal equations of one log, set up once for all iterations.
 
     ``arrival`` (5, n, c) as in :meth:`~stepdiag_ros.estimate.forward.ForwardModel.jacobian`, ``present``
-    (n, c); ``width`` (size,) of the unknowns; ``frame``: rows (k, size) held at zero with
-    deviation ``frame_width``; ``border``: the first column that belongs to the border.
+    (n, c); ``sigma`` (size,) of the unknowns; ``frame``: rows (k, size) held at zero with
+    deviation ``frame_sigma``; ``border``: the first column that belongs to the border.
     """
 
     def __init__(self, table: StopTable, noise: NoiseModel, arrival: np.ndarray, present: np.ndarray,
-                 width: np.ndarray, frame: np.ndarray, frame_width: float, border: int):
+                 sigma: np.ndarray, frame: np.ndarray, frame_sigma: float, border: int):
         n, channels = present.shape
-        self.size, self.border = len(width), border
-        self.frame, self.frame_width = frame, frame_width
+        self.size, self.border = len(sigma), border
+        self.frame, self.frame_sigma = frame, frame_sigma
         # What correlates from arrival to arrival is left to the dense equations, which have the last word.
         arrival = noise.spread_of(arrival)
         self._whitener = _stop_whitener(noise, arrival, present)
@@ -52,8 +52,8 @@ class BandedNormal:
         # An arrival's unknown is counted in its own deviations: its prior is one.
         self._arrivals = self._whitener @ sparse.csr_array(
             (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), shape)
-        self._prior = np.concatenate([width[:border]**-2.0, np.ones(first)])
-        self._border_prior = width[border:]**-2.0
+        self._prior = np.concatenate([sigma[:border]**-2.0, np.ones(first)])
+        self._border_prior = sigma[border:]**-2.0
         # Factor, edge and corner; the band itself is known only once it is made, and is much alike in all logs.
         inside, edge = len(self._prior), self.size - border + len(frame)
         self.operations = float(inside * (USUAL_BAND**2 + 4.0 * USUAL_BAND * edge + 2.0 * edge**2))
@@ -88,7 +88,7 @@ class BandedNormal:
         corner[:outer.shape[1], :outer.shape[1]] = (outer.T @ outer).toarray()
         corner[np.diag_indices(outer.shape[1])] += (1.0 + damping) * self._border_prior
         for k in range(len(self.frame)):
-            corner[outer.shape[1] + k, outer.shape[1] + k] = -self.frame_width**2 / (1.0 + damping)
+            corner[outer.shape[1] + k, outer.shape[1] + k] = -self.frame_sigma**2 / (1.0 + damping)
         down = np.zeros(edge.shape[1])
         down[:outer.shape[1]] = outer.T @ rest - pull[self.border:]
 

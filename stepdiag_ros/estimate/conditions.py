@@ -26,7 +26,7 @@ PLAUSIBLE = {'temperature': (22.5, 12.5 / np.sqrt(3.0)), 'pressure': (96.0e3, 8.
 class Conditions:
     """Where the log was taken: means of the air [°C, Pa, 0..1] and of the scales X, Y, Z [°C].
 
-    ``doubt``: standard uncertainties [K, Pa, 1] of the air beyond its sensors'; ``unknown``: of the index as a whole,
+    ``air_sigma``: standard uncertainties [K, Pa, 1] of the air beyond its sensors'; ``unknown``: of the whole index,
     ``variation``: of what it does during a run and from run to run, uncorrected [1].
     ``expansion``, ``expansion_sigma`` (3,) [1/K]: NaN where the cell does not say; ``referred`` (3,): whether the
     axis's positioning error is referred to 20 °C; ``away`` (3,) [K]: root mean square distance of a scale from 20 °C,
@@ -39,7 +39,7 @@ class Conditions:
     scales: tuple[float, float, float] = (20.0, 20.0, 20.0)
     wavelength: float = WAVELENGTH
     co2: float = CO2
-    doubt: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    air_sigma: tuple[float, float, float] = (0.0, 0.0, 0.0)
     unknown: float = 0.0
     variation: float = 0.0
     expansion: tuple[float, float, float] = (np.nan, np.nan, np.nan)

@@ -55,7 +55,7 @@ def factored(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             return linalg.cholesky(scaled, lower=True, check_finite=False), scale
         except linalg.LinAlgError:
             # Nearly noise-free data narrow some directions 1e16 times more than others are left
-            # open: rounding may hide the open ones' width.  The steps only get shorter by this.
+            # open: rounding may hide the open ones' prior.  The steps only get shorter by this.
             if loading > LOADING_LIMIT:
                 raise StepdiagError('the normal equations cannot be solved; check the cell '
                                     'description against the readings') from None

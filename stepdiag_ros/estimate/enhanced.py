@@ -5,7 +5,7 @@ Minimises, over the unknowns θ of :mod:`stepdiag_ros.estimate.parameters`,
     ½ ‖W (y − f(θ))‖² + ½ ‖θ/s‖²
 
 with the full kinematic model f (:mod:`stepdiag_ros.estimate.forward`), the noise W of the
-log itself (:mod:`stepdiag_ros.estimate.noise`), and widths s so wide (a millimetre, a
+log itself (:mod:`stepdiag_ros.estimate.noise`), and prior standard deviations s so wide (a millimetre, a
 milliradian and more) that they only decide what the data leave open.  Gauss–Newton steps
 solve the normal equations by Cholesky, as a band (:mod:`stepdiag_ros.estimate.banded`) where that is cheaper than
 one dense matrix, as for many steps but not for many repeats: they
@@ -14,10 +14,10 @@ The last step and the covariance come from the dense equations.  Steps go on unt
 longer matter against the standard deviations.
 
 Turns of beams and mirror act to second order along flat valleys, where a whole step overshoots a hundredfold and
-its parts go astray.  There the widths are narrowed, (1 + λ)P, until what a step brings is what it promises
-(Levenberg and Marquardt with the widths as their scale, λ as of Moré 1978); elsewhere λ is 0.
+its parts go astray.  There the priors are narrowed, (1 + λ)P, until what a step brings is what it promises
+(Levenberg and Marquardt with the priors as their scale, λ as of Moré 1978); elsewhere λ is 0.
 
-A direction that the data do not narrow down against its width is unidentifiable and is
+A direction that the data do not narrow down against its prior is unidentifiable and is
 reported by name (:mod:`stepdiag_ros.estimate.identifiability`).
 """
 
@@ -37,13 +37,13 @@ from stepdiag_ros.estimate.reduce import StopTable
 from stepdiag_ros.model.description import Description
 from stepdiag_ros.model.machine import CURVES
 
-WIDTH_SHIFT_M = 1e-3
-WIDTH_TURN_RAD = 1e-3
-WIDTH_LASER_RAD = 1e-3
-WIDTH_MIRROR_RAD = 1e-2
-WIDTH_OFFSET_M = 10.0
-WIDTH_FRAME_RAD = 1e-4
-"""Turning machine and setups together is seen only to second order: it is held to this width."""
+PRIOR_SHIFT_M = 1e-3
+PRIOR_TURN_RAD = 1e-3
+PRIOR_LASER_RAD = 1e-3
+PRIOR_MIRROR_RAD = 1e-2
+PRIOR_OFFSET_M = 10.0
+PRIOR_FRAME_RAD = 1e-4
+"""Turning machine and setups together is seen only to second order: it is held to this prior."""
 FRAME_SLOPES = ('EYX', 'EZX', 'EZY')
 MAX_ITERATIONS = 100
 SETTLED = 1e-8
@@ -53,7 +53,7 @@ STALLED, STALLED_OVER = 1e-3, 6
 MOST_DAMPING = 1e12
 """… or where no step narrowed down to this makes it fall: rounding is reached."""
 GOOD, POOR = 0.75, 0.25
-"""Share of the promised fall above which widths are given back, and below which they are narrowed …"""
+"""Share of the promised fall above which priors are widened again, and below which they are narrowed …"""
 BLOCKED = 2.0
 """How many times as many operations a second the dense equations do as the band, whose columns come one by one."""
 NARROWER, WIDER = 4.0, 5.0
@@ -67,7 +67,7 @@ class Fit:
     ``theta`` (size,), ``covariance`` (size, size); ``jacobian`` (n·c, size) sparse at the solution;
     ``arrival`` (5, n, c) derivatives by arrival errors; ``residual`` (n, c) reading minus
     prediction, NaN where absent; ``present`` (n, c); ``whiteners`` one a run; ``precision`` (size,
-    size) of the widths; ``chi2``, ``dof``; ``converged``.
+    size) of the priors; ``chi2``, ``dof``; ``converged``.
     """
 
     parameters: Parameters
@@ -92,23 +92,23 @@ def readings_of(table: StopTable) -> np.ndarray:
     return np.concatenate([table.displacement, table.spot], axis=1)
 
 
-def prior_precision(parameters: Parameters, linear_laser: float = WIDTH_LASER_RAD) -> np.ndarray:
-    """Inverse covariance (size, size) of the widths; ``linear_laser`` [rad] in straight setups."""
+def prior_precision(parameters: Parameters, linear_laser: float = PRIOR_LASER_RAD) -> np.ndarray:
+    """Inverse covariance (size, size) of the priors; ``linear_laser`` [rad] in straight setups."""
     rows = frame_rows(parameters)
-    return np.diag(widths(parameters, linear_laser)**-2.0) + rows.T @ rows / WIDTH_FRAME_RAD**2
+    return np.diag(prior_sigmas(parameters, linear_laser)**-2.0) + rows.T @ rows / PRIOR_FRAME_RAD**2
 
 
-def widths(parameters: Parameters, linear_laser: float = WIDTH_LASER_RAD) -> np.ndarray:
-    """Width (size,) of each unknown on its own."""
-    width = np.empty(parameters.size)
+def prior_sigmas(parameters: Parameters, linear_laser: float = PRIOR_LASER_RAD) -> np.ndarray:
+    """Prior standard deviation (size,) of each unknown on its own."""
+    sigma = np.empty(parameters.size)
     for name in CURVES:
-        width[parameters.slice(name)] = WIDTH_SHIFT_M if name[1] in 'XYZ' else WIDTH_TURN_RAD
+        sigma[parameters.slice(name)] = PRIOR_SHIFT_M if name[1] in 'XYZ' else PRIOR_TURN_RAD
     for setup in parameters.setups:
         first = parameters.setup_first[setup]
-        laser = linear_laser if setup in parameters.straight else WIDTH_LASER_RAD
-        width[first:first + 2], width[first + 2:first + 4] = laser, WIDTH_MIRROR_RAD
-    width[parameters.offset_first:] = WIDTH_OFFSET_M
-    return width
+        laser = linear_laser if setup in parameters.straight else PRIOR_LASER_RAD
+        sigma[first:first + 2], sigma[first + 2:first + 4] = laser, PRIOR_MIRROR_RAD
+    sigma[parameters.offset_first:] = PRIOR_OFFSET_M
+    return sigma
 
 
 def frame_rows(parameters: Parameters) -> np.ndarray:
@@ -137,13 +137,13 @@ def start(parameters: Parameters, model: ForwardModel, table: StopTable,
 def fit(description: Description, table: StopTable, noise: NoiseModel | None = None,
         readings: np.ndarray | None = None, theta: np.ndarray | None = None,
         parameters: Parameters | None = None, settled: float = SETTLED,
-        linear_laser: float = WIDTH_LASER_RAD, centre: np.ndarray | None = None) -> Fit:
+        linear_laser: float = PRIOR_LASER_RAD, centre: np.ndarray | None = None) -> Fit:
     """Solve for all unknowns of the stops in ``table``.
 
     ``noise`` is estimated from the table when not given; ``readings`` replaces the table's own
     (n, beams + 2); ``theta`` starts the iteration, ``settled`` [χ²] ends it.  ``linear_laser`` [rad]: how
     well the beams of the linear setups are known to lie along their axes (their cosine error).  ``centre``
-    (size,): what the widths hold to, an ideal machine when not given.
+    (size,): what the priors hold to, an ideal machine when not given.
     """
     parameters = parameters or parameters_of(description, table)
     model = ForwardModel(description, table, parameters)
@@ -166,13 +166,13 @@ def fit(description: Description, table: StopTable, noise: NoiseModel | None = N
         residual = np.where(present, readings - predicted, 0.0).ravel()
         return sum(np.sum(w(residual)**2) for w in white) + (theta - centre) @ precision @ (theta - centre)
 
-    banded = BandedNormal(table, noise, arrival, present, widths(parameters, linear_laser), frame_rows(parameters),
-                          WIDTH_FRAME_RAD, min(parameters.setup_first.values()))
+    banded = BandedNormal(table, noise, arrival, present, prior_sigmas(parameters, linear_laser),
+                          frame_rows(parameters), PRIOR_FRAME_RAD, min(parameters.setup_first.values()))
     steps = _Steps(banded, white, precision)
     if dense_operations(jacobian, white) < BLOCKED * banded.operations:
         steps.without_band()
     value = objective(theta, predicted)
-    converged, iterations, course, damping = False, 0, [value], 0.0
+    converged, iterations, values, damping = False, 0, [value], 0.0
     while iterations < MAX_ITERATIONS:
         iterations += 1
         steps.at(jacobian, np.where(present, readings - predicted, 0.0).ravel(), precision @ (theta - centre))
@@ -193,8 +193,8 @@ def fit(description: Description, table: StopTable, noise: NoiseModel | None = N
             damping = damping / WIDER if damping > 1.0 else 0.0
         elif fell < POOR * promised:
             damping = max(1.0, NARROWER * damping)
-        course.append(value)
-        stalled = len(course) > STALLED_OVER and course[-1 - STALLED_OVER] - value < max(STALLED, settled) * unit
+        values.append(value)
+        stalled = len(values) > STALLED_OVER and values[-1 - STALLED_OVER] - value < max(STALLED, settled) * unit
         if (whole and promised < settled * unit) or not moved or stalled:
             if steps.dense:
                 converged = True
@@ -208,7 +208,7 @@ def fit(description: Description, table: StopTable, noise: NoiseModel | None = N
     normal, covariance = steps.solution(jacobian, converged and whole)
     filled = np.where(present, residual, 0.0).ravel()
     chi2 = float(sum(np.sum(w(filled)**2) for w in white))
-    # Each direction counts as fitted by the share in which data and not the width decide it.
+    # Each direction counts as fitted by the share in which data and not the prior decide it.
     dof = int(round(flat.sum() - np.sum(covariance * normal)))
     return Fit(parameters, model, theta, covariance, jacobian, arrival, residual, present, white,
                precision, noise, chi2, dof, iterations, converged)
@@ -230,13 +230,13 @@ class _Steps:
         self._banded = None
 
     def at(self, jacobian: sparse.csr_array, residual: np.ndarray, pull: np.ndarray) -> None:
-        """Where the next steps start; ``residual`` (n·c,) with zeros where absent, ``pull`` (size,) of the widths."""
+        """Where the next steps start; ``residual`` (n·c,) with zeros where absent, ``pull`` (size,) of the priors."""
         self._place = jacobian, residual, pull
         self._right = jacobian.T @ weighted(residual, self._white) - pull
         self._normal = normal_equations(jacobian, self._white) if self.dense else None
 
     def step(self, damping: float) -> tuple[np.ndarray, float]:
-        """Step (size,) with widths narrowed by ``damping``, and the fall of the objective that it promises."""
+        """Step (size,) with priors narrowed by ``damping``, and the fall of the objective that it promises."""
         if self._banded is not None:
             try:
                 step = self._banded.solve(*self._place, damping)
@@ -246,12 +246,12 @@ class _Steps:
         if self.dense:
             self._factored = factored(self._normal + (1.0 + damping) * self._precision)
             step = solved(*self._factored, self._right)
-        # Of the objective, whose widths are not narrowed.
+        # Of the objective, whose priors are not narrowed.
         return step, float(step @ self._right + damping * (step @ self._precision @ step))
 
     def solution(self, jacobian: sparse.csr_array, solved_last: bool) -> tuple[np.ndarray, np.ndarray]:
         """Normal equations of the data and covariance, two (size, size): those that the last step solved, dense and
-        with plain widths, or new ones at ``jacobian``."""
+        with plain priors, or new ones at ``jacobian``."""
         if not solved_last:
             self._normal = normal_equations(jacobian, self._white)
             self._factored = factored(self._normal + self._precision)

@@ -25,7 +25,7 @@ carriage to tool point and the tilted mirror met beside its centre.  What remain
 a setup).  The mean steps, the slopes of EXX, EYY, EZZ from linear setups of two stops,
 and the reference frame along the machine's lines, give 12 equations for eight mirror
 angles and three squarenesses; the single steps then give Δt by the pseudo-inverse of the
-vector method.  Without linear setups the slopes and the mirrors cannot be told apart;
+vector method.  Without linear setups the slopes and the mirrors are indistinguishable;
 the mirrors are then taken for aligned.
 
 **To the last digit.**  All this is linear, the sensor is not.  The closed form serves as an
@@ -131,7 +131,7 @@ def evaluate(cell: CellReadings, layout: str | None = None,
 
 def _settle(form: '_ClosedForm', state: _State, places: np.ndarray,
             most: int = MAX_PASSES) -> tuple[_State, int, bool]:
-    """Pass what is left through the closed form until nothing changes."""
+    """Pass the residual through the closed form until nothing changes."""
     for passes in range(1, most + 1):
         left, tilt = form.residuals(state, places)
         change = form.solve(left[..., None], tilt[..., None])

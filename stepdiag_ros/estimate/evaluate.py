@@ -7,7 +7,7 @@ import numpy as np
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate.closure import closures
 from stepdiag_ros.estimate.contributions import contributions
-from stepdiag_ros.estimate.enhanced import WIDTH_LASER_RAD, Fit, fit
+from stepdiag_ros.estimate.enhanced import PRIOR_LASER_RAD, Fit, fit
 from stepdiag_ros.estimate.gauge import GAUGE, reporting_matrix
 from stepdiag_ros.estimate.identifiability import unidentifiable
 from stepdiag_ros.estimate.metres import Metres, in_metres
@@ -67,7 +67,7 @@ def evaluate_in_full(log: CalibrationLog, budget: Budget | None = None) -> Evalu
     table = metres.table
     # How well the beams of the linear setups are known to lie along their axes is in the budget.
     cosine = max((c.standard for c in budget.contributors if c.kind == 'cosine' and c.standard),
-                 default=WIDTH_LASER_RAD)
+                 default=PRIOR_LASER_RAD)
     insane = check_readings(log.description, table)
     try:
         result = fit(log.description, table, linear_laser=cosine)

@@ -1,6 +1,6 @@
 """What the data leave open, by name.
 
-A direction counts as unidentifiable where the data narrow its width (see
+A direction counts as unidentifiable where the data narrow its prior (see
 :mod:`stepdiag_ros.estimate.enhanced`) by less than half.  Judged are the reported
 errors, with each curve split into its slope and its shape, and the misalignments.
 Errors that no reading depends on are named alone; of what remains, the open
@@ -15,7 +15,7 @@ from stepdiag_ros.estimate.solution import Unidentifiable
 from stepdiag_ros.model.machine import CURVES, SQUARENESS
 
 OPEN = 0.25
-"""Share of the width's variance left by the data above which a direction is open."""
+"""Share of the prior variance left by the data above which a direction is open."""
 LOOSE = 1e-4
 """Standard uncertainty [m, rad] of a single error above which it is open too: readings that depend on it to second
 order only narrow a millimetre to a tenth of one, which is no measurement."""
@@ -30,19 +30,19 @@ def unidentifiable(parameters: Parameters, names: list[tuple[str, int]], reporti
     """Open directions of a fit.
 
     ``reporting`` (p, size) takes unknowns to reported values called ``names``; ``covariance``,
-    ``precision`` (of the widths) and ``information`` (of the data) are (size, size).
+    ``precision`` (of the prior) and ``information`` (of the data) are (size, size).
     """
     labels, rows = _features(parameters, names, reporting)
-    width = np.sqrt(np.einsum('ij,jk,ik->i', rows, np.linalg.inv(precision), rows))
+    sigma = np.sqrt(np.einsum('ij,jk,ik->i', rows, np.linalg.inv(precision), rows))
     seen = np.einsum('ij,jk,ik->i', rows, information, rows) / np.sum(rows**2, axis=1)
-    blind = seen * width**2 < 1e-9
+    blind = seen * sigma**2 < 1e-9
     found = [Unidentifiable((label,), 'no reading of this log depends on it')
              for label, is_blind in zip(labels, blind, strict=True) if is_blind]
     named = {label for label, is_blind in zip(labels, blind, strict=True) if is_blind}
-    rows, width = rows[~blind], width[~blind]
+    rows, sigma = rows[~blind], sigma[~blind]
     labels = [label for label, is_blind in zip(labels, blind, strict=True) if not is_blind]
     if len(labels):
-        scaled = rows / width[:, None]
+        scaled = rows / sigma[:, None]
         share, vectors = eigen(scaled @ covariance @ scaled.T)
         for direction in _echelon(vectors[:, share > OPEN].T):
             weight = np.abs(direction)
@@ -107,7 +107,7 @@ def _why(members: tuple[str, ...], straight: frozenset[str]) -> str:
              for member in members}
     if all(member.split()[0] in straight for member in members):
         return ('a beam that is not along its line lengthens the readings to second order only (cosine '
-                'error); its width is part of the uncertainty of the positioning errors')
+                'error); its prior is part of the uncertainty of the positioning errors')
     if kinds == {'laser'} or kinds == {'laser', 'mirror'}:
         return ('turning these together with the machine changes the readings to second order only; '
                 'the reported errors do not depend on the choice')

@@ -5,7 +5,7 @@ Let the readings be f(θ₀) + δ, without noise.  The fit leaves
     δ + f(θ₀) − f(θ)     at the θ that minimises     |W(f(θ₀) + δ − f(θ))|² + (θ − θ₀)ᵀP(θ − θ₀).
 
 Where f is straight one step finds it.  Turns of beams and mirror act to second order, along flat valleys: some
-microradians of them may imitate what they could not at θ₀, a few of a gross change nearly all.
+microradians of them may imitate what they could not at θ₀, a few of a large change nearly all.
 """
 
 import numpy as np

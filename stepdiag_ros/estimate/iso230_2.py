@@ -124,43 +124,47 @@ class LinearTest:
     """ISO 230-2 of every axis that a log holds a linear run of.
 
     ``sigma_m``: standard uncertainty [m] of each of :meth:`figures` by the whole budget, empty where not computed.
+    ``wanted``: the figures of each axis, attributes of :class:`AxisResult`.
     """
 
     axes: dict[str, AxisResult]
     method: str = 'iso230_2'
     sigma_m: Mapping[str, float] = field(default_factory=dict)
     traceability: Traceability | None = None
+    wanted: tuple[str, ...] = ('A', 'E', 'R', 'B', 'M')
 
     def letter(self, name: str) -> str:
         """X, Y or Z: what the line ``name`` measures."""
         return self.axes[name].letter or name[-1].upper()
 
     def figures(self) -> dict[str, float]:
-        """A, E, R, B and M [m] of each axis by name, e.g. ``E lin_x``; without those that need more cycles."""
-        named = {f'{figure} {name}': getattr(axis, figure) for name, axis in self.axes.items() for figure in 'AERBM'}
+        """The figures [m] of each axis by name, e.g. ``E lin_x``; without those that need more cycles."""
+        named = {f'{figure} {name}': getattr(axis, figure) for name, axis in self.axes.items()
+                 for figure in self.wanted}
         return {name: value for name, value in named.items() if value is not None}
 
     def repeat_sigma(self, cell: CellReadings) -> dict[str, float]:
-        """Standard uncertainty [m] of the figures by repeats: of means, and in R and A of standard deviations."""
+        """Standard uncertainty [m] of the figures by repeats: of means, and in R and A of standard deviations, in
+        those of one direction of that direction's."""
         found = {}
         for figure in self.figures():
             letter, name = figure.split()
             axis = self.axes[name]
             mean = 2.0 * float(cell.setups[name].displacement_sigma_m.max())
             spread = 0.0
-            if letter in 'AR':
-                largest = 4.0 * float(np.max([axis.s_up, axis.s_down]))
-                spread = largest / np.sqrt(2.0 * (axis.runs - 1))
+            if letter[0] in 'AR':
+                scatter = {'up': [axis.s_up], 'down': [axis.s_down]}.get(letter[2:], [axis.s_up, axis.s_down])
+                spread = 4.0 * float(np.max(scatter)) / np.sqrt(2.0 * (axis.runs - 1))
             found[figure] = float(np.hypot(mean, spread))
         return found
 
     def slope_sigma(self, slopes: Mapping[str, np.ndarray], machine: Machine) -> dict[str, float]:
-        """What uncertain slopes (k,) [1] of EXX, EYY, EZZ do to A, E and M [m]."""
+        """What uncertain slopes (k,) [1] of EXX, EYY, EZZ do to A, E and M [m], of one direction too."""
         found = {}
         for figure in self.figures():
             letter, name = figure.split()
             slope = np.linalg.norm(slopes.get(f'E{self.letter(name) * 2}', 0.0))
-            if letter in 'AEM':
+            if letter[0] in 'AEM':
                 found[figure] = float(slope * np.ptp(self.axes[name].target_m))
         return found
 

@@ -113,14 +113,14 @@ class _Known:
 
     values: np.ndarray
     source: tuple[str, str, str]
-    doubt: np.ndarray
+    air_sigma: np.ndarray
     wavelength: float
     co2: float
     remarks: tuple[str, ...]
 
     @property
     def enough(self) -> bool:
-        """Temperature or pressure is told: without both, there is no index to speak of."""
+        """Temperature or pressure is recorded: without both, there is no index to speak of."""
         return self.source[:2] != ('nobody', 'nobody')
 
     @property
@@ -135,27 +135,27 @@ class _Known:
     def of(cls, log: CalibrationLog, table: StopTable) -> '_Known':
         cell = log.description.air or AirValues()
         middle = (table.dwell_ns + table.done_ns) // 2
-        values, source, doubt, remarks = [], [], [], []
+        values, source, air_sigma, remarks = [], [], [], []
         for quantity in QUANTITIES:
             series, said = log.environment.get(TOPIC[quantity]), getattr(cell, quantity)
-            told, why = _told(series, log, middle, LIMITS[quantity])
+            recorded, why = _recorded(series, log, middle, LIMITS[quantity])
             if why:
                 remarks.append(f'environment/{TOPIC[quantity]}: {why}')
-            if told is not None:
-                values.append(told)
+            if recorded is not None:
+                values.append(recorded)
                 source.append('topic')
-                doubt.append(0.0)
+                air_sigma.append(0.0)
                 continue
             plausible, width = PLAUSIBLE[quantity]
             values.append(np.full(len(table), plausible if said is None else said))
             source.append('nobody' if said is None else 'cell')
-            doubt.append(width if said is None else cell.sigma.get(quantity, width))
-        return cls(np.array(values), tuple(source), np.array(doubt),
+            air_sigma.append(width if said is None else cell.sigma.get(quantity, width))
+        return cls(np.array(values), tuple(source), np.array(air_sigma),
                    WAVELENGTH if cell.wavelength is None else cell.wavelength,
                    CO2 if cell.co2 is None else cell.co2, tuple(remarks))
 
 
-def _told(series: ScalarSeries | None, log: CalibrationLog, middle: np.ndarray,
+def _recorded(series: ScalarSeries | None, log: CalibrationLog, middle: np.ndarray,
           limits: tuple[float, float]) -> tuple[np.ndarray | None, str]:
     """A topic's quantity at the stops (n,), None where it does not tell; and what is wrong with it.
 
@@ -187,7 +187,7 @@ def _air(log: CalibrationLog, table: StopTable) -> tuple[StopTable, Conditions, 
     known = _Known.of(log, table)
     remarks, divided = list(known.remarks), table.refractive_index
     conditions = Conditions(*(float(v) for v in known.values.mean(axis=1)), wavelength=known.wavelength, co2=known.co2)
-    spread = conditions.index_sigma(*known.doubt)
+    spread = conditions.index_sigma(*known.air_sigma)
     vacuum = np.abs(divided - 1.0) < VACUUM
     if not vacuum.any():
         if _follows(table):
@@ -209,15 +209,16 @@ def _air(log: CalibrationLog, table: StopTable) -> tuple[StopTable, Conditions, 
     for quantity, source in zip(QUANTITIES, known.source, strict=True):
         if source == 'nobody':
             value, width = PLAUSIBLE[quantity]
-            remarks.append(f'the {quantity} of the air is told neither by environment/'
+            remarks.append(f'the {quantity} of the air is reported neither by environment/'
                            f'{TOPIC[quantity]} nor by air.{quantity}; {value:g} with a standard uncertainty of '
                            f'{width:.2g} counts')
-    told = 'topic' in known.source[:2]
-    if not told:
+    recorded = 'topic' in known.source[:2]
+    if not recorded:
         remarks.append(f'{WORDS[CELL]}, for the whole log alike')
     variation = 0.0 if known.by_topics else spread
     corrected = divided_by(log.description, table, known.index)
-    return (corrected, replace(conditions, doubt=tuple(known.doubt), variation=variation), TOPICS if told else CELL,
+    return (corrected, replace(conditions, air_sigma=tuple(known.air_sigma), variation=variation),
+            TOPICS if recorded else CELL,
             float(known.index.mean()), remarks)
 
 
@@ -270,16 +271,16 @@ def _referred(log: CalibrationLog, table: StopTable,
     scales, measured = list(conditions.scales), {}
     expansion, sigma, away = list(conditions.expansion), list(conditions.expansion_sigma), [np.nan] * 3
     for axis, letter in enumerate('xyz'):
-        told, _ = _told(log.environment.get(f'scale_temperature/{letter}'), log, middle, LIMITS['temperature'])
-        if told is not None:
-            scales[axis] = measured[letter] = float(told.mean())
-            away[axis] = float(np.sqrt(np.mean((told - REFERENCE_TEMPERATURE)**2)))
+        recorded, _ = _recorded(log.environment.get(f'scale_temperature/{letter}'), log, middle, LIMITS['temperature'])
+        if recorded is not None:
+            scales[axis] = measured[letter] = float(recorded.mean())
+            away[axis] = float(np.sqrt(np.mean((recorded - REFERENCE_TEMPERATURE)**2)))
         material = description.scales.get(letter)
         if material is not None:
             expansion[axis], sigma[axis] = material.expansion, material.sigma
-        if told is not None and material is not None:
+        if recorded is not None and material is not None:
             referred[axis] = True
-            excess += directions[:, axis] * material.expansion * (told - REFERENCE_TEMPERATURE) \
+            excess += directions[:, axis] * material.expansion * (recorded - REFERENCE_TEMPERATURE) \
                 * table.commanded[:, axis]
     conditions = replace(conditions, scales=tuple(scales), expansion=tuple(expansion), expansion_sigma=tuple(sigma),
                          referred=tuple(referred), away=tuple(away))

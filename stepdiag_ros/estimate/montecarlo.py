@@ -82,7 +82,7 @@ def linear(uncertainty: Uncertainty, draws: int, rng: np.random.Generator) -> Dr
 
     Normal contributors with one common size need no variate for each cause: a square root of their
     covariance gives the same distribution from fewer (:func:`_roots`).  The open directions
-    (``held by width``) are no contributor and are not drawn.
+    (``held by prior``) are no contributor and are not drawn.
     """
     solution = uncertainty.solution
     values = np.empty((draws, len(solution.value)))

@@ -26,7 +26,7 @@ from stepdiag_ros.model.log import NONE, STOOD
 
 FLOOR_M = 1e-11
 """Nothing is believed to be quieter than ten picometres: it keeps noise-free data solvable.  The rounding
-of metres in doubles comes to no more than 1e-4 of this, while the widths of the unknowns stay visible."""
+of metres in doubles comes to no more than 1e-4 of this, while the priors of the unknowns stay visible."""
 WINSOR = 2.0
 WINSOR_MEAN = 0.9205369
 """Mean of min(z², 4) of a standard normal z: 1 − P − 4 φ(2) + 4 P with P = P(|z| > 2).

@@ -92,7 +92,7 @@ def errors_of(latent: Latent, basis: np.ndarray, data: np.ndarray) -> Errors:
 
 def weighed(noise: NoiseModel, found: Sequence[Errors], stops: int) -> tuple[NoiseModel, float, np.ndarray, np.ndarray]:
     """The noise with what each of the ``stops`` is wider by, given the errors; the log evidence that the tails bring
-    beyond normal errors of the widths that they were taken to have; and the errors' mean squares (m,) with their
+    beyond normal errors of the sizes that they were taken to have; and the errors' mean squares (m,) with their
     ``source`` (m,), in squares of the noise's sizes, each counted by its weight.
 
     All but one error held, the data say of that one m ± √v: 1/v = 1/V − 1, m = v ε/V.
@@ -108,9 +108,8 @@ def weighed(noise: NoiseModel, found: Sequence[Errors], stops: int) -> tuple[Noi
                 continue
             first = np.array([latent.stops[k][0] for k in mine])
             before = np.ones(len(mine)) if noise.spread is None else noise.spread[kind, first]
-            told = 1.0 - errors.variance[mine]
-            told = np.maximum(told, 1e-6)
-            middle, wide = errors.mean[mine] / told * before, errors.variance[mine] / told * before**2
+            learnt = np.maximum(1.0 - errors.variance[mine], 1e-6)
+            middle, wide = errors.mean[mine] / learnt * before, errors.variance[mine] / learnt * before**2
             total = wide[:, None] + 1.0 / WEIGHTS
             logs = _log_share(law.dof) - 0.5 * np.log(total) - 0.5 * middle[:, None]**2 / total
             top = special.logsumexp(logs, axis=1)
@@ -201,8 +200,8 @@ def _shared(table: StopTable) -> np.ndarray:
     time = np.zeros(len(table))
     for number in np.unique(pass_):
         mine = pass_ == number
-        course = table.time_s[mine]
-        time[mine] = (course - course[0]) / max(float(np.ptp(course)), 1e-9)
+        since = table.time_s[mine]
+        time[mine] = (since - since[0]) / max(float(np.ptp(since)), 1e-9)
     same = (place[:, None] == np.unique(place)).astype(float)
     passes = (pass_[:, None] == np.unique(pass_)).astype(float)
     # A constant in each traverse is one in each place once too often: the first traverse of a direction goes without.

@@ -27,7 +27,7 @@ MERGE_M = 1e-6
 
 @dataclass(frozen=True)
 class Parameters:
-    """Names, places and prior widths of the unknowns of one log.
+    """Names and places of the unknowns of one log.
 
     ``knots``: curve name → (k,) [m], the first being 0.  ``first``: curve name → column of
     its knot 1.  ``setup_first``: setup → column of its ``laser u``.  ``offset_first``: column of

@@ -9,7 +9,7 @@ and all, is the combined covariance, which goes on to any point of the volume th
 :mod:`stepdiag_ros.estimate.prediction`.
 
 What no contributor causes but the data leave open (:mod:`stepdiag_ros.estimate.identifiability`) is a
-line of its own, ``held by width``.
+line of its own, ``held by prior``.
 """
 
 import math
@@ -33,7 +33,7 @@ from stepdiag_ros.model.budget import MEASURED, Budget, Contributor
 from stepdiag_ros.model.description import Description, Machine
 from stepdiag_ros.model.machine import AXES
 
-HELD = 'held by width'
+HELD = 'held by prior'
 
 
 @dataclass(frozen=True)
@@ -114,14 +114,14 @@ UNASKED = (Contributor('air temperature', 'air_temperature', 'B', 'normal', 0.0)
 
 def _standard(contributor: Contributor, conditions: Conditions) -> float:
     """Standard uncertainty of a contributor with what these conditions add to it: less known, more uncertain."""
-    more = {'air_temperature': conditions.doubt[0], 'air_pressure': conditions.doubt[1],
-            'humidity': conditions.doubt[2], 'index_formula': conditions.unknown,
+    more = {'air_temperature': conditions.air_sigma[0], 'air_pressure': conditions.air_sigma[1],
+            'humidity': conditions.air_sigma[2], 'index_formula': conditions.unknown,
             'air_variation': conditions.variation}
     return float(np.hypot(contributor.standard, more.get(contributor.kind, 0.0)))
 
 
 def index_sigma(budget: Budget, conditions: Conditions) -> float:
-    """Standard uncertainty [1] of the unit of length, alike in the whole log: wavelength, sensors, formula, doubt."""
+    """Standard uncertainty [1] of the unit of length, alike in the whole log: wavelength, sensors, formula, air."""
     named = {c.kind for c in budget.contributors}
     slopes = {kind: conditions.index_slope(kind) for kind in ('air_temperature', 'air_pressure', 'humidity')}
     slopes |= {'scale': 1.0, 'index_formula': 1.0}

@@ -133,7 +133,7 @@ def reduce_log(log: CalibrationLog, cut: bool = False) -> StopTable:
 
 def _moved_axis(run: np.ndarray, index: np.ndarray, axis: np.ndarray,
                 commanded: np.ndarray) -> tuple[np.ndarray, int]:
-    """Axis (k,) that moved to each visit, and how many were named otherwise; what cannot be said stays as named."""
+    """Axis (k,) that moved to each visit, and how many were named otherwise; what cannot be decided stays as named."""
     change = np.abs(np.diff(commanded, axis=0)) > MOVED_M
     follows = (np.diff(run) == 0) & (np.abs(np.diff(index.astype(int))) == 1) & (change.sum(axis=1) == 1)
     wrong = 1 + np.flatnonzero(follows & (axis[1:] != change.argmax(axis=1)))

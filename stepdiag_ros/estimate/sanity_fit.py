@@ -82,10 +82,10 @@ def check_fit(description: Description, table: StopTable, result: Fit) -> list[F
     if not tried or tried[0][0] > min(limit, bad / FALLS):
         return []
     best, finding = tried[0]
-    rivals = [other.found.split(' (')[0] for reduced, other in tried[1:]
+    others = [other.found.split(' (')[0] for reduced, other in tried[1:]
               if reduced < ALONE * best and other.name != finding.name]
-    if rivals:
-        finding = replace(finding, change=f'{finding.change}; or: {"; or: ".join(rivals)}')
+    if others:
+        finding = replace(finding, change=f'{finding.change}; or: {"; or: ".join(others)}')
     return [finding]
 
 
@@ -145,7 +145,7 @@ def _shift(description: Description, table: StopTable, result: Fit, setup: str) 
     before = ForwardModel(description, table, result.parameters).predict(result.theta)
     change = np.where(result.present, (after - before) / STEP_M, 0.0).ravel()
     rest = np.where(result.present, result.residual, 0.0).ravel()
-    # Orthogonal to what the fit's own unknowns can do, their widths as further readings: normal equations would
+    # Orthogonal to what the fit's own unknowns can do, their priors as further readings: normal equations would
     # lose it, since mirror and laser take nearly all of it up.
     held = np.linalg.cholesky(result.precision).T
     jacobian = result.jacobian.toarray()

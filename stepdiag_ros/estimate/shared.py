@@ -3,7 +3,7 @@
 The fit weighs with what differs from arrival to arrival and from sample to sample.  Detector zero, gain and rotation,
 cosine errors and air that varies are alike over many readings; a fit that does not know it may get more certain by
 having less data.  Let the columns B (n·c, k) of independent variates of standard deviation 1 be those errors, Σ the
-covariance that the fit weighs with, J its Jacobian and P the precision of its widths.  With errors Σ + B Bᵀ the best
+covariance that the fit weighs with, J its Jacobian and P the precision of its priors.  With errors Σ + B Bᵀ the best
 linear estimate is a step away from the fit,
 
     M = Σ⁻¹ − Σ⁻¹B (I + BᵀΣ⁻¹B)⁻¹ BᵀΣ⁻¹        C = (JᵀMJ + P)⁻¹        δθ = C (JᵀM r − P θ)

@@ -1,4 +1,4 @@
-"""What every estimator gives back: values, covariance, status, and what it could not see."""
+"""What every estimator returns: values, covariance, status, and what it could not see."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field

@@ -9,7 +9,7 @@ ALARM = 8.0
 cause of some twenty."""
 SUSPICION = 6.0
 """Least log evidence of what is followed up on the way to a claim: a set to be fitted, a form to be tuned, an effect
-that may bend the fit, a jump in a dwell, arrivals that stray; and by which what stood before must be better to stay."""
+that may bend the fit, a jump in a dwell, outlying arrivals; and by which what stood before must be better to stay."""
 MEMBER_ALARM = 6.0
 """Least log evidence that each effect of a set must bring beside the others, the discrepancy of their forms allowed
 for: odds of twenty against its prior probability."""
@@ -25,26 +25,26 @@ FORM_ERROR = 0.1
 the log would let that pass: a third (0.1 = 0.32²) of the amplitude."""
 LEAST_LEFT = 0.1
 """Share of the gap on held-out data that must be left, and be beyond chance, before it is spoken of."""
-UNKNOWN_DOUBT = 8.0
-"""Log odds against a shapeless pattern of no name where a name explains as much."""
-LEAN_DOUBT = 4.0
-"""The same against a nameless jump."""
-BEYOND_DOUBT = 0.0
+UNKNOWN_PENALTY = 8.0
+"""Log odds against a shapeless pattern where a name explains as much."""
+LEAN_PENALTY = 4.0
+"""The same against a jump of no known cause."""
+BEYOND_PENALTY = 0.0
 """The same against a lean pattern of physics that no effect has: it errs no more than a name's forms do, and is
 one cause as an effect is one."""
-IMITATION_DOUBT = 3.0
+IMITATION_PENALTY = 3.0
 """The same against what has no name and does exactly what an effect does, but of any size: one in twenty."""
-DECOY_SHARE = 0.2
-"""Share of what an effect's decoys explain by which a name must beat them."""
+CONTROL_SHARE = 0.2
+"""Share of what an effect's negative controls explain by which a name must beat them."""
 CONFUSED = 3.0
-"""Sets closer than this in log evidence (odds of 20) cannot be told apart."""
+"""Sets closer than this in log evidence (odds of 20) are indistinguishable."""
 VIBRATION_ALARM = 6.0
 """Least log evidence of lines in the dwells' spectrum; white noise passes it about once in 10⁵ logs."""
-STEADY_ALARM = 12.0
+COHERENT_ALARM = 12.0
 """Least log evidence of lines that keep their phase from dwell to dwell; of logs without any one in twenty shows 4,
 one in 10⁵ this."""
 GROWS = 3.0
-"""Log evidence from which a line is said to grow with the path."""
+"""Log evidence from which a line counts as growing with the path."""
 BACKGROUND_ALARM = 12.0
 """Least log evidence of smooth noise inside the dwells beyond white."""
 LEAST_GROWTH = 0.75

@@ -24,10 +24,10 @@ from stepdiag_ros.gap.constants import (
 )
 from stepdiag_ros.gap.diagnosis import AXIS_LIKE, Diagnosis, Found
 from stepdiag_ros.gap.experiment_design.advice import advise
-from stepdiag_ros.gap.experiment_design.competing_models import confused, rivals_of, separations
+from stepdiag_ros.gap.experiment_design.competing_models import competing_models, confused, separations
 from stepdiag_ros.gap.inference.discrepancy import residual
-from stepdiag_ros.gap.inference.evidence import width_of
-from stepdiag_ros.gap.inference.initialisation import GROSS
+from stepdiag_ros.gap.inference.evidence import prior_sigma_of
+from stepdiag_ros.gap.inference.initialisation import LARGE
 from stepdiag_ros.gap.inference.joint import Joint, unexplained
 from stepdiag_ros.gap.inference.noise_or_effects import settle_in_noise
 from stepdiag_ros.gap.inference.search import NOTHING, EffectSet, probabilities
@@ -39,7 +39,7 @@ from stepdiag_ros.gap.preprocess.clocks import Late, set_clocks
 from stepdiag_ros.gap.preprocess.detector_range import within_range
 from stepdiag_ros.gap.preprocess.observe import observe
 from stepdiag_ros.gap.preprocess.samples import clean
-from stepdiag_ros.gap.summary.cross_validation import Closing, closing, excess_forecast
+from stepdiag_ros.gap.summary.cross_validation import CrossValidation, cross_validated, excess_forecast
 from stepdiag_ros.gap.summary.hint import hint_of
 from stepdiag_ros.gap.summary.where import shares
 from stepdiag_ros.model.log import CalibrationLog
@@ -49,7 +49,7 @@ BEYOND_PATTERNS = 0.95
 
 
 UNTIMED = ('the readings drift in the order in which they were taken; the times of this table are made up, so that no '
-           'thermal cause and no time constant can be told')
+           'thermal cause and no time constant can be named')
 
 
 def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
@@ -65,7 +65,7 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
     if not best.members:
         # Below the alarm nothing is claimed, whatever the odds between the sets say.
         joint = alone
-    how_far, shakes = closing(joint, alone), disturbances.unrest.shakes
+    how_far, shakes = cross_validated(joint, alone), disturbances.dwell_spectrum.shakes
     found = [_found(name, effects[name], names.get(name, 0.0), joint)
              for name in dict.fromkeys(a.effect.name for a in joint.active) if name in best.key]
     untimed = set() if log.description.timed else {f.name for f in found if effects[f.name].needs_times}
@@ -73,38 +73,38 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
     if untimed:
         names = {**{n: p for n, p in names.items() if n not in untimed}, UNKNOWN: max(names[n] for n in untimed)}
     beside = [*([_late(late)] if late else []),
-              *([_shaking(effects, disturbances.unrest.displacement)] if shakes else [])]
+              *([_shaking(effects, disturbances.dwell_spectrum.displacement)] if shakes else [])]
     outside = {f.name: f.probability for f in beside}
     found = sorted([*found, *beside], key=lambda f: -f.probability)
     # Of several patterns the first explains the most.
-    leftover = next((screen.candidates[m.candidate].form.label for m in best.members if m.effect == UNKNOWN), '')
-    leftover = leftover or (UNTIMED if untimed else '')
+    unmodelled = next((screen.candidates[m.candidate].form.label for m in best.members if m.effect == UNKNOWN), '')
+    unmodelled = unmodelled or (UNTIMED if untimed else '')
     before, instead = disturbances.words({name: names.get(name, 0.0) for name in best.key})
-    leftover = before or leftover or instead
-    if not leftover and not shakes:
-        leftover = _without_pattern(joint, how_far, bool(found))
-    if leftover and UNKNOWN not in best.key and not untimed:
+    unmodelled = before or unmodelled or instead
+    if not unmodelled and not shakes:
+        unmodelled = _without_pattern(joint, how_far, bool(found))
+    if unmodelled and UNKNOWN not in best.key and not untimed:
         outside[UNKNOWN] = BEYOND_PATTERNS
-    if found and not leftover and (how_far.left > LEAST_LEFT and how_far.after > 1.0 or how_far.after > GROSS**2):
-        leftover = (f'{100.0 * how_far.left:.2g} % of the gap does not follow the forms known of what was named '
+    if found and not unmodelled and (how_far.left > LEAST_LEFT and how_far.after > 1.0 or how_far.after > LARGE**2):
+        unmodelled = (f'{100.0 * how_far.left:.2g} % of the gap does not follow the forms known of what was named '
                     f'({np.sqrt(how_far.after):.2g} times the noise is left)')
-    hint = None if best.members or leftover else hint_of(sets, len(effects) + 1, screen)
+    hint = None if best.members or unmodelled else hint_of(sets, len(effects) + 1, screen)
     doubtful = hint.found if hint else best
     groups = tuple(group for group in confused(sets, doubtful) if not untimed & set(group))
-    words, run = advise(joint, rivals_of(screen, effects, sets, doubtful, groups, hint is not None), groups,
-                        bool(leftover), hint.settles if hint else None)
+    words, run = advise(joint, competing_models(screen, effects, sets, doubtful, groups, hint is not None), groups,
+                        bool(unmodelled), hint.settles if hint else None)
     return Diagnosis(
-        log, _verdict(found, leftover), how_far, shares(joint, found, bool(leftover)), tuple(found),
+        log, _verdict(found, unmodelled), how_far, shares(joint, found, bool(unmodelled)), tuple(found),
         {**names, **outside, NOTHING: nothing * float(np.prod([1.0 - p for p in outside.values()]))},
         tuple((tuple(sorted({*(UNKNOWN if n in untimed else n for n in s.names), *outside})), w)
               for s, w in zip(sets, weights, strict=True))[:20],
-        groups, observation, joint, clocks, disturbances.unrest.displacement, leftover,
+        groups, observation, joint, clocks, disturbances.dwell_spectrum.displacement, unmodelled,
         log.warnings + observation.table.warnings + ((beyond_range,) if beyond_range else ()) + left_out
-        + stated(joint, disturbances.widths), sets, screen, words, run,
+        + stated(joint, disturbances.quanta), sets, screen, words, run,
         separations(sets, doubtful), hint, len(effects) + 1)
 
 
-def _without_pattern(joint: Joint, how_far: Closing, found: bool) -> str:
+def _without_pattern(joint: Joint, how_far: CrossValidation, found: bool) -> str:
     """Scatter beyond the noise and the discrepancies of the forms, or runs predicted worse than it, in words; '' where
     there is none."""
     rest = residual(joint.parity, joint.active, joint.observation.view)
@@ -126,7 +126,7 @@ def _found(name: str, effect: Effect, probability: float, joint: Joint) -> Found
         active, suffix = mine[k], '' if rank == 0 else f' ({rank + 1})'
         sigma = np.sqrt(np.diag(active.covariance))
         # A coefficient as wide as it was before the log is not of this log: an axis that never moved.
-        widest = 0.99 * width_of(active.form) * active.form.scale
+        widest = 0.99 * prior_sigma_of(active.form) * active.form.scale
         for n, value, s, wide in zip(active.form.names, active.coefficients, sigma, widest, strict=True):
             if s < wide:
                 # Along an axis there is one size: what one form says of it the next takes back in part.
@@ -161,7 +161,7 @@ def _late(late: Mapping[str, Late]) -> Found:
 def _shaking(effects: Mapping[str, Effect], seen: Vibration) -> Found:
     effect = effects.get('vibration', Effect())
     probability = float(1.0 / (1.0 + np.exp(-min(seen.log_bayes, 30.0))))
-    line = 'a line in the spectrum of the dwells' + (', of one phase through many' if seen.steady else '')
+    line = 'a line in the spectrum of the dwells' + (', of one phase through many' if seen.coherent else '')
     alike = ' and '.join(f'{hertz:.3g} Hz' for hertz in seen.aliases)
     return Found('vibration', effect.title, probability,
                  {'frequency_Hz': seen.frequency, 'amplitude_m': seen.amplitude},
@@ -169,9 +169,9 @@ def _shaking(effects: Mapping[str, Effect], seen: Vibration) -> Found:
                  f'{effect.remedy} Sampled at {seen.rate:.3g} Hz, {alike} look the same.'.lstrip())
 
 
-def _verdict(found: list[Found], leftover: str) -> str:
-    if not found and not leftover:
+def _verdict(found: list[Found], unmodelled: str) -> str:
+    if not found and not unmodelled:
         return 'no_gap'
     if not found:
         return 'unexplained'
-    return 'partly_explained' if leftover else 'explained'
+    return 'partly_explained' if unmodelled else 'explained'

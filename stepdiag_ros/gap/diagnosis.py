@@ -17,7 +17,7 @@ from stepdiag_ros.gap.preprocess.observe import Observation
 from stepdiag_ros.gap.preprocess.timing import Timing
 from stepdiag_ros.gap.summary.bands import Band, bands
 from stepdiag_ros.gap.summary.correlates import Correlate, correlates
-from stepdiag_ros.gap.summary.cross_validation import Closing, closing_over_setups
+from stepdiag_ros.gap.summary.cross_validation import CrossValidation, cross_validated_by_setup
 from stepdiag_ros.gap.summary.explain import Weighed, weighed
 from stepdiag_ros.gap.summary.hint import Hint
 from stepdiag_ros.gap.summary.margins import Margins, margins
@@ -59,7 +59,7 @@ class Diagnosis:
 
     log: CalibrationLog
     verdict: str
-    closing: Closing
+    cross_validation: CrossValidation
     shares: tuple[Share, ...]
     effects: tuple[Found, ...]
     ranking: Mapping[str, float]
@@ -69,7 +69,7 @@ class Diagnosis:
     joint: Joint
     clocks: Mapping[str, Timing | None]
     shaking: Vibration | None
-    leftover: str
+    unmodelled: str
     warnings: tuple[str, ...]
     raw: list[EffectSet]
     screen: Screen
@@ -83,7 +83,7 @@ class Diagnosis:
         """``gap.json`` of the contract, and more beside it."""
         return {
             'verdict': self.verdict,
-            'gap': self.closing.to_json_dict(),
+            'gap': self.cross_validation.to_json_dict(),
             'over_setups': self.over_setups.to_json_dict() if self.over_setups else None,
             'where': [share.to_json_dict() for share in self.shares],
             'shares': self.margins.to_json_dict() if self.margins else None,
@@ -96,7 +96,7 @@ class Diagnosis:
             'hint': self.hint.to_json_dict() if self.hint else None,
             'next_measurement': self.next_measurement,
             'next_run': self.next_run.to_json_dict() if self.next_run else None,
-            'unknown': self.leftover or None,
+            'unknown': self.unmodelled or None,
             'correlates': [one.to_json_dict() for one in self.correlates],
             'ranking': dict(sorted(self.ranking.items(), key=lambda item: -item[1])),
             'sets': [{'names': list(names), 'probability': p} for names, p in self.sets],
@@ -117,7 +117,7 @@ class Diagnosis:
     @property
     def only_stamps(self) -> bool:
         """Whether nothing is wrong but stamps: at rest that changes nothing."""
-        return [found.name for found in self.effects] == [STAMPS] and not self.leftover
+        return [found.name for found in self.effects] == [STAMPS] and not self.unmodelled
 
     @cached_property
     def margins(self) -> Margins | None:
@@ -126,7 +126,7 @@ class Diagnosis:
             return None
         stamps = sum((found.parameters[name] / found.sigma[name]) ** 2
                      for found in self.effects if found.name == STAMPS for name in found.sigma)
-        return margins(self.joint, bool(self.leftover), stamps, standing=not self.only_stamps)
+        return margins(self.joint, bool(self.unmodelled), stamps, standing=not self.only_stamps)
 
     @cached_property
     def bands(self) -> tuple[Band, ...]:
@@ -134,14 +134,14 @@ class Diagnosis:
         return bands(self.joint)
 
     @cached_property
-    def over_setups(self) -> Closing | None:
-        """How far the gap closes where each setup is foretold from the others; None of a log of one setup."""
-        return closing_over_setups(self.joint)
+    def over_setups(self) -> CrossValidation | None:
+        """How far the gap closes where each setup is predicted from the others; None of a log of one setup."""
+        return cross_validated_by_setup(self.joint)
 
     @cached_property
     def correlates(self) -> tuple[Correlate, ...]:
-        """With what a structure without a name goes; none where there is no such."""
-        return correlates(self.joint) if self.leftover else ()
+        """What an unmodelled structure correlates with; none where there is no such."""
+        return correlates(self.joint) if self.unmodelled else ()
 
     @cached_property
     def volume_change(self) -> VolumeChange | None:

@@ -114,9 +114,9 @@ def _stops(first: Solution, first_applied: Volume | None, second: Solution, seco
     machine = log.description.machine
     names, before, after, variance = [], [], [], []
     for setup in log.description.setups:
-        course = stops(log.description, setup)
+        path = stops(log.description, setup)
         along = setup_direction(machine, log.description.setups[setup])
-        sides = [_lengths(solution, machine, course.positions, along, setup, applied)
+        sides = [_lengths(solution, machine, path.positions, along, setup, applied)
                  for solution, applied in ((first, first_applied), (second, second_applied))]
         if any(side is None for side in sides):
             continue

@@ -62,7 +62,7 @@ def _runs_in(folder: Path) -> list[int]:
 class LinuxCnc:
     """One LinuxCNC, run from a copy of ``configuration`` (a folder with ``machine.ini``); a context manager.
 
-    ``port``: where its linuxcncrsh listens.  ``folder``: the copy; it goes with :meth:`stop`.
+    ``port``: where its linuxcncrsh listens.  ``folder``: the copy, removed by :meth:`stop`.
     """
 
     def __init__(self, configuration: Path, port: int | None = None):

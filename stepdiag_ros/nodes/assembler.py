@@ -1,6 +1,6 @@
 """From messages to a :class:`CalibrationLog`, by the very functions that read a bag.
 
-The solver node keeps what it hears here, and ``stepdiag replay`` sends a bag's
+The solver node keeps what it receives here, and ``stepdiag replay`` sends a bag's
 messages through it.  Messages are put in the order (stamp, sequence) by
 :mod:`stepdiag_ros.bag`, so that the order of arrival leaves no trace in the result.
 """
@@ -60,7 +60,7 @@ class LogAssembler:
         """The log of what has been added; :class:`StepdiagError` names what is missing."""
         absent = self.missing()
         if absent:
-            raise StepdiagError(f'{self.source}: nothing was heard on '
+            raise StepdiagError(f'{self.source}: nothing was received on '
                                 f'{", ".join(f"{self.namespace}/{t}" for t in absent)}; '
                                 'run a calibration first')
         tables = Tables()

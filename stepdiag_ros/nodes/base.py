@@ -129,7 +129,7 @@ class StepdiagNode(LifecycleNode):
         """Stop working; publishers are still open."""
 
     def cleanup(self) -> None:
-        """Give back what ``configure`` took; may be called twice."""
+        """Release what ``configure`` took; may be called twice."""
 
     def health(self) -> Health:
         """How the node is; called once a second in every state."""

@@ -19,6 +19,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import yaml
 
@@ -26,9 +27,16 @@ from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.guard.missing import missing
 from stepdiag_ros.guard.show import escaped
 from stepdiag_ros.nodes import environment
-from stepdiag_ros.nodes.graph import LISTENERS, NODES, PARAMETERS, hardware_endpoints, namespace_of, write_graph
+from stepdiag_ros.nodes.graph import (
+    LISTENERS,
+    NODES,
+    PARAMETERS,
+    hardware_endpoints,
+    namespace_of,
+    write_graph,
+)
 from stepdiag_ros.nodes.ownership import CELL as CELL_OWNER
-from stepdiag_ros.nodes.ownership import Ownership
+from stepdiag_ros.nodes.ownership import Ownership, machines_up
 from stepdiag_ros.virtual.acting import allow_effect_files
 from stepdiag_ros.virtual.cell import Cell, load_cell
 
@@ -39,6 +47,8 @@ GRACE_S = 15.0
 LOOK_AROUND_S = 1.5
 #: A node that dies this often within a minute is left alone.
 RESTARTS_A_MINUTE = 5
+#: Measured by bench/bench_hall.py: more, and the instruments' samples are late.
+MACHINES_A_PROCESSOR = 2
 _PR_SET_PDEATHSIG = 1
 _LIBC = ctypes.CDLL(None, use_errno=True)
 
@@ -71,25 +81,36 @@ class _Machine:
     bag: Path | None
 
 
+@dataclass(frozen=True)
+class Part:
+    """What one bringup starts of a hall: virtual ``instruments``; ``endpoints`` that others of the hall serve;
+    ``owner`` is the mark that its namespace bears."""
+
+    instruments: tuple[str, ...]
+    endpoints: dict[str, dict[str, Any]]
+    owner: str = CELL_OWNER
+
+
 class Bringup:
     """A running cell; a context manager.
 
-    ``say(text)`` is told what happens.  ``runtime`` holds logs, parameters and the
+    ``say(text)`` reports what happens.  ``runtime`` holds logs, parameters and the
     instruments' addresses; without it a temporary directory is made, and removed when
     all went well.  ``steps``: of each axis along a diagonal, 0: the cell's.  Machines that
     share the laser (``multiplexer`` in the cell file) come up together, each in its own
-    namespace.
+    namespace.  ``part``: what is started of a cell that stands in a hall.
     """
 
     def __init__(self, cell_path: str | Path, *, hardware: bool = False, namespace: str | None = None,
                  bag: Path | None = None, bag_folder: Path = Path('.'), runtime: Path | None = None,
                  domain: int | None = None, nodes: tuple[str, ...] = NODES, steps: int = 0,
-                 say: Callable[[str], None] = lambda text: None):
+                 part: Part | None = None, say: Callable[[str], None] = lambda text: None):
         if find_spec('stepdiag_msgs') is None:
             raise StepdiagError(f'bringup needs {missing("stepdiag_msgs")}')
         self.cell_path = Path(cell_path)
         cell = load_cell(cell_path)
-        others = [load_cell(file) for file in cell.instruments.machine_files]
+        others = [load_cell(file) for file in cell.instruments.machine_files] if part is None else []
+        self._part = part
         if others and namespace is not None:
             raise StepdiagError(f'{cell_path}: --namespace cannot be given where machines share a laser; '
                                 "their namespaces are the machines' names")
@@ -100,7 +121,8 @@ class Bringup:
         self._own_runtime = runtime is None
         self.runtime = Path(tempfile.mkdtemp(prefix='stepdiag-')) if runtime is None else runtime
         self.runtime.mkdir(parents=True, exist_ok=True)
-        self.machines = [_Machine(cell, self.namespace, nodes, self.runtime, bag)]
+        own = (*nodes, 'multiplexer') if others else nodes
+        self.machines = [_Machine(cell, self.namespace, own, self.runtime, bag)]
         for other in others:
             name = other.description.machine.name
             self.machines.append(_Machine(
@@ -176,7 +198,8 @@ class Bringup:
         """Take the namespaces; :class:`StepdiagError` if somebody has one."""
         self._say(f'network: {self._network}')
         for machine in self.machines:
-            self._owned.append(Ownership(machine.namespace, CELL_OWNER))
+            self._owned.append(Ownership(machine.namespace, CELL_OWNER if self._part is None
+                                         else self._part.owner))
         # Nodes that were started otherwise, or on another computer of an open network.
         operator, end = self.operator, time.monotonic() + LOOK_AROUND_S
         spaces = {machine.namespace for machine in self.machines}
@@ -190,23 +213,42 @@ class Bringup:
 
     def _endpoints(self) -> dict[str, dict]:
         """The instruments' addresses by machine; a virtual cell is started for them."""
+        if self._part is not None:
+            return {self.namespace: self._part_endpoints(self._part)}
         if self.hardware:
             found = {m.namespace: hardware_endpoints(m.cell) for m in self.machines[:1]}
             for machine in self.machines[1:]:
                 found[machine.namespace] = found[self.namespace] | {
                     k: v for k, v in hardware_endpoints(machine.cell).items() if k in ('psd', 'cnc')}
             return found
+        first = self._virtual()
+        self._say(f'virtual cell {self.machines[0].cell.description.machine.name} is up')
+        found = {self.namespace: first} | {
+            namespace_of(name): yaml.safe_load(Path(path).read_text(encoding='utf-8'))
+            for name, path in first.get('machines', {}).items()}
+        for endpoints in found.values():
+            if 'switch' in endpoints:
+                endpoints['switch']['owner'] = self.namespace
+        return found
+
+    def _part_endpoints(self, part: Part) -> dict[str, Any]:
+        if self.hardware:
+            switch = ('switch',) if 'interferometer' in part.instruments else ()
+            own = hardware_endpoints(self.machines[0].cell, (*part.instruments, *switch))
+        else:
+            own = self._virtual('--instruments', *part.instruments)
+        own = {name: where for name, where in own.items() if isinstance(where, dict)}
+        return {name: own.get(name, {}) | part.endpoints.get(name, {}) for name in (*own, *part.endpoints)}
+
+    def _virtual(self, *options: str) -> dict[str, Any]:
+        """Start the virtual cell; the addresses of its instruments."""
         file = self.runtime / 'endpoints.yaml'
         file.unlink(missing_ok=True)
         self._spawn(_Child(CELL, [sys.executable, '-m', 'stepdiag_ros.virtual.cell_process',
                                   str(self.cell_path), '--runtime', str(self.runtime),
-                                  '--truth', str(self.truth_file)], None))
+                                  '--truth', str(self.truth_file), *options], None))
         self._await(file.exists, CELL)
-        self._say(f'virtual cell {self.machines[0].cell.description.machine.name} is up')
-        first = yaml.safe_load(file.read_text(encoding='utf-8'))
-        return {self.namespace: first} | {
-            namespace_of(name): yaml.safe_load(Path(path).read_text(encoding='utf-8'))
-            for name, path in first.get('machines', {}).items()}
+        return yaml.safe_load(file.read_text(encoding='utf-8'))
 
     def _command(self, machine: _Machine, node: str) -> list[str]:
         return [sys.executable, '-m', f'stepdiag_ros.nodes.{node}', '--ros-args',
@@ -333,14 +375,36 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help='where new bags are made (default: here)')
     parser.add_argument('--runtime', type=Path, metavar='DIR',
                         help='directory for logs and parameters (default: a temporary one)')
+    add_most(parser)
     parser.add_argument('--effect', metavar='FILE.py', action='append', default=[],
                         help='let the cell file name this Python file with an effect of your own; it is run, so '
                              'give only files that you trust')
 
 
+def machines_carried() -> int:
+    """How many machines this computer carries by what was measured."""
+    return MACHINES_A_PROCESSOR * len(os.sched_getaffinity(0))
+
+
+def add_most(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument('--most', type=int, metavar='N', default=machines_carried(),
+                        help='refuse to have more machines up on this computer (default: what one of its processors '
+                             f'was measured to carry, {MACHINES_A_PROCESSOR}, times its processors: %(default)s)')
+
+
+def refuse_too_many(more: int, most: int, what: str) -> None:
+    """:class:`StepdiagError` where ``more`` machines beside those that are up are more than ``most``."""
+    up = machines_up()
+    if len(up) + more > most:
+        beside = f' beside {len(up)} that are up' if up else ''
+        raise StepdiagError(f'{what}: {more} machine{"s" if more > 1 else ""}{beside} are more than the {most} that '
+                            'this computer carries; samples would be lost.  Take fewer, or give --most')
+
+
 def run(arguments: argparse.Namespace) -> int:
     """Bring up and watch until Ctrl-C or SIGTERM."""
     allow_effect_files(arguments.effect)
+    refuse_too_many(1 + len(load_cell(arguments.cell).instruments.machine_files), arguments.most, str(arguments.cell))
     asked: list[int] = []
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda got, _frame: asked.append(got))

@@ -26,7 +26,7 @@ def prepare(network: str | None = None) -> str:
     """Set the scope of the network, ``loopback`` or ``open``, for this process and those it starts.
 
     Without ``network`` it is what ``STEPDIAG_NETWORK`` says, loopback otherwise.  To be called before
-    rclpy is imported.  Returns what is to be said of it: on loopback what of the environment is
+    rclpy is imported.  Returns what is to be reported of it: on loopback what of the environment is
     not followed (mostly nothing), with an open network a warning.
     """
     os.environ.setdefault('RMW_IMPLEMENTATION', 'rmw_fastrtps_cpp')

@@ -1,6 +1,6 @@
 """The solver's node: evaluates what the graph delivers, and publishes the errors.
 
-It hears the same messages as the recorder, keeps them, and gives them to the same pure
+It receives the same messages as the recorder, keeps them, and gives them to the same pure
 function as ``stepdiag evaluate BAG`` does: the result has the same bits.  It evaluates by
 itself when a calibration has ended, and on the service ``evaluate``.  Activating begins
 a new log.
@@ -59,7 +59,7 @@ class EvaluationSolver(ListenerNode):
             self._evaluate()
 
     def _on_evaluate(self, _request, response: Trigger.Response) -> Trigger.Response:
-        """Waits for the result; messages are kept meanwhile, the ears have a thread of their own."""
+        """Waits for the result; messages are kept meanwhile, the raw subscription has a thread of its own."""
         response.success, response.message = self._evaluate()
         return response
 
@@ -73,7 +73,7 @@ class EvaluationSolver(ListenerNode):
             except StepdiagError as error:
                 return self._refuse(str(error))
             except Exception as error:
-                # The solver lives on, and keeps what it hears, whatever a log does to the evaluation.
+                # The solver lives on, and keeps what it receives, whatever a log does to the evaluation.
                 self.get_logger().error(traceback.format_exc())
                 return self._refuse(f'the evaluation failed: {type(error).__name__}: {error}')
             message = errors_message(solution, time.time_ns())
@@ -89,13 +89,13 @@ class EvaluationSolver(ListenerNode):
         return False, why
 
     def health(self) -> Health:
-        hearing = self.health_of_listening()
-        values = {**hearing.values, 'last': self._last}
-        if hearing.level == OK and self._failed:
+        listening = self.health_of_listening()
+        values = {**listening.values, 'last': self._last}
+        if listening.level == OK and self._failed:
             return Health(ERROR, self._last, values)
-        if hearing.level == OK and self._working.locked():
+        if listening.level == OK and self._working.locked():
             return Health(OK, 'evaluating', values)
-        return replace(hearing, values=values)
+        return replace(listening, values=values)
 
 
 def main() -> int:

@@ -105,10 +105,10 @@ class GapMonitor(ListenerNode):
         seen, wait_s = 0, 1.0
         while not self._stop.wait(wait_s):
             wait_s = self.value('period')
-            heard = self.steps_heard()
-            if heard == seen:
+            received = self.steps_received()
+            if received == seen:
                 continue
-            seen, began = heard, time.process_time()
+            seen, began = received, time.process_time()
             with self._working:
                 try:
                     self._leaving = leaving(evaluate(self.log_so_far()))
@@ -152,14 +152,14 @@ class GapMonitor(ListenerNode):
         return False, why
 
     def health(self) -> Health:
-        hearing = self.health_of_listening()
+        listening = self.health_of_listening()
         state = self._leaving
-        values = {**hearing.values, 'verdict': self._verdict or 'none yet'}
+        values = {**listening.values, 'verdict': self._verdict or 'none yet'}
         if state is not None:
             values |= {'reduced_chi2': state.reduced_chi2, 'dof': state.dof,
                        'excess_sigmas': state.sigmas, 'worst_setup': state.worst_setup}
-        if hearing.level != OK or self.state != 'active':
-            return replace(hearing, values=values)
+        if listening.level != OK or self.state != 'active':
+            return replace(listening, values=values)
         if self._fault_of_work:
             return Health(ERROR, self._fault_of_work, values)
         if state is not None and state.sigmas > self.value('alarm'):

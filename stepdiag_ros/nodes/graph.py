@@ -5,7 +5,7 @@ as a ROS parameter file that ``ros2 run … --params-file`` takes too.
 """
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,11 +15,14 @@ import yaml
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.virtual.cell import Cell
 
-#: Nodes that keep the log: they hear all of it or the sequencer does not begin.
+#: Nodes that keep the log: they receive all of it or the sequencer does not begin.
 LISTENERS = ('recorder', 'evaluation_solver', 'gap_monitor')
 #: Nodes of a machine, in the order in which they are made active: those that listen
 #: first, the sequencer last.
 NODES = (*LISTENERS, 'interferometer_driver', 'psd_driver', 'step_sequencer')
+#: Nodes of an interferometer that machines share; they stand in the namespace of its owner.
+LEASE_S = 5.0
+SOURCE_NODES = ('interferometer_driver', 'multiplexer')
 PARAMETERS = 'parameters.yaml'
 DESCRIPTION_FILE = 'cell_description.yaml'
 
@@ -39,8 +42,8 @@ def namespace_of(machine: str) -> str:
     return '/' + (name if not name[0].isdigit() else f'm{name}')
 
 
-def hardware_endpoints(cell: Cell) -> dict[str, dict[str, Any]]:
-    """Addresses of real instruments as the cell file gives them; each needs a port."""
+def hardware_endpoints(cell: Cell, wanted: Sequence[str] = ()) -> dict[str, dict[str, Any]]:
+    """Addresses of real instruments as the cell file gives them; each (of the ``wanted``) needs a port."""
     instruments = cell.instruments
     found = {'interferometer': {'host': instruments.interferometer.host,
                                 'port': instruments.interferometer.port},
@@ -51,10 +54,11 @@ def hardware_endpoints(cell: Cell) -> dict[str, dict[str, Any]]:
                      **({'watch_port': instruments.watch_port} if instruments.watch_port else {})}}
     if instruments.multiplexer:
         found['switch'] = {'host': instruments.switch.host, 'port': instruments.switch.port,
-                           'channels': {m: i + 1 for i, m in enumerate(instruments.multiplexer)}}
+                           'channels': {m: i + 1 for i, m in enumerate(instruments.multiplexer)},
+                           'owner': namespace_of(cell.description.machine.name)}
     for name, where in found.items():
         for key in ('port', 'stream_port'):
-            if where.get(key) == 0:
+            if where.get(key) == 0 and (not wanted or name in wanted):
                 raise StepdiagError(f'{cell.source}: instruments.{name}.{key} is 0; '
                                     'give the port of the real instrument')
     return found
@@ -70,11 +74,9 @@ def parameters(cell: Cell, endpoints: Mapping[str, Mapping[str, Any]], descripti
     drivers = cell.instruments.drivers
     beams = max(len(setup.beams) for setup in cell.description.setups.values())
 
-    switch: dict[str, Any] = {'serves': ['']}
-    if endpoints.get('switch'):
-        switch = {'switch_host': endpoints['switch']['host'], 'switch_port': endpoints['switch']['port'],
-                  'serves': [f'{namespace_of(machine).strip("/")}={channel}' for machine, channel
-                             in endpoints['switch']['channels'].items()]}
+    switch = endpoints.get('switch') or {}
+    serves = [f'{namespace_of(machine).strip("/")}={channel}' for machine, channel
+              in switch.get('channels', {}).items()] or ['']
 
     def rate(value: float) -> dict[str, Any]:
         return {'sample_rate': float(value), 'block_samples': max(1, round(value * sampling.block))}
@@ -87,7 +89,9 @@ def parameters(cell: Cell, endpoints: Mapping[str, Mapping[str, Any]], descripti
             'driver': drivers['interferometer'],
             'host': where['interferometer']['host'], 'port': where['interferometer']['port'],
             'setup': first, 'beams': beams, 'environment_period': max(0.5, float(cell.air.period)),
-            **switch, **rate(sampling.interferometer)},
+            'serves': serves, **rate(sampling.interferometer)},
+        **({'multiplexer': {'host': switch['host'], 'port': switch['port'],
+                            'lease': switch.get('lease', LEASE_S), 'serves': [*serves]}} if switch else {}),
         'psd_driver': {
             'driver': drivers['psd'],
             'host': where['psd']['host'], 'port': where['psd']['port'],
@@ -105,7 +109,9 @@ def parameters(cell: Cell, endpoints: Mapping[str, Mapping[str, Any]], descripti
             'setup_codes': [f'{setup}={code}' for setup, code in codes.items()] or [''],
             'lease': float(cell.client.lease), 'lost_client': cell.client.lost,
             # Where no code mounts the mirrors, as on most machines, a person does.
-            'ask_operator': not codes},
+            'ask_operator': not codes,
+            **({'light': f'{switch["owner"]}/use_source',
+                'light_priority': switch.get('priority', 0)} if switch else {})},
     }
 
 

@@ -4,9 +4,8 @@ Services ``interferometer/select_setup`` and ``interferometer/reset`` are called
 sequencer at the start of each run.
 
 One instrument may serve several machines through an optical switch: the parameter
-``serves`` names their namespaces and channels.  The blocks go to the machine whose setup
-was selected last; it keeps the laser until it selects no setup any more (an empty name)
-or has been idle for ``hold``.
+``serves`` names their namespaces and channels.  Whose the readings are, the multiplexer says
+(service ``interferometer/route``), who owns the switch; until it does they are nobody's.
 """
 
 import array
@@ -18,16 +17,15 @@ import numpy as np
 from sensor_msgs.msg import FluidPressure, RelativeHumidity, Temperature
 from std_msgs.msg import Header
 
-from stepdiag_msgs.msg import Displacement, SampleTiming, Step
-from stepdiag_msgs.srv import ResetDisplacement
-from stepdiag_ros.bag.schemas import DISPLACEMENT_TIMING, STEP
+from stepdiag_msgs.msg import Displacement, SampleTiming
+from stepdiag_msgs.srv import ResetDisplacement, RouteSource
+from stepdiag_ros.bag.schemas import DISPLACEMENT_TIMING
 from stepdiag_ros.devices.base import DisplacementBlock, Interferometer
 from stepdiag_ros.devices.hostclock import HOST
 from stepdiag_ros.devices.ids3010 import PORT
-from stepdiag_ros.devices.optical_switch import PORT as SWITCH_PORT
-from stepdiag_ros.devices.optical_switch import OpticalSwitch
+from stepdiag_ros.devices.optical_switch import channels
 from stepdiag_ros.errors import StepdiagError
-from stepdiag_ros.nodes.base import ERROR, OK, WARN, Health, reliable, run_node
+from stepdiag_ros.nodes.base import ERROR, OK, WARN, Health, run_node
 from stepdiag_ros.nodes.driver import DriverNode
 from stepdiag_ros.nodes.stamps import stamp_of
 
@@ -60,26 +58,17 @@ class InterferometerDriver(DriverNode):
         super().__init__('interferometer_driver', PORT)
         self.count('beams', 1, 'axes of the instrument that look at the mirror', 1, 3, fixed=True)
         self.number('environment_period', 1.0, 'between two readings of the air', 0.5, 60.0, 's')
-        self.text('switch_host', '', 'host name or address of the optical switch; empty: there is none', fixed=True)
-        self.count('switch_port', SWITCH_PORT, 'TCP port of the optical switch', 1, 65535, fixed=True)
-        self.number('hold', 60.0, 'rest after which a machine loses the laser to another that asks',
-                    1.0, 36_000.0, 's')
         served = self.text('serves', [''], 'machines that share this instrument, namespace=channel of the '
                                            'switch, e.g. left=1; empty: its own machine only', fixed=True)
-        self._channels = _channels(served)
-        self._machines = {prefix: _Machine(self, prefix) for prefix in self._channels}
-        self._prefix = next(iter(self._channels))
-        self._holder: str | None = None
-        self._used_s = 0.0
-        self._switch: OpticalSwitch | None = None
-        for prefix in self._channels:
+        self._machines = {prefix: _Machine(self, prefix) for prefix in channels(served)}
+        #: Whose the readings are; ``None``: nobody's.
+        self._prefix: str | None = None if served and any(served) else next(iter(self._machines))
+        for prefix in self._machines:
             self.serve_select(f'{prefix}interferometer/select_setup', prefix)
             self.create_service(
                 ResetDisplacement, f'{prefix}interferometer/reset',
                 lambda request, response, prefix=prefix: self._on_reset(prefix, response))
-            if len(self._channels) > 1:
-                self.create_subscription(Step, f'{prefix}{STEP}',
-                                         lambda _step, prefix=prefix: self._use(prefix), reliable(100))
+        self.create_service(RouteSource, 'interferometer/route', self._on_route)
         self._next_environment = 0.0
         self._zero_known = False
         self._quality = 0
@@ -87,20 +76,6 @@ class InterferometerDriver(DriverNode):
 
     def build(self) -> Interferometer:
         return self.driver()({name: self.value(name) for name in ('host', 'port', 'beams', 'timeout')})
-
-    def configure(self) -> None:
-        if self.value('switch_host'):
-            self._switch = OpticalSwitch(self.value('switch_host'), self.value('switch_port'),
-                                         self._channels, self.value('timeout'))
-            self._switch.connect()
-            self._switch.select(self._prefix)
-        super().configure()
-
-    def cleanup(self) -> None:
-        super().cleanup()
-        if self._switch is not None:
-            self._switch.close()
-            self._switch = None
 
     def activate(self) -> None:
         # Until the first reset nobody knows from where the distance counts: no signal.
@@ -121,34 +96,40 @@ class InterferometerDriver(DriverNode):
         self._zero_known = False
 
     def select(self, setup: str, prefix: str) -> None:
-        idle_s = time.monotonic() - self._used_s
-        if self._holder not in (None, prefix) and idle_s < self.value('hold'):
-            raise StepdiagError(f'the laser serves {self._holder.strip("/")}, which used it '
-                                f'{idle_s:.0f} s ago')
-        if not setup:
-            self._holder = None
-            return
-        if self._switch is not None and prefix != self._prefix:
-            self._switch.select(prefix)
-            self._zero_known = False
-        self._holder, self._prefix = prefix, prefix
-        self._use(prefix)
+        self._refuse_others(prefix)
         super().select(setup, prefix)
 
-    def _use(self, prefix: str) -> None:
-        if prefix == self._holder:
-            self._used_s = time.monotonic()
+    def _refuse_others(self, prefix: str) -> None:
+        if prefix != self._prefix:
+            raise StepdiagError(f'{prefix.strip("/")} does not have the light; ask the multiplexer for it (use_source)')
 
     def _on_reset(self, prefix: str, response):
         def reset() -> None:
-            if prefix != self._prefix:
-                raise StepdiagError(f'the laser serves {self._prefix.strip("/")}')
+            self._refuse_others(prefix)
             self.instrument.reset()
             self._zero_known = True
-            self._use(prefix)
         return self.between_blocks(reset, response)
 
+    def _on_route(self, request: RouteSource.Request, response: RouteSource.Response) -> RouteSource.Response:
+        prefix = f'/{request.machine.strip("/")}/'
+        if request.machine and prefix not in self._machines:
+            response.success, response.message = False, f'{request.machine!r} is not served here'
+            return response
+        if not request.machine:
+            self._prefix = None   # at once: the block in hand may already hold another machine's light
+            response.success = True
+            return response
+
+        def route() -> None:
+            if self._prefix != prefix:
+                self._zero_known, self._next_environment = False, 0.0
+            self._prefix = prefix
+        return self.between_blocks(route, response)
+
     def publish(self, block: DisplacementBlock) -> None:
+        machine = self._machines.get(self._prefix)
+        if machine is None:
+            return
         quality = block.quality if self._zero_known else np.zeros_like(block.quality)
         self._quality, self._index = int(quality.max()), block.refractive_index
         message = Displacement(
@@ -158,11 +139,13 @@ class InterferometerDriver(DriverNode):
             refractive_index=block.refractive_index,
             quality=array.array('B', quality.astype(np.uint8).tobytes()))
         # First when, then what: whoever waits for the samples has their times.
-        self._machines[self._prefix].timing.publish(self.timing_of(block))
-        self._machines[self._prefix].displacement.publish(message)
+        machine.timing.publish(self.timing_of(block))
+        machine.displacement.publish(message)
 
     def _publish_environment(self, readings: dict[str, float], now_ns: int) -> None:
-        machine = self._machines[self._prefix]
+        machine = self._machines.get(self._prefix)
+        if machine is None:
+            return
         for name, value in readings.items():
             if not math.isfinite(value):
                 continue
@@ -177,9 +160,11 @@ class InterferometerDriver(DriverNode):
 
     def more_values(self) -> dict[str, object]:
         return {'quality': self._quality, 'refractive_index': f'{self._index:.9f}',
-                'serving': self._prefix.strip('/')}
+                'serving': (self._prefix or '').strip('/')}
 
     def judge(self, values: dict[str, object]) -> Health:
+        if self._prefix is None:
+            return Health(OK, 'measuring for nobody until the multiplexer says for whom', values)
         if not self._zero_known:
             again = bool(values['reconnects'])
             return Health(ERROR if again else OK, 'connected again, zero unknown until the next reset'
@@ -187,18 +172,6 @@ class InterferometerDriver(DriverNode):
         if values['blocks'] and self._quality == 0:
             return Health(WARN, 'no signal: the beam does not come back', values)
         return super().judge(values)
-
-
-def _channels(served: list[str]) -> dict[str, int]:
-    """``['left=1', 'right=2']`` -> topic prefixes and channels; nothing named: no prefix."""
-    channels = {}
-    for entry in filter(None, served):
-        name, _, channel = entry.partition('=')
-        if not name.strip('/') or not channel.isdigit():
-            raise StepdiagError(f'interferometer_driver: parameter serves holds {entry!r}; '
-                                'write namespace=channel, e.g. left=1')
-        channels[f'/{name.strip("/")}/'] = int(channel)
-    return channels or {'': 1}
 
 
 def main() -> int:

@@ -1,6 +1,6 @@
 """A node that keeps the log of its machine while it is being made.
 
-The solver and the gap monitor hear the same messages as the recorder, keep them in a
+The solver and the gap monitor receive the same messages as the recorder, keep them in a
 :class:`LogAssembler`, and learn from the action's status when a calibration has ended.
 Activating begins a new log.
 """
@@ -20,10 +20,10 @@ from stepdiag_ros.bag.tables import collect
 from stepdiag_ros.model.log import DONE, CalibrationLog
 from stepdiag_ros.nodes.assembler import LogAssembler
 from stepdiag_ros.nodes.base import OK, WARN, Health, StepdiagNode, reliable
-from stepdiag_ros.nodes.ears import HEARS, Ears, Heard
 from stepdiag_ros.nodes.idle import IdleFilter
 from stepdiag_ros.nodes.stamps import ns_of
 from stepdiag_ros.nodes.step_sequencer import ACTION
+from stepdiag_ros.nodes.subscription import RECEIVED_TOPICS, RawSubscription, Received
 
 RECORDER = 'recorder/status'
 #: Longest wait for the recorder's first word.
@@ -43,7 +43,7 @@ class ListenerNode(StepdiagNode):
         self._asked_ns = 0       # since when the recorder's word is waited for; 0: it has come
         self._keeping = threading.Lock()
         self._begin_log()
-        self._ears: Ears | None = None
+        self._subscription: RawSubscription | None = None
         self._running: set[bytes] = set()
 
     def calibration_done(self) -> None:
@@ -52,9 +52,9 @@ class ListenerNode(StepdiagNode):
     def activate(self) -> None:
         self._begin_log()
         self._running.clear()
-        self._ears = Ears(self, TOPICS | {RECORDER: 'stepdiag_msgs/msg/RecorderStatus'}, self._keep,
+        self._subscription = RawSubscription(self, TOPICS | {RECORDER: 'stepdiag_msgs/msg/RecorderStatus'}, self._keep,
                           latched=(DESCRIPTION,))
-        self._ears.start()
+        self._subscription.start()
 
     def _begin_log(self) -> None:
         self._assembler = LogAssembler(self.get_namespace())
@@ -62,19 +62,19 @@ class ListenerNode(StepdiagNode):
         self._missed, self._asked_ns = '', time.time_ns()
 
     def deactivate(self) -> None:
-        if self._ears is not None:
-            self._ears.close()
+        if self._subscription is not None:
+            self._subscription.close()
 
     def cleanup(self) -> None:
         self.deactivate()
-        self._ears = None
+        self._subscription = None
 
-    def _keep(self, heard: Heard) -> None:
-        if heard.topic == RECORDER:
-            self._on_recorder(deserialize_message(heard.cdr, RecorderStatus))
+    def _keep(self, received: Received) -> None:
+        if received.topic == RECORDER:
+            self._on_recorder(deserialize_message(received.cdr, RecorderStatus))
             return
         with self._keeping:
-            self._filter.add(heard.topic, heard.cdr, heard.sequence)
+            self._filter.add(received.topic, received.cdr, received.sequence)
 
     def _on_status(self, array: GoalStatusArray) -> None:
         for status in array.status_list:
@@ -91,7 +91,7 @@ class ListenerNode(StepdiagNode):
         if self._asked_ns and ns_of(status.header.stamp) > self._asked_ns and status.recording:
             self._asked_ns = 0
             held = dict(zip(status.topics, status.received, strict=True)).get(self.resolve_topic_name(STEP), 0)
-            if held > self.steps_heard():
+            if held > self.steps_received():
                 self._missed = status.bag
                 self.get_logger().info(f'runs before are read from {status.bag}')
 
@@ -102,7 +102,7 @@ class ListenerNode(StepdiagNode):
         tables = collect(source, lambda topic: (split_topic(topic) or ('',))[0] == space, tolerant=True)
         return build_log(replace(source, counts=None), tables, space)
 
-    def steps_heard(self) -> int:
+    def steps_received(self) -> int:
         """Step events kept so far."""
         return self._assembler.count(STEP)
 
@@ -123,7 +123,7 @@ class ListenerNode(StepdiagNode):
 
     def whole_log(self) -> CalibrationLog:
         """The log, once the last dwell has ended and its samples have arrived too: topics do not wait for each other,
-        and a run's result may be heard before its last step."""
+        and a run's result may be received before its last step."""
         end = time.monotonic() + SETTLE_S
         while True:
             log = self.log_so_far()
@@ -134,14 +134,14 @@ class ListenerNode(StepdiagNode):
             time.sleep(0.05)
 
     def health_of_listening(self) -> Health:
-        """How the hearing is."""
-        if self._ears is None or self.state != 'active':
+        """Whether what it keeps arrives."""
+        if self._subscription is None or self.state != 'active':
             return Health(OK, self.state)
-        lost = sum(self._ears.lost.values())
-        values = {'messages': len(self._assembler), 'lost': lost, 'steps': self.steps_heard(),
-                  HEARS: self._ears.heard}
-        if self._ears.failure is not None:
-            return Health(WARN, f'hears no more: {self._ears.failure}', values)
+        lost = sum(self._subscription.lost.values())
+        values = {'messages': len(self._assembler), 'lost': lost, 'steps': self.steps_received(),
+                  RECEIVED_TOPICS: self._subscription.received_topics}
+        if self._subscription.failure is not None:
+            return Health(WARN, f'receives nothing more: {self._subscription.failure}', values)
         if lost:
             return Health(WARN, f'{lost} messages were lost', values)
         return Health(OK, 'listening', values)

@@ -26,7 +26,7 @@ from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.action import ActionClient
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
-from rclpy.parameter import Parameter
+from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 from std_srvs.srv import Trigger
@@ -130,7 +130,7 @@ class Operator:
         self.node.destroy_node()
         self._context.try_shutdown()
 
-    # -- what is heard -----------------------------------------------------------
+    # -- what is received -----------------------------------------------------------
 
     def _on_diagnostics(self, array: DiagnosticArray) -> None:
         for status in array.status:
@@ -152,6 +152,11 @@ class Operator:
         """The last diagnostics of one of the machine's nodes."""
         return self._heard.get(f'{self.namespace}/{node}', (0.0, None))[1]
 
+    def healths(self) -> dict[str, tuple[float, DiagnosticStatus]]:
+        """By full name of every node of the graph how long ago [s] it said how it is, and what."""
+        now = time.monotonic()
+        return {name: (now - at, health) for name, (at, health) in list(self._heard.items())}
+
     @property
     def recorder(self) -> RecorderStatus | None:
         """The recorder's last status."""
@@ -160,20 +165,9 @@ class Operator:
     # -- lifecycle and parameters ------------------------------------------------
 
     def state(self, node: str, timeout_s: float = 10.0) -> str:
-        """The node's lifecycle state; :class:`StepdiagError` if it does not answer.
-
-        Asked again every other second: the service of a node that was killed is still
-        known for a while, and what is sent to it is lost.
-        """
-        end = time.monotonic() + timeout_s
-        while True:
-            left = max(0.1, end - time.monotonic())
-            try:
-                return self._call(GetState, f'{node}/get_state', GetState.Request(),
-                                  min(2.0, left)).current_state.label
-            except StepdiagError:
-                if time.monotonic() >= end:
-                    raise
+        """The node's lifecycle state; :class:`StepdiagError` if it does not answer."""
+        return self._call_until_answered(GetState, f'{node}/get_state', GetState.Request(),
+                                         timeout_s).current_state.label
 
     def transition(self, node: str, name: str, timeout_s: float = 60.0) -> bool:
         """Ask for a transition; whether the node made it."""
@@ -207,11 +201,22 @@ class Operator:
             time.sleep(0.05)
         return 'see its log'
 
+    def parameters(self, node: str, names: Sequence[str]) -> list[Any]:
+        """Values of some of a node's parameters."""
+        answer = self._call_until_answered(GetParameters, f'{node}/get_parameters',
+                                           GetParameters.Request(names=list(names)), 10.0)
+        return [parameter_value_to_python(value) for value in answer.values]
+
+    def setups_by_code(self) -> tuple[str, ...]:
+        """Setups that the control mounts by a code, without a hand."""
+        pairs, = self.parameters('step_sequencer', ['setup_codes'])
+        return tuple(pair.partition('=')[0] for pair in pairs if pair)
+
     def set_parameters(self, node: str, values: Mapping[str, Any]) -> None:
         """Change parameters; :class:`StepdiagError` names the one that is refused."""
         request = SetParameters.Request(parameters=[
             Parameter(name, value=value).to_parameter_msg() for name, value in values.items()])
-        answer = self._call(SetParameters, f'{node}/set_parameters', request, 10.0)
+        answer = self._call_until_answered(SetParameters, f'{node}/set_parameters', request, 10.0)
         for (name, value), result in zip(values.items(), answer.results, strict=True):
             if not result.successful:
                 raise StepdiagError(f'{self.namespace}/{node}: parameter {name} cannot be '
@@ -221,7 +226,8 @@ class Operator:
         """Give a node that was started again the parameters that were changed since this facade is here."""
         changed = [p for name, p in self._changed.get(f'{self.namespace}/{node}', {}).items() if name not in but]
         if changed:
-            self._call(SetParameters, f'{node}/set_parameters', SetParameters.Request(parameters=changed), 30.0)
+            self._call_until_answered(SetParameters, f'{node}/set_parameters',
+                                      SetParameters.Request(parameters=changed), 30.0)
 
     def new_log(self, bag: str = '', steps: int = 0) -> None:
         """Begin a new bag, and have those who keep a log of their own begin anew with it.
@@ -255,12 +261,13 @@ class Operator:
             return   # it says nothing; whether it lives is seen by whoever asks it next
         if busy:
             raise StepdiagError(f'{self.namespace} is being calibrated by somebody else; wait until that has ended')
+
     def _name_of(self, bag: str) -> str:
         """The name by which the recorder is asked for a bag; :class:`StepdiagError` if it lies elsewhere."""
         if not bag:
             return ''
-        answer = self._call(GetParameters, 'recorder/get_parameters', GetParameters.Request(names=['bag_folder']), 10.0)
-        folder, wanted = Path(answer.values[0].string_value).expanduser().absolute(), Path(bag).absolute()
+        where, = self.parameters('recorder', ['bag_folder'])
+        folder, wanted = Path(where).expanduser().absolute(), Path(bag).absolute()
         if wanted.parent != folder:
             raise StepdiagError(f'{bag}: the recorder of {self.namespace} makes bags in {folder} alone; give a name '
                                 'there, or start the cell with --bag-folder')
@@ -288,14 +295,14 @@ class Operator:
                                     steps=steps)
         at: dict[str, Any] = {'completed': [], 'run_id': ''}
 
-        def heard(message: Any) -> None:
+        def received(message: Any) -> None:
             at['completed'], at['run_id'] = list(message.feedback.completed), message.feedback.run_id
             if feedback is not None:
                 feedback(message.feedback)
         lost: list[str] = []
         while True:
             try:
-                ended = self._one_goal(goal, heard, meanwhile)
+                ended = self._one_goal(goal, received, meanwhile)
                 break
             except LostGoal as error:
                 if len(lost) >= RESUMES or not at['run_id']:
@@ -310,11 +317,11 @@ class Operator:
         return Calibration(how, ended.result.message + word, (*goal.completed, *ended.result.run_ids),
                            ended.result.stops)
 
-    def _one_goal(self, goal: RunStepDiagonal.Goal, heard: Callable[[Any], None],
+    def _one_goal(self, goal: RunStepDiagonal.Goal, received: Callable[[Any], None],
                   meanwhile: Callable[[], object]) -> Any:
         """Send a goal and wait for its result."""
         self._handle = self.wait(
-            self._asked(lambda: self._action.send_goal_async(goal, feedback_callback=heard)), 30.0,
+            self._asked(lambda: self._action.send_goal_async(goal, feedback_callback=received)), 30.0,
             'the sequencer does not answer the goal')
         if not self._handle.accepted:
             self._handle = None
@@ -391,15 +398,29 @@ class Operator:
         return self.wait(client.call_async(request), timeout_s,
                          f'{self.namespace}/{name} does not answer')
 
+    def _call_until_answered(self, kind: type, name: str, request: Any, timeout_s: float) -> Any:
+        """The answer to a request that may be sent more than once.
+
+        The service of a node that was killed is still known for a while, and what is sent to it alone is lost: so
+        the request is sent again every other second.
+        """
+        end = time.monotonic() + timeout_s
+        while True:
+            try:
+                return self._call(kind, name, request, min(2.0, max(0.1, end - time.monotonic())))
+            except StepdiagError:
+                if time.monotonic() >= end:
+                    raise
+
     def _asked(self, request: Callable[[], Future]) -> Future:
-        """The future of an action's request, sent from the thread that hears the answers.
+        """The future of an action's request, sent from the thread that receives the answers.
 
         rclpy's action client notes a request only after it has been sent, without a lock (its
-        service client has one): an answer heard in between by another thread would be dropped.
+        service client has one): an answer received in between by another thread would be dropped.
         """
         if threading.current_thread() is self._thread:
             return request()
-        return self.wait(self._executor.create_task(request), 10.0, 'the thread that hears stands still')
+        return self.wait(self._executor.create_task(request), 10.0, 'the thread that receives stands still')
 
     def wait(self, future: Future, timeout_s: float | None, complaint: str,
              meanwhile: Callable[[], object] = lambda: None) -> Any:

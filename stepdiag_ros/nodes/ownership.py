@@ -8,10 +8,11 @@ however it ends.
 import errno
 import os
 import socket
+from pathlib import Path
 
 from stepdiag_ros.errors import StepdiagError
 
-CELL, SEQUENCER = 'cell', 'step_sequencer'
+CELL, SOURCE, SEQUENCER = 'cell', 'source', 'step_sequencer'
 
 
 class Ownership:
@@ -36,3 +37,11 @@ class Ownership:
     def release(self) -> None:
         """Somebody else may have it."""
         self._socket.close()
+
+
+def machines_up() -> list[str]:
+    """Namespaces of the machines that are up in the present ROS domain on this computer."""
+    mark = f'@stepdiag_ros/{os.environ.get("ROS_DOMAIN_ID") or "0"}/'
+    names = (line.split()[-1] for line in Path('/proc/net/unix').read_text(encoding='ascii').splitlines())
+    return sorted('/' + name.removeprefix(mark).removesuffix(f'/{CELL}') for name in names
+                  if name.startswith(mark) and name.endswith(f'/{CELL}'))

@@ -11,9 +11,9 @@ from rclpy.signals import SignalHandlerOptions
 from rosgraph_msgs.msg import Clock
 
 from stepdiag_ros.bag.schemas import DESCRIPTION, TOPICS
-from stepdiag_ros.nodes.ears import message_class
 from stepdiag_ros.nodes.replaying import Message
 from stepdiag_ros.nodes.stamps import stamp_of
+from stepdiag_ros.nodes.subscription import message_class
 
 
 class Player:
@@ -39,7 +39,7 @@ class Player:
         self._context.try_shutdown()
 
     def wait_for_listeners(self, timeout_s: float) -> bool:
-        """Whether every topic that has to be heard has a listener before the time is over."""
+        """Whether every topic that has to be received has a listener before the time is over."""
         end = time.monotonic() + timeout_s
         needed = [p for t, p in self._publishers.items() if not t.startswith('environment/')]
         while not all(p.get_subscription_count() for p in needed):

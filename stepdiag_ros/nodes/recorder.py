@@ -1,7 +1,7 @@
 """The recorder's node: every contract topic of a machine into a rosbag2 directory.
 
 Active is recording: activating opens a bag, deactivating closes it.  ``recorder/status``
-says five times a second what is heard and what was lost by sequence number.  On SIGTERM it
+says five times a second what is received and what was lost by sequence number.  On SIGTERM it
 stops taking in, drains what has arrived and closes; ``kill -9`` costs what came in
 since the writer's last flush, a quarter of a second.
 """
@@ -20,8 +20,8 @@ from stepdiag_ros.bag.schemas import DESCRIPTION, TOPICS
 from stepdiag_ros.bag.writer import COMPRESSIONS, BagWriter
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.nodes.base import DEPTH, ERROR, OK, WARN, Health, StepdiagNode, reliable, run_node
-from stepdiag_ros.nodes.ears import HEARS, Ears, Heard
 from stepdiag_ros.nodes.stamps import stamp_of
+from stepdiag_ros.nodes.subscription import RECEIVED_TOPICS, RawSubscription, Received
 
 STATUS_PERIOD_S = 0.2
 
@@ -41,7 +41,7 @@ class Recorder(StepdiagNode):
         self._status = self.create_publisher(RecorderStatus, 'recorder/status', reliable(10))
         self._timer = self.every(STATUS_PERIOD_S, self._publish_status)
         self._writer: BagWriter | None = None
-        self._ears: Ears | None = None
+        self._subscription: RawSubscription | None = None
         self._bag = ''
         self._file = 0
         self._earlier: dict[str, int] = {}
@@ -68,24 +68,24 @@ class Recorder(StepdiagNode):
             self._writer = BagWriter(path, compression=self.value('compression'))
         self._file = self._writer.number
         self._bag = str(path)
-        self._ears = Ears(self, TOPICS, self._write, latched=(DESCRIPTION,),
+        self._subscription = RawSubscription(self, TOPICS, self._write, latched=(DESCRIPTION,),
                           depth=self.value('queue_depth'))
-        self._ears.start()
+        self._subscription.start()
         self.get_logger().info(f'recording {path}')
 
     def deactivate(self) -> None:
-        if self._ears is not None:
-            self._ears.close()
+        if self._subscription is not None:
+            self._subscription.close()
         if self._writer is not None:
             self._writer.close()
             self._writer = None
-            self.get_logger().info(f'closed {self._bag}: {sum(self._ears.received.values())} messages, '
-                                   f'{sum(self._ears.lost.values())} lost')
+            self.get_logger().info(f'closed {self._bag}: {sum(self._subscription.received.values())} messages, '
+                                   f'{sum(self._subscription.lost.values())} lost')
         self._publish_status()
 
     def cleanup(self) -> None:
         self.deactivate()
-        self._ears = None
+        self._subscription = None
 
     def _path(self) -> Path:
         if self.value('bag') and not self._bag:
@@ -101,13 +101,13 @@ class Recorder(StepdiagNode):
         candidates = [folder / name, *(folder / f'{name}_{i}' for i in range(2, 100))]
         return next(path for path in candidates if not path.exists())
 
-    def _write(self, heard: Heard) -> None:
-        """One message, in the thread of the ears."""
-        topic = self.resolve_topic_name(heard.topic)
+    def _write(self, received: Received) -> None:
+        """One message, in the raw subscription's thread."""
+        topic = self.resolve_topic_name(received.topic)
         if topic not in self._announced:
             self._announced.add(topic)
-            self._writer.add_topic(topic, TOPICS[heard.topic], self._offered(heard.topic))
-        self._writer.write(topic, heard.cdr, heard.received_ns, heard.published_ns, heard.sequence)
+            self._writer.add_topic(topic, TOPICS[received.topic], self._offered(received.topic))
+        self._writer.write(topic, received.cdr, received.received_ns, received.published_ns, received.sequence)
 
     def _offered(self, topic: str) -> str:
         """The publishers' quality of service as rosbag2 writes it.
@@ -116,32 +116,32 @@ class Recorder(StepdiagNode):
         """
         offered = [qos_profile(DEPTH, info.qos_profile.reliability.short_key,
                                info.qos_profile.durability.short_key)
-                   for info in self._ears.publishers(topic)]
+                   for info in self._subscription.publishers(topic)]
         return qos_yaml(*offered) if offered else LATCHED if topic == DESCRIPTION else RELIABLE
 
     def _publish_status(self) -> None:
-        ears, names = self._ears, self.resolve_topic_name
-        received = {t: n + self._earlier.get(names(t), 0) for t, n in ears.received.items()} \
-            if ears is not None else {}
-        lost = ears.lost if ears is not None else {}
+        raw, names = self._subscription, self.resolve_topic_name
+        received = {t: n + self._earlier.get(names(t), 0) for t, n in raw.received.items()} \
+            if raw is not None else {}
+        lost = raw.lost if raw is not None else {}
         status = RecorderStatus(
             recording=self._writer is not None and not self._trouble(), bag=self._bag,
             file=self._file, topics=[names(t) for t in received], received=list(received.values()),
-            lost=list(lost.values()), hears=[names(t) for t in ears.heard.split()] if ears is not None else [])
+            lost=list(lost.values()), hears=[names(t) for t in raw.received_topics.split()] if raw is not None else [])
         status.header.stamp = stamp_of(time.time_ns())
         self._status.publish(status)
 
     def _trouble(self) -> str:
-        failure = self._ears.failure if self._ears is not None else None
+        failure = self._subscription.failure if self._subscription is not None else None
         return f'{type(failure).__name__}: {failure}' if failure is not None else ''
 
     def health(self) -> Health:
-        ears = self._ears
-        if ears is None or self.state != 'active':
+        raw = self._subscription
+        if raw is None or self.state != 'active':
             return Health(OK, self.state, {'bag': self._bag})
-        received, lost = ears.received, ears.lost
+        received, lost = raw.received, raw.lost
         values = {'bag': self._bag, 'received': sum(received.values()), 'lost': sum(lost.values()),
-                  HEARS: ears.heard}
+                  RECEIVED_TOPICS: raw.received_topics}
         if self._trouble():
             return Health(ERROR, f'stopped writing: {self._trouble()}', values)
         if values['lost']:

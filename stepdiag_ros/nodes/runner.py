@@ -1,13 +1,14 @@
-"""Drives a machine along a course and says what it does.  Knows no ROS."""
+"""Drives a machine along planned runs and reports what it does.  Knows no ROS."""
 
 import time
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 
 from stepdiag_ros.devices.base import MotionController
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.model.log import DONE, DWELL, MOVE, NONE
-from stepdiag_ros.nodes.course import Run, Stop
+from stepdiag_ros.nodes.run_plan import Run, Stop
 
 POLL_S = 0.004
 AXES = {0: 'X', 1: 'Y', 2: 'Z'}
@@ -55,6 +56,7 @@ class Runner:
     The first dwell after a mounting lasts ``stand_s`` longer: it shows what goes on while nothing moves.
     After an :class:`Interrupted` run the machine stands; ``again(run, error)`` waits until it can be repeated
     and returns it under the name it then bears, or raises what ends the calibration.
+    ``light(run, expected_s)``: a context in which a run has its light, which no other move needs.
     ``attended(stop)``: raises when the client is gone, ``stop``: a stop has been measured.
     However :meth:`execute` ends, by whatever exception, the machine is stopped.
     """
@@ -75,6 +77,7 @@ class Runner:
     guard_s: float = 0.025
     stand_s: float = 0.0
     move_timeout_s: float = 120.0
+    light: Callable[[Run, float], AbstractContextManager[None]] = lambda _run, _expected_s: nullcontext()
 
     def execute(self, runs: Sequence[Run]) -> Outcome:
         """All runs in order; what ends it early carries ``outcome``, what was completed until then."""
@@ -132,6 +135,12 @@ class Runner:
         self._tell(run, NONE, f'to the first stop of {run.run_id}')
         self._go(first)
         self._breathe()
+        with self.light(run, longer + len(run.stops) * self._per_stop_s()):
+            self._measure(run, first, longer)
+        self._tell(run, NONE, f'{run.run_id} done')
+
+    def _measure(self, run: Run, first: Stop, longer: float) -> None:
+        """From the zero at the first stop to the last, in one light."""
         self.reset()
         for stop in run.stops:
             began, stand = time.monotonic(), longer if stop is first else 0.0
@@ -154,7 +163,6 @@ class Runner:
             time.sleep(self.guard_s)
         # The next zero or setup forgives what was lost before it.
         self.caught_up(run.setup, done_ns)
-        self._tell(run, NONE, f'{run.run_id} done')
 
     def _go(self, stop: Stop) -> None:
         """Move there and wait until the control says in position."""
@@ -180,9 +188,11 @@ class Runner:
         self.attended(False)
 
     def _tell(self, run: Run, axis: int, doing: str) -> None:
-        per_stop = self._spent_s / self._done if self._done else self.dwell_s + 0.5
         self.report(Progress(run, self._done, self._total, axis,
-                             per_stop * (self._total - self._done), doing, tuple(self._completed)))
+                             self._per_stop_s() * (self._total - self._done), doing, tuple(self._completed)))
+
+    def _per_stop_s(self) -> float:
+        return self._spent_s / self._done if self._done else self.dwell_s + 0.5
 
 
 def _word(error: BaseException | None) -> str:

@@ -2,7 +2,7 @@
 
 It drives the machine control along the plan, has the sensors put to each setup and
 zeroed at each run's start, and announces every change of phase.  A goal is only begun
-when every source delivers and the recorder confirms that it hears them; otherwise the
+when every source delivers and the recorder confirms that it receives them; otherwise the
 goal ends at once, nothing has moved, and the result's message names what is silent.
 
 The machine moves only while its client lives, who publishes the goal's UUID on
@@ -13,7 +13,8 @@ A run that a node's death has broken off is repeated when the node is back.
 import sys
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -39,21 +40,22 @@ from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.model.description import Description
 from stepdiag_ros.model.log import NONE
 from stepdiag_ros.nodes.base import ERROR, OK, Health, StepdiagNode, overridable, reliable, run_node
-from stepdiag_ros.nodes.course import (
+from stepdiag_ros.nodes.light import Light
+from stepdiag_ros.nodes.marked import Marked
+from stepdiag_ros.nodes.ownership import SEQUENCER, Ownership
+from stepdiag_ros.nodes.run_plan import (
     Run,
     Stop,
     attempt,
-    course,
     first_repeats,
     once_more,
+    planned_runs,
     remaining,
     with_steps,
 )
-from stepdiag_ros.nodes.ears import HEARS
-from stepdiag_ros.nodes.marked import Marked
-from stepdiag_ros.nodes.ownership import SEQUENCER, Ownership
 from stepdiag_ros.nodes.runner import Cancelled, Interrupted, Outcome, Progress, Runner
 from stepdiag_ros.nodes.stamps import clock_name, ns_of, stamp_of
+from stepdiag_ros.nodes.subscription import RECEIVED_TOPICS
 from stepdiag_ros.nodes.watch import Recording, Watch
 
 #: Setup services wait for an operator who mounts a mirror.
@@ -62,6 +64,8 @@ ACTION = 'run_step_diagonal'
 #: Here a goal's client says that it lives, by the goal's UUID.
 LEASE = f'{ACTION}/lease'
 NEXT_STOP, AT_ONCE = 'next_stop', 'at_once'
+#: So long the light of a shared interferometer is held to see before a start that all deliver.
+READY_S = 2.0
 #: A run that is broken off so often has another trouble than a node that died.
 RETRIES = 5
 #: Feedback begins with this while a person is waited for.
@@ -97,8 +101,11 @@ class StepSequencer(StepdiagNode):
         self.number('resume_timeout', 60.0, 'wait for a node or an instrument that broke a run off before the '
                     'calibration ends; 0: none', 0.0, 3600.0, 's')
         self.text('listeners', ['recorder', 'evaluation_solver'],
-                  'nodes that must be connected to sequencer/step and hear the sources before a start', fixed=True)
+                  'nodes that must be connected to sequencer/step and receive the sources before a start', fixed=True)
         self.text('sources', [DISPLACEMENT, SPOT], 'topics that must deliver before a start', fixed=True)
+        self.text('light', '', 'action of the multiplexer that gives a shared interferometer, e.g. /hall/use_source; '
+                               'empty: the interferometer is its own', fixed=True)
+        self.count('light_priority', 0, 'who asks for the light with a higher one goes before', 0, 255)
         self.number('ready_timeout', 20.0, 'wait for sources, recorder and listeners before a goal is refused',
                     0.0, 600.0, 's')
         self.number('source_timeout', 3.0, 'silence after which a source counts as lost',
@@ -114,6 +121,10 @@ class StepSequencer(StepdiagNode):
         full = self.resolve_topic_name
         self._watch = Watch([full(t) for t in self.value('sources')], [full(DESCRIPTION)],
                             self.value('source_timeout'))
+        self._light = Light(self, self.value('light'), self.get_namespace(),
+                            self.value('light_priority')) if self.value('light') else None
+        if self._light is not None:
+            self._watch.expect(full(DISPLACEMENT), False)
         kinds = {DISPLACEMENT: (Displacement, self._on_displacement), SPOT: (SpotPosition, self._on_spot)}
         for topic in self.value('sources'):
             if topic not in kinds:
@@ -211,7 +222,7 @@ class StepSequencer(StepdiagNode):
             return Health(ERROR, 'cannot start: ' + '; '.join(wants), values)
         return Health(OK, 'ready' if self.state == 'active' else self.state, values)
 
-    # -- what is heard -----------------------------------------------------------
+    # -- what is received -----------------------------------------------------------
 
     def _on_displacement(self, message: Displacement) -> None:
         self._note(DISPLACEMENT, message, len(message.quality), any(message.quality))
@@ -234,8 +245,8 @@ class StepSequencer(StepdiagNode):
         for status in array.status:
             space, _, name = f'/{status.name}'.rpartition('/')
             if space == self.get_namespace().rstrip('/') and name in self.value('listeners'):
-                heard = next((v.value for v in status.values if v.key == HEARS), '')
-                self._watch.listener(name, frozenset(map(self.resolve_topic_name, heard.split())))
+                received = next((v.value for v in status.values if v.key == RECEIVED_TOPICS), '')
+                self._watch.listener(name, frozenset(map(self.resolve_topic_name, received.split())))
 
     def _on_lease(self, goal: UUID) -> None:
         if bytes(goal.uuid) == self._goal:
@@ -279,7 +290,6 @@ class StepSequencer(StepdiagNode):
             outcome, how = Outcome((), 0), 'abort'
             message = f'{type(error).__name__}: {error}'
             self.get_logger().error(message)
-        self._release()
         done.set_result((how, RunStepDiagonal.Result(
             success=how == 'succeed', message=message, run_ids=list(outcome.run_ids),
             stops=outcome.stops)))
@@ -293,13 +303,13 @@ class StepSequencer(StepdiagNode):
                 f'{self.get_name()} and begin a new bag (stepdiag calibrate --steps does both)')
         self._marked.follow_clock()
         self._clock_steps = []
-        asked = course(self.description, goal.setups)   # unknown setups are refused at once
-        self._claim(handle, asked[0].setup)
-        self._await_ready(handle)
+        asked = planned_runs(self.description, goal.setups)   # unknown setups are refused at once
+        with self._lit(asked[0].setup, READY_S, handle):
+            self._await_ready(handle)
         bag = self._watch.recording.bag
         held = [*goal.completed, *filter(None, [goal.broken])]
         self._begin_bag(bag, held)
-        runs = remaining(course(self.description, goal.setups, goal.repeats, self._repeats),
+        runs = remaining(planned_runs(self.description, goal.setups, goal.repeats, self._repeats),
                          goal.completed, goal.broken)
         self._ready_control()
 
@@ -323,41 +333,41 @@ class StepSequencer(StepdiagNode):
                         lambda setup, time_ns: self._caught_up(bag, setup, time_ns, handle),
                         report, cancelled, lambda run, error: self._again(run, error, bag, handle),
                         lambda stop: self._attended(handle, stop), HOST.now_ns,
-                        self.value('feed'), dwell, self.value('guard'), self.value('stand'))
+                        self.value('feed'), dwell, self.value('guard'), self.value('stand'),
+                        light=lambda run, expected_s: self._lit(run.setup, expected_s, handle))
         try:
             return runner.execute(runs)
         finally:
             for run in runs:
                 self._repeats[run.setup] = run.repeat + 1
 
-    def _claim(self, handle: ServerGoalHandle, setup: str) -> None:
-        """Have the laser for this machine; others may share it and be using it."""
-        client, end = self._select['interferometer'], time.monotonic() + self.value('ready_timeout')
-        while client.wait_for_service(timeout_sec=1.0):
-            response = self._ask(client, SelectSetup.Request(setup=setup), 2.0)
-            if response is None or response.success:
-                return   # a driver that does not answer shows as a silent source
-            self._alive(handle)
-            if time.monotonic() > end:
-                raise StepdiagError(f'refused to start: {response.message}')
-            time.sleep(0.2)
+    @contextmanager
+    def _lit(self, setup: str, expected_s: float, handle: ServerGoalHandle) -> Iterator[None]:
+        """Have the light of a shared interferometer; where it is the machine's own it always has."""
+        if self._light is None:
+            yield
+            return
 
-    def _release(self) -> None:
-        """Others may have the laser."""
-        client = self._select['interferometer']
-        if client.service_is_ready():
-            self._ask(client, SelectSetup.Request(setup=''), 2.0)
-
-    @staticmethod
-    def _ask(client, request, timeout_s: float):
-        """The service's response, ``None`` if there is none in time."""
-        answered = threading.Event()
-        future = client.call_async(request)
-        future.add_done_callback(lambda _future: answered.set())
-        return future.result() if answered.wait(timeout_s) else None
+        def tell(doing: str) -> None:
+            if self._progress is not None:
+                self._progress = replace(self._progress, doing=doing)
+            told = self._progress or Progress(planned_runs(self.description, [setup])[0], 0, 0, NONE, 0.0, doing)
+            handle.publish_feedback(RunStepDiagonal.Feedback(
+                run_id='' if self._progress is None else told.run.run_id, setup=setup, stop=told.done,
+                stops=told.total, axis=NONE, time_left=told.time_left_s, doing=doing,
+                completed=[*handle.request.completed, *told.completed]))
+        topic = self.resolve_topic_name(DISPLACEMENT)
+        with self._light.hold(expected_s, lambda: self._alive(handle), tell):
+            self._call(self._select['interferometer'], SelectSetup.Request(setup=setup), 'interferometer/select_setup')
+            self._watch.expect(topic, True)
+            self._watch.begin()
+            try:
+                yield
+            finally:
+                self._watch.expect(topic, False)
 
     def _await_ready(self, handle: ServerGoalHandle) -> None:
-        """Every source delivers, and the recorder and the listeners hear it, or the goal is refused."""
+        """Every source delivers, and the recorder and the listeners receive it, or the goal is refused."""
         if wants := self._wait_until_ready(handle, self.value('ready_timeout')):
             raise StepdiagError('refused to start: ' + '; '.join(wants))
 
@@ -367,7 +377,7 @@ class StepSequencer(StepdiagNode):
         listeners = [name for name in self.value('listeners') if name]
         while True:
             wants = (self._watch.wants(since_s=began) + self._unconnected(listeners)
-                     + self._watch.deaf(listeners, began))
+                     + self._watch.not_receiving(listeners, began))
             if not wants and bag and (now := self._watch.recording.bag) != bag:
                 wants = [f'the recorder writes {now} and not {bag}']
             if not wants or time.monotonic() > began + timeout_s:
@@ -459,6 +469,8 @@ class StepSequencer(StepdiagNode):
             finally:
                 self._asking = False
         for sensor, client in self._select.items():
+            if sensor == 'interferometer' and self._light is not None:
+                continue   # it is put to the setup when it has the light
             self._call(client, SelectSetup.Request(setup=setup), f'{sensor}/select_setup')
         self._watch.begin()
 
@@ -473,6 +485,8 @@ class StepSequencer(StepdiagNode):
         if step_s:
             self._clock_steps.append(step_s)
             self._watch.begin()
+        if self._light is not None and not self._light.held:
+            raise Interrupted('the light was taken back: this machine was not heard in time')
         self._watch.check(bag, setup)
         if self._watch.recording.file != self._file:
             raise Interrupted('the recorder was started again during the run')

@@ -1,4 +1,4 @@
-"""What the sequencer hears of the others, and what is missing for a start.
+"""What the sequencer knows of the others, and what is missing for a start.
 
 ``Watch`` notes the last block of each source and the recorder's word.  It is fed by
 callbacks in one thread and asked in another; nothing here waits.
@@ -24,6 +24,7 @@ class _Source:
     dark_s: float | None = None     # since when there has been no signal; None: there is
     hole_s: float = 0.0             # longest time left out between two blocks since the last zero
     setups: set[str] = field(default_factory=set)   # that blocks since the last zero speak of
+    expected: bool = True           # False: nothing is wanted of it, its light is another machine's
 
 
 @dataclass(frozen=True)
@@ -33,7 +34,7 @@ class Recording:
     at_s: float
     recording: bool
     bag: str
-    hears: frozenset[str]
+    receives: frozenset[str]
     received: dict[str, int] = field(default_factory=dict)
     lost: int = 0
     file: int = 0
@@ -43,15 +44,15 @@ class Watch:
     """Sources by topic (full names) and the recorder's status.
 
     A source or the recorder that has said nothing for ``timeout_s`` counts as silent.
-    ``heard_besides``: topics that the recorder must hear although they are no sources.
-    Each listener says of itself what it has heard: that a publisher knows of it, or it of the publisher, does not yet
+    ``received_besides``: topics that the recorder must receive although they are no sources.
+    Each listener reports what it has received: that a publisher knows of it, or it of the publisher, does not yet
     mean that samples get through.
     """
 
-    def __init__(self, sources: Sequence[str], heard_besides: Sequence[str], timeout_s: float):
+    def __init__(self, sources: Sequence[str], received_besides: Sequence[str], timeout_s: float):
         self._lock = threading.Lock()
         self._sources = {topic: _Source() for topic in sources}
-        self._besides = tuple(heard_besides)
+        self._besides = tuple(received_besides)
         self._timeout_s = timeout_s
         self._recording: Recording | None = None
         self._listeners: dict[str, tuple[float, frozenset[str]]] = {}
@@ -79,27 +80,41 @@ class Watch:
                 if source.dark_s is not None:
                     source.dark_s = time.monotonic()
 
+    def expect(self, topic: str, expected: bool) -> None:
+        """From now on ``topic`` has to deliver, or need not: a source that machines share serves one at a time."""
+        with self._lock:
+            source = self._sources[topic]
+            if expected and not source.expected:
+                # What was left out while it served others is no silence and no hole.
+                source.last_s, source.end_ns, source.dark_s = time.monotonic(), HOST.now_ns(), None
+                source.setups.clear()
+                source.hole_s = 0.0
+            source.expected = expected
+
+    def _present(self) -> dict[str, _Source]:
+        return {topic: source for topic, source in self._sources.items() if source.expected}
+
     def recorder(self, recording: Recording) -> None:
         """The recorder's status came."""
         with self._lock:
             self._recording = recording
 
-    def listener(self, name: str, hears: frozenset[str]) -> None:
-        """A node that keeps the log said which topics it has heard."""
+    def listener(self, name: str, receives: frozenset[str]) -> None:
+        """A node that keeps the log reported which topics it has received."""
         with self._lock:
-            self._listeners[name] = (time.monotonic(), hears)
+            self._listeners[name] = (time.monotonic(), receives)
 
-    def deaf(self, listeners: Sequence[str], since_s: float) -> list[str]:
+    def not_receiving(self, listeners: Sequence[str], since_s: float) -> list[str]:
         """What ``listeners`` would miss of a run that starts now, a phrase each; their word before ``since_s``
         (monotonic) does not count."""
         with self._lock:
             wants = []
             for name in listeners:
-                said_s, hears = self._listeners.get(name, (0.0, frozenset()))
+                said_s, receives = self._listeners.get(name, (0.0, frozenset()))
                 if said_s < since_s:
-                    wants.append(f'{name} has not said what it hears')
+                    wants.append(f'{name} has not reported what it receives')
                 else:
-                    wants += [f'{name} does not hear {topic}' for topic in self._sources if topic not in hears]
+                    wants += [f'{name} does not receive {topic}' for topic in self._present() if topic not in receives]
             return wants
 
     @property
@@ -118,9 +133,9 @@ class Watch:
         now = time.monotonic()
         with self._lock:
             wants = []
-            for topic, source in self._sources.items():
+            for topic, source in self._present().items():
                 if source.last_s is None:
-                    wants.append(f'nothing was heard on {topic}')
+                    wants.append(f'nothing was received on {topic}')
                 elif source.last_s < since_s:
                     wants.append(f'{topic} delivers nothing')
                 elif now - source.last_s > self._timeout_s:
@@ -133,8 +148,8 @@ class Watch:
             elif not said.recording:
                 wants.append('the recorder is not recording')
             else:
-                deaf = [t for t in (*self._sources, *self._besides) if t not in said.hears]
-                wants += [f'the recorder does not hear {topic}' for topic in deaf]
+                missing = [t for t in (*self._present(), *self._besides) if t not in said.receives]
+                wants += [f'the recorder does not receive {topic}' for topic in missing]
         return wants
 
     def check(self, bag: str, setup: str) -> None:
@@ -147,8 +162,8 @@ class Watch:
         said = self.recording
         with self._lock:
             wants += [f'{topic} speaks of setup {other!r} in a run of {setup!r}'
-                      for topic, source in self._sources.items() for other in sorted(source.setups - {setup})]
-            wants += [f'{topic} left out {source.hole_s:.1f} s' for topic, source in self._sources.items()
+                      for topic, source in self._present().items() for other in sorted(source.setups - {setup})]
+            wants += [f'{topic} left out {source.hole_s:.1f} s' for topic, source in self._present().items()
                       if source.hole_s > HOLE_S]
         if not wants and said is not None and said.bag != bag:
             wants = [f'the recorder began another bag ({said.bag}) while a run was under way']
@@ -158,9 +173,9 @@ class Watch:
     def dark(self) -> bool:
         """A source's last block holds no light."""
         with self._lock:
-            return any(source.dark_s is not None for source in self._sources.values())
+            return any(source.dark_s is not None for source in self._present().values())
 
     def delivered_until(self) -> int:
         """All sources have delivered up to this time [ns since the epoch]."""
         with self._lock:
-            return min((s.end_ns for s in self._sources.values()), default=0)
+            return min((s.end_ns for s in self._present().values()), default=0)

@@ -1,4 +1,4 @@
-"""The page of an evaluation: the 21 errors, how well they are known, what is left, what the log leaves open."""
+"""The page of an evaluation: the 21 errors, how well they are known, the residuals, what the log leaves open."""
 
 from html import escape
 
@@ -118,7 +118,7 @@ def _residuals(solution: Solution) -> str:
         return ''
     with matplotlib.rc_context(STYLE):
         drawing = svg(_draw_residuals(solution))
-    return '<h2>What is left</h2>' + figure(
+    return '<h2>Residuals</h2>' + figure(
         drawing, 'Log minus model, in the order of measuring: length of the first beam, spot x and y. A pattern '
         'here is something that the model does not know; `stepdiag gap` says what.', 2)
 

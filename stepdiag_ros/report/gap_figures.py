@@ -29,7 +29,7 @@ CHANNEL_NAMES = ('length', 'spot x', 'spot y')
 K = 2.0
 MEAN_OF = 8
 UNKNOWN_SIGMA = 3e-4
-"""A standard deviation [m, rad] near the width that a curve is held to: the log does not tell it."""
+"""A standard deviation [m, rad] near the prior that a curve is held to: the log does not tell it."""
 ASTRAY = 6.0
 """A curve this much wider than the right one is let out of its panel."""
 
@@ -196,10 +196,10 @@ def _pauses_cut(time_s: np.ndarray) -> np.ndarray:
 
 @styled
 def inside_stops(parts: Inside, table: StopTable) -> Figure:
-    """How readings move while the machine stands still: mean course by axis moved where that shows what was
+    """How readings move while the machine stands still: mean profile by axis moved where that shows what was
     found, else the rate over the log; the channels in which it shows."""
-    size = np.abs(np.nan_to_num(parts.simulated_course)).max(axis=(0, 1))
-    misfit = np.abs(np.nan_to_num(parts.course - parts.simulated_course)).max(axis=(0, 1))
+    size = np.abs(np.nan_to_num(parts.simulated_profile)).max(axis=(0, 1))
+    misfit = np.abs(np.nan_to_num(parts.profile - parts.simulated_profile)).max(axis=(0, 1))
     if np.any(size > 3.0 * misfit):
         return _courses(parts)
     return _rates(parts, table)
@@ -223,12 +223,12 @@ def spectra(found: Mapping[int, Spectrum]) -> Figure:
 
 def _courses(parts: Inside) -> Figure:
     figure = Figure(figsize=(11.5, 2.6), layout='constrained')
-    channel = int(np.argmax(np.abs(np.nan_to_num(parts.simulated_course)).max(axis=(0, 1))))
-    factor, unit = _scale(np.stack([parts.course, parts.simulated_course])[..., channel])
+    channel = int(np.argmax(np.abs(np.nan_to_num(parts.simulated_profile)).max(axis=(0, 1))))
+    factor, unit = _scale(np.stack([parts.profile, parts.simulated_profile])[..., channel])
     for k, (ax, letter) in enumerate(zip(figure.subplots(1, 3, sharey=True), 'XYZ', strict=True)):
-        ax.plot(parts.time * 1e3, parts.course[k, :, channel] * factor, 'o', color=REAL, markersize=5,
+        ax.plot(parts.time * 1e3, parts.profile[k, :, channel] * factor, 'o', color=REAL, markersize=5,
                 markeredgewidth=0)
-        ax.plot(parts.time * 1e3, parts.simulated_course[k, :, channel] * factor, '-', color=AFTER, linewidth=1.5)
+        ax.plot(parts.time * 1e3, parts.simulated_profile[k, :, channel] * factor, '-', color=AFTER, linewidth=1.5)
         ax.set_title(f'{CHANNEL_NAMES[channel]} after a move of {letter}  [{unit}]')
         ax.set_xlabel('after the stop began [ms]')
     return figure

@@ -18,12 +18,12 @@ from stepdiag_ros.report.words import (
     SHORT_CHANNELS,
     certainty,
     closed_percent,
-    leftover_words,
     micrometres,
     percent,
     plain,
     quantity,
     title,
+    unmodelled_words,
 )
 
 BADGES = {'no_gap': ('good', 'nothing wrong'), 'hint': ('good', 'nothing for sure'),
@@ -31,13 +31,13 @@ BADGES = {'no_gap': ('good', 'nothing wrong'), 'hint': ('good', 'nothing for sur
           'partly_explained': ('bad', 'partly explained'), 'unexplained': ('bad', 'cause not known')}
 SHOWN_PROBABILITY = 0.01
 FAR = 100.0
-"""Standard deviations beyond which no number is said."""
+"""Standard deviations beyond which no number is shown."""
 LEAST_INSIDE = 0.15
 """Share of the gap inside the stops from which a picture of it is shown."""
 
 
 def gap_page(diagnosis: Diagnosis, name: str, notes: tuple[str, ...] = (), again: Series | None = None) -> str:
-    """The HTML of one diagnosis; ``notes`` are told among the warnings; ``again``: what the adopted simulator shows
+    """The HTML of one diagnosis; ``notes`` are reported among the warnings; ``again``: what the adopted simulator shows
     along the moves of the log."""
     sections = [_head(diagnosis, name), _budget(diagnosis), _causes(diagnosis), _where(diagnosis),
                 _pictures(diagnosis), _again(diagnosis, again), _errors(diagnosis), _warnings(diagnosis, notes),
@@ -64,16 +64,16 @@ def _head(diagnosis: Diagnosis, name: str) -> str:
 
 def _budget(diagnosis: Diagnosis) -> str:
     rows = gap_words.steps(diagnosis)
-    floor = diagnosis.closing.floor_m
+    floor = diagnosis.cross_validation.floor_m
     labels = []
     for i, (name, value) in enumerate(rows):
         said = 'machine against simulator, as it is' if i == 0 else \
-            '+ a pattern without a name' if name == UNKNOWN else f'+ {title(name)}'
+            '+ unmodelled structure' if name == UNKNOWN else f'+ {title(name)}'
         labels.append((said, value))
-    text = ('<h2>How big is the gap?</h2><p>How far a stop lies from where the simulator foretells it, '
+    text = ('<h2>How big is the gap?</h2><p>How far a stop lies from where the simulator predicts it, '
             + ('on the log itself: it is one run, nothing could be held out.' if
-               diagnosis.closing.held_out.startswith('none') else
-               f'on {escape(diagnosis.closing.held_out)} — a part of the log that took no part in the fit.')
+               diagnosis.cross_validation.held_out.startswith('none') else
+               f'on {escape(diagnosis.cross_validation.held_out)} — a part of the log that took no part in the fit.')
             + '</p>')
     return text + budget_svg(labels, floor) + f'<p>{escape(gap_words.over_setups_words(diagnosis))}</p>'
 
@@ -82,7 +82,7 @@ def budget_svg(rows: list[tuple[str, float]], floor: float) -> str:
     """Bars of the gap, one a row, in µm, with a line at the noise floor; far larger ones are cut open."""
     values = [value for _, value in rows]
     widest = max([*values, floor])
-    # Where the gap was gross the noise floor would vanish: the axis then is logarithmic.
+    # Where the gap was large the noise floor would vanish: the axis then is logarithmic.
     wide = widest > 12.0 * floor
     low = floor / 4.0
 
@@ -111,10 +111,10 @@ def budget_svg(rows: list[tuple[str, float]], floor: float) -> str:
 # ---- causes ---------------------------------------------------------------------------------------
 
 def _causes(diagnosis: Diagnosis) -> str:
-    if not diagnosis.effects and not diagnosis.leftover:
+    if not diagnosis.effects and not diagnosis.unmodelled:
         text = '<h2>What causes it?</h2><p>' + (
             f'No cause is claimed. {escape(gap_words.hint_words(diagnosis))}</p>' if diagnosis.hint else
-            'Nothing needs a cause. Every known one was tried, and none foretells the log better than noise does.</p>')
+            'Nothing needs a cause. Every known one was tried, and none predicts the log better than noise does.</p>')
     else:
         text = '<h2>What causes it?</h2>'
         if diagnosis.effects:
@@ -122,13 +122,13 @@ def _causes(diagnosis: Diagnosis) -> str:
                           [_cause_row(diagnosis, f) for f in diagnosis.effects])
         if diagnosis.hint:
             text += f'<p>{escape(gap_words.hint_words(diagnosis))}</p>'
-        if diagnosis.leftover:
+        if diagnosis.unmodelled:
             what = 'to which this log gives no sure name' if gap_words.stand_ins(diagnosis) else \
                 'that is none of the known causes'
             text += (f'<div class="todo warn2"><b>Something is there {what}.</b> '
-                     f'What it looks like: {escape(leftover_words(diagnosis.leftover))}. '
+                     f'What it looks like: {escape(unmodelled_words(diagnosis.unmodelled))}. '
                      f'{escape(gap_words.correlates_words(diagnosis))} No name was put on '
-                     'it, because none foretells it better than a shapeless pattern does.</div>')
+                     'it, because none predicts it better than a shapeless pattern does.</div>')
     text += _apart(diagnosis)
     text += '<div class="cols"><div><h3>Probability of each cause</h3>' + _ranking(diagnosis) + '</div><div>'
     return text + '<h3>Probability of each combination</h3>' + _sets(diagnosis) + '</div></div>'
@@ -153,7 +153,7 @@ def _cause_row(diagnosis: Diagnosis, found: Found) -> list[str]:
 def _apart(diagnosis: Diagnosis) -> str:
     text = ''
     for group in diagnosis.indistinguishable:
-        text += ('<div class="todo warn2"><b>This log cannot tell these apart:</b> '
+        text += ('<div class="todo warn2"><b>Indistinguishable in this log:</b> '
                  f'{escape(" / ".join(title(n) for n in group))}. Any of them would leave the same '
                  f'traces in these runs. {escape(gap_words.separation_words(diagnosis, group))}</div>')
     if diagnosis.next_measurement:
@@ -249,7 +249,7 @@ def _pictures(diagnosis: Diagnosis) -> str:
     named = [a for a in diagnosis.joint.active if a.effect.name]
     text = '<h2>What the log shows</h2>'
     if diagnosis.joint.active:
-        who = 'what was found' if named else 'a nameless pattern'
+        who = 'what was found' if named else 'unmodelled structure'
         text += '<h3>Machine and simulator over each other</h3>' + figure(
             gap_figures.along_stops(parts, stops, True),
             f'Points: the machine, after its 21 errors and the misalignments have been taken off. Line: the '
@@ -258,9 +258,9 @@ def _pictures(diagnosis: Diagnosis) -> str:
         caption = 'Log minus simulator, without and with what was found.'
     else:
         caption = 'Log minus simulator. Where nothing is wrong the points fill the band of the noise evenly.'
-    return (text + '<h3>What is left at each stop</h3>'
+    return (text + '<h3>Residuals at each stop</h3>'
             + figure(gap_figures.along_stops(parts, stops, False), caption, 2)
-            + '<h3>What is left over time</h3>'
+            + '<h3>Residuals over time</h3>'
             + figure(gap_figures.over_time(parts, stops),
                      'The same, in the order in which it was measured.', 3) + _inside(diagnosis) + _swings(diagnosis))
 
@@ -333,15 +333,15 @@ def _warnings(diagnosis: Diagnosis, notes: tuple[str, ...]) -> str:
 
 
 def _small_print(diagnosis: Diagnosis) -> str:
-    noise, gap = diagnosis.joint.noise, diagnosis.closing
+    noise, gap = diagnosis.joint.noise, diagnosis.cross_validation
     source = ('taken from the repeats of this log' if noise.source == 'repeats'
               else 'as the maker of the log states it, for the log has no repeats')
     return ('<footer><p><b>How this was judged.</b> The simulator is a rigid machine with 21 errors, misaligned '
             'laser and mirror, and a reset in each run. All of these are fitted to the log first; what such '
             'a fit could imitate is taken out of the view, and only in the rest are causes looked for. '
             'Each known cause, alone and together, in each of its forms, is weighed by how well it '
-            'foretells the log against how much it could have fitted; nameless patterns take part under '
-            'the same price, so that a name is given only where it foretells better. Then machine and causes '
+            'predicts the log against how much it could have fitted; unmodelled structure takes part under '
+            'the same price, so that a name is given only where it predicts better. Then machine and causes '
             'are fitted together.</p>'
             f'<p>Noise, {source}: each arrival of an axis errs by {quantity(noise.position, "m")}, the '
             f'mirror\'s angle by {quantity(noise.angle, "rad")} (one standard deviation). The gap is the '

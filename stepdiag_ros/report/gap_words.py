@@ -9,7 +9,7 @@ from stepdiag_ros.gap.alternatives.unmodelled import NAME as UNKNOWN
 from stepdiag_ros.gap.constants import ALARM, CONFUSED
 from stepdiag_ros.gap.diagnosis import AXIS_LIKE, Diagnosis, Found
 from stepdiag_ros.gap.inference.search import NOTHING
-from stepdiag_ros.gap.summary.cross_validation import closing
+from stepdiag_ros.gap.summary.cross_validation import cross_validated
 from stepdiag_ros.gap.summary.margins import AT_REST, MOVING, SETTLING
 from stepdiag_ros.gap.summary.volume import VolumeChange
 from stepdiag_ros.model.machine import CURVES, SQUARENESS
@@ -18,7 +18,6 @@ from stepdiag_ros.report.words import (
     SHORT_CHANNELS,
     certainty,
     closed_percent,
-    leftover_words,
     micrometres,
     parameter_name,
     parameter_unit,
@@ -27,6 +26,7 @@ from stepdiag_ros.report.words import (
     quantity,
     scale,
     title,
+    unmodelled_words,
 )
 
 ALTERNATIVE = 0.05
@@ -41,7 +41,7 @@ NAMED = 3
 HARDLY = 1.15
 """Reduced χ² of the held-out part up to which a gap does not stand out of the noise there."""
 NOISE_LIKE = 1.3
-"""Reduced χ² of the held-out part up to which what is left counts as noise."""
+"""Reduced χ² of the held-out part up to which the residual counts as noise."""
 SETTINGS = {'path': 'along the path', 'reversal': 'along the path, opposite on the way back', 'time': 'in time'}
 """What a band is along, in words."""
 STATES = {MOVING: 'while the axes move (stamps)', SETTLING: 'inside the stops (settling, shaking)',
@@ -103,47 +103,47 @@ def reach_words(diagnosis: Diagnosis, name: str) -> str:
 
 def headline(diagnosis: Diagnosis) -> str:
     """The verdict in one sentence."""
-    found, leftover = diagnosis.effects, leftover_words(diagnosis.leftover)
-    floor = micrometres(diagnosis.closing.floor_m)
-    if not found and not diagnosis.leftover:
+    found, unmodelled = diagnosis.effects, unmodelled_words(diagnosis.unmodelled)
+    floor = micrometres(diagnosis.cross_validation.floor_m)
+    if not found and not diagnosis.unmodelled:
         said = (f'Nothing is wrong that this log could show: machine and simulator agree to within '
                 f'the noise of {floor}')
         return f'{said}, but for a hint of {_hinted(diagnosis)}.' if diagnosis.hint else f'{said}.'
     names = stand_ins(diagnosis)
     if not found and names:
-        return (f'Something disturbs the measurement to which this log gives no sure name: {leftover}. '
+        return (f'Something disturbs the measurement to which this log gives no sure name: {unmodelled}. '
                 f'What would look the same: {" or ".join(_lower(title(name)) for name in names)}.')
     if not found:
-        return f'Something disturbs the measurement that is none of the known causes: {leftover}.'
+        return f'Something disturbs the measurement that is none of the known causes: {unmodelled}.'
     if len(found) == 1:
         text = cause(diagnosis, found[0])
         others = alternatives(diagnosis, found[0])
         if others:
-            said = [f'{_lower(title(name)) if name != UNKNOWN else "something without a name"} ({percent(p)})'
+            said = [f'{_lower(title(name)) if name != UNKNOWN else "unmodelled structure"} ({percent(p)})'
                     for name, p in others]
             text = f'Either: {_lower(text)} ({percent(found[0].probability)}) — or {" or ".join(said)}'
     else:
         count = {2: 'Two', 3: 'Three', 4: 'Four'}.get(len(found), str(len(found)))
         text = f'{count} things act together: ' + '; '.join(
             f'{i}) {_lower(cause(diagnosis, f))}' for i, f in enumerate(found, 1))
-    if diagnosis.leftover:
-        return f'{text} — and something more that is none of the known causes: {leftover}.'
+    if diagnosis.unmodelled:
+        return f'{text} — and something more that is none of the known causes: {unmodelled}.'
     return text + '.'
 
 
 def correlates_words(diagnosis: Diagnosis) -> str:
-    """With what a structure without a name goes; '' where nothing stands out."""
+    """What an unmodelled structure correlates with; '' where nothing stands out."""
     said = [f'{one.quantity} ({SHORT_CHANNELS[one.channel]}, {closed_percent(one.share)})'
             for one in diagnosis.correlates]
-    return f'It goes with {", ".join(said)}: share of its variance at the stops that one alone would follow.' \
+    return f'It correlates with {", ".join(said)}: share of its variance at the stops that one alone would follow.' \
         if said else ''
 
 
 def separation_words(diagnosis: Diagnosis, group: tuple[str, ...]) -> str:
-    """How well the log separates what it cannot tell apart."""
+    """How well the log separates what is indistinguishable in it."""
     said = [f'{np.exp(behind):.2g} to one against “{title(name)}”'
             for name, behind in sorted(diagnosis.separation.items(), key=lambda item: item[1]) if name in group]
-    return f'The evidence is {", ".join(said)}; it takes {np.exp(CONFUSED):.2g} to one to tell.' if said else ''
+    return f'The evidence is {", ".join(said)}; it takes {np.exp(CONFUSED):.2g} to one to decide.' if said else ''
 
 
 def hint_words(diagnosis: Diagnosis) -> str:
@@ -161,7 +161,7 @@ def _hinted(diagnosis: Diagnosis) -> str:
     said = []
     for name, form in diagnosis.hint.forms.items():
         others = [n for group in diagnosis.indistinguishable if name in group for n in group if n != name]
-        first = f'something without a name ({leftover_words(form)})' if name == UNKNOWN else f'“{title(name)}”'
+        first = f'unmodelled structure ({unmodelled_words(form)})' if name == UNKNOWN else f'“{title(name)}”'
         said.append(' or '.join([first, *(f'“{title(n)}”' for n in others)]))
     return ' and '.join(said)
 
@@ -175,7 +175,7 @@ def alternatives(diagnosis: Diagnosis, found: Found) -> list[tuple[str, float]]:
 
 
 def stand_ins(diagnosis: Diagnosis) -> list[str]:
-    """The known causes that what has no name may as well be."""
+    """The known causes that unmodelled structure may as well be."""
     return [name for group in diagnosis.indistinguishable if UNKNOWN in group for name in group if name != UNKNOWN]
 
 
@@ -186,22 +186,22 @@ def _lower(text: str) -> str:
 
 def closed_share(diagnosis: Diagnosis) -> float | None:
     """Share of the gap's variance above the floor that is gone; None where there was none."""
-    gap = diagnosis.closing
+    gap = diagnosis.cross_validation
     before, after = gap.before_m**2 - gap.floor_m**2, gap.after_m**2 - gap.floor_m**2
     return float(np.clip(1.0 - max(after, 0.0) / before, 0.0, 1.0)) if before > 0.0 else None
 
 
 def how_far(diagnosis: Diagnosis) -> str:
     """Before, after and the floor in a sentence."""
-    gap = diagnosis.closing
+    gap = diagnosis.cross_validation
     if diagnosis.verdict == 'no_gap':
         return (f'On {gap.held_out} simulator and machine differ by {micrometres(gap.before_m)}; '
                 f'noise alone makes {micrometres(gap.floor_m)}.')
-    if diagnosis.leftover and not diagnosis.effects and not diagnosis.joint.active:
+    if diagnosis.unmodelled and not diagnosis.effects and not diagnosis.joint.active:
         return (f'The readings at the stops differ by {micrometres(gap.before_m)} (noise alone, with what it adds: '
                 f'{micrometres(gap.floor_m)}); it has no pattern that the simulator could be given.')
-    if diagnosis.leftover and not diagnosis.effects:
-        return (f'A pattern without a name brings the gap from {micrometres(gap.before_m)} to '
+    if diagnosis.unmodelled and not diagnosis.effects:
+        return (f'Unmodelled structure brings the gap from {micrometres(gap.before_m)} to '
                 f'{micrometres(gap.after_m)} (noise alone: {micrometres(gap.floor_m)}). It describes the trouble; '
                 'it does not explain it.')
     if not any(a.effect.name for a in diagnosis.joint.active):
@@ -214,11 +214,11 @@ def how_far(diagnosis: Diagnosis) -> str:
                     'It shows in how the readings move while the machine stands still.' if still else
                     'It shows in what many stops have in common.'))
     share = closed_share(diagnosis)
-    rest = 'what is left is noise' if gap.after < NOISE_LIKE else \
-        f'what is left is still {gap.after_m / max(gap.floor_m, 1e-300):.1f} times the noise'
-    if gap.gap.width > gap.floor_m:
-        rest = (f'what is left is {gap.after_m / max(gap.floor_m, 1e-300):.1f} times the noise; what was fitted leaves '
-                f'the forecast uncertain by {micrometres(gap.gap.width)}')
+    rest = 'the residual is noise' if gap.after < NOISE_LIKE else \
+        f'the residual is still {gap.after_m / max(gap.floor_m, 1e-300):.1f} times the noise'
+    if gap.gap.sigma > gap.floor_m:
+        rest = (f'the residual is {gap.after_m / max(gap.floor_m, 1e-300):.1f} times the noise; what was fitted leaves '
+                f'the forecast uncertain by {micrometres(gap.gap.sigma)}')
     where = ' of the spot' if gap.channel == 'spot' else ''
     return (f'With {"it" if len(diagnosis.effects) == 1 else "them"} in the simulator the gap{where} falls from '
             f'{micrometres(gap.before_m)} to {micrometres(gap.after_m)} (noise alone: '
@@ -231,9 +231,9 @@ def over_setups_words(diagnosis: Diagnosis) -> str:
     if over is None:
         return ''
     if not diagnosis.joint.active:
-        return (f'Where whole setups are held out, each foretold from the others, they differ by '
+        return (f'Where whole setups are held out, each predicted from the others, they differ by '
                 f'{micrometres(over.before_m)} (noise alone: {micrometres(over.floor_m)}).')
-    return (f'Where whole setups are held out, each foretold from the others, the gap falls from '
+    return (f'Where whole setups are held out, each predicted from the others, the gap falls from '
             f'{micrometres(over.before_m)} to {micrometres(over.after_m)} (noise alone: {micrometres(over.floor_m)}).')
 
 
@@ -244,7 +244,7 @@ def closes_words(found: Found) -> str:
 
 def steps(diagnosis: Diagnosis) -> list[tuple[str, float]]:
     """The gap budget: label and gap [m] on the held-out part, from before over each cause to after."""
-    gap, joint = diagnosis.closing, diagnosis.joint
+    gap, joint = diagnosis.cross_validation, diagnosis.joint
     rows = [('before', gap.before_m)]
     names = [name for name in dict.fromkeys(f.name for f in diagnosis.effects)
              if any(a.effect.name == name for a in joint.active)]
@@ -257,7 +257,7 @@ def steps(diagnosis: Diagnosis) -> list[tuple[str, float]]:
             value = gap.after_m
         else:
             part = tuple(a for a in joint.active if a.effect.name in taken)
-            value = closing(replace(joint, active=part)).after_m
+            value = cross_validated(replace(joint, active=part)).after_m
         rows.append((name or 'unknown', value))
     return rows
 
@@ -357,12 +357,13 @@ def summary(diagnosis: Diagnosis, name: str, adoption: tuple[str, ...] = ()) -> 
             lines.append(f'      What to do: {found.remedy}')
     if diagnosis.hint:
         lines += ['', f'  {hint_words(diagnosis)}']
-    if diagnosis.leftover:
-        lines += ['', f'  Not explained: {leftover_words(diagnosis.leftover)}. {correlates_words(diagnosis)}'.rstrip()]
+    if diagnosis.unmodelled:
+        more = f'{unmodelled_words(diagnosis.unmodelled)}. {correlates_words(diagnosis)}'
+        lines += ['', f'  Not explained: {more}'.rstrip()]
     if diagnosis.shares:
         lines += ['', f'  Where: {where_words(diagnosis)}']
     for group in diagnosis.indistinguishable:
-        lines += ['', '  Cannot be told apart in this log: ' + ' / '.join(title(n) for n in group)
+        lines += ['', '  Indistinguishable in this log: ' + ' / '.join(title(n) for n in group)
                   + f'. {separation_words(diagnosis, group)}'.rstrip()]
     if diagnosis.next_measurement:
         lines += [f'  Measure next: {diagnosis.next_measurement}']

@@ -76,7 +76,7 @@ def table(head: list[str], rows: list[list[str]], kind: str = '') -> str:
 
 
 def bars(rows: list[tuple[str, float, str]]) -> str:
-    """Horizontal bars: label, share 0…1, what is said of it."""
+    """Horizontal bars: label, share 0…1, the text beside it."""
     return '<div class="bars">' + ''.join(
         f'<span>{escape(label)}</span><span class="b"><i style="width:{100 * min(max(share, 0), 1):.1f}%"></i>'
         f'</span><span class="v">{escape(text)}</span>' for label, share, text in rows) + '</div>'

@@ -3,7 +3,7 @@
     python -m stepdiag_ros.report.papers --out docs/papers
 
 writes one page a paper with its pictures, and an index.  What cannot be reached, and
-where a text leaves a choice open, is said on the page.
+where a text leaves a choice open, is stated on the page.
 """
 
 import argparse

@@ -36,7 +36,7 @@ def save(figure: Figure, out: Path, name: str) -> str:
 
 
 def small(value: float, unit: str, limit: float = 1e-12) -> str:
-    """A deviation for a table: below ``limit`` only that is said, rounding differs between machines."""
+    """A deviation for a table: below ``limit`` only that is stated, rounding differs between machines."""
     return f'< {limit:g} {unit}' if value < limit else f'{value:.2e} {unit}'
 
 

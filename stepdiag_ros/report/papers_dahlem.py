@@ -149,7 +149,7 @@ def page(out: Path) -> str:
               'readings all curves then stay below 1e-12, the squareness within a few 1e-12 rad. The effect is 10 nm, '
               'so this is for quiet readings only. Layout b finds laser and mirror from the spot.\n'
               '- "Identifiable" is to be taken literally: without the linear setups positioning slopes and '
-              'mirror angles cannot be told apart, and the frame\'s orientation is chosen (ISO 230-1 reference '
+              'mirror angles are indistinguishable, and the frame\'s orientation is chosen (ISO 230-1 reference '
               'lines). The linear setups themselves are aligned here, as a laser on one axis can be; a laser off by '
               'λ in them would scale that axis by λ²/2.\n'
               '- 3a, 3b: a zero off by 1.5/2 mm is read as tilt of zero/2L, which falls along the diagonal from '

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from stepdiag_ros.estimate import face_diagonal, step_diagonal
@@ -67,27 +68,26 @@ def mirror_rows() -> list[tuple[float, ...]]:
 
 def mirror_page(out: Path) -> str:
     rows = mirror_rows()
-    figure = Figure(figsize=(8.0, 4.2), layout='constrained')
-    axes = figure.subplots()
+    figure, axes = _panel()
     rows.sort(key=lambda row: row[0] - row[1])
     put = [x - y for x, y, *_ in rows]
     axes.plot(put, put, '--', color=TRUE, label='put in')
     axes.plot(put, [row[2] - row[3] for row in rows], 's', color=ENHANCED, label='mirror square to the laser')
     axes.plot(put, [row[4] - row[5] for row in rows], 'o', color=CONVENTIONAL, label='mirror squared to the diagonal')
     _finish(axes, 'EXX − EYY at the end, put in [µm]', 'found [µm]')
-    return ('# Mirror squared to the diagonal: R_x = R_y\n\nSource: Ibaraki, Goto, Matsubara 2006, on the '
-            'alignment of the mirror. A mirror is set so that both ends of the cross diagonal read alike. On a '
-            'square face every X step then reads what the Y step reads, whatever the machine does; the step diagonal '
-            'is a plain diagonal.\n\n'
-            + table(('EXX, EYY put in [µm]', 'found, mirror square to the laser',
-                     'found, mirror squared to the diagonal', 'R_x − R_y, squared [µm]'),
-                    [(f'{x:.1f}, {y:.1f}',
-                      f'{a:.2f}, {b:.2f}'.replace('-0.00', '0.00'), f'{c:.2f}, {d:.2f}', f'{abs(r):.4f}')
-                     for x, y, a, b, c, d, r in rows])
-            + '\n' + save(figure, out, 'mirror_squared.png')
-            + '\nThe conventional evaluation finds the mean of both axes for all four machines. The new formulation '
-              'takes EXX and EYY from linear runs instead. `stepdiag compare` warns where two axes with equal steps '
-              'read alike in every diagonal.\n')
+    return _page(
+        'Mirror squared to the diagonal: R_x = R_y',
+        'Source: Ibaraki, Goto, Matsubara 2006, on the alignment of the mirror. A mirror is set so that both ends of '
+        'the cross diagonal read alike. On a square face every X step then reads what the Y step reads, whatever the '
+        'machine does; the step diagonal is a plain diagonal.',
+        ('EXX, EYY put in [µm]', 'found, mirror square to the laser', 'found, mirror squared to the diagonal',
+         'R_x − R_y, squared [µm]'),
+        [(f'{x:.1f}, {y:.1f}', f'{a:.2f}, {b:.2f}'.replace('-0.00', '0.00'), f'{c:.2f}, {d:.2f}', f'{abs(r):.4f}')
+         for x, y, a, b, c, d, r in rows],
+        save(figure, out, 'mirror_squared.png'),
+        'The conventional evaluation finds the mean of both axes for all four machines. The new formulation takes EXX '
+        'and EYY from linear runs instead. `stepdiag compare` warns where two axes with equal steps read alike in '
+        'every diagonal.')
 
 
 def equal_rows() -> list[tuple[float, ...]]:
@@ -110,17 +110,17 @@ def equal_page(out: Path) -> str:
         axes.bar(np.arange(3) + 0.2, row[3:6], 0.38, color=CONVENTIONAL, label='found, slopes removed')
         axes.set_xticks(range(3), ['EXX', 'EYY', 'EZZ'])
         _finish(axes, f'Ed {row[6]:.1f} µm, volume {row[7]:.0f} µm', 'slope [µm/m]')
-    return ('# What body diagonals cannot see: machine C\n\nSource: Renishaw 2016, machine C. In a cube the four body '
-            'diagonals know the sum of the slopes of X, Y and Z, not their shares: three machines with the same four '
-            'diagonals.\n\n'
-            + table(('EXX, EYY, EZZ put in [µm/m]', 'found, slopes ascribed to the mirror', 'Ed [µm]',
-                     'volumetric error [µm]'),
-                    [(', '.join(f'{v:.1f}' for v in row[:3]), ', '.join(f'{v:.1f}' for v in row[3:6]), f'{row[6]:.1f}',
-                      f'{row[7]:.1f}') for row in rows])
-            + '\n' + save(figure, out, 'machine_c.png')
-            + '\nThe errors cancel or share themselves out along every diagonal; a compensation by the found slopes '
-              'makes the second and third machine worse along an axis. Linear setups tell the axes apart; `stepdiag '
-              'compare` warns where a log has none.\n')
+    return _page(
+        'What body diagonals cannot see: machine C',
+        'Source: Renishaw 2016, machine C. In a cube the four body diagonals know the sum of the slopes of X, Y and '
+        'Z, not their shares: three machines with the same four diagonals.',
+        ('EXX, EYY, EZZ put in [µm/m]', 'found, slopes ascribed to the mirror', 'Ed [µm]', 'volumetric error [µm]'),
+        [(', '.join(f'{v:.1f}' for v in row[:3]), ', '.join(f'{v:.1f}' for v in row[3:6]), f'{row[6]:.1f}',
+          f'{row[7]:.1f}') for row in rows],
+        save(figure, out, 'machine_c.png'),
+        'The errors cancel or share themselves out along every diagonal; a compensation by the found slopes makes the '
+        'second and third machine worse along an axis. Linear setups tell the axes apart; `stepdiag compare` warns '
+        'where a log has none.')
 
 
 def angle_rows() -> list[tuple[float, ...]]:
@@ -139,24 +139,34 @@ def angle_rows() -> list[tuple[float, ...]]:
 
 def angle_page(out: Path) -> str:
     rows = angle_rows()
-    figure = Figure(figsize=(8.0, 4.2), layout='constrained')
-    axes = figure.subplots()
+    figure, axes = _panel()
     for column, colour, words in ((1, CONVENTIONAL, 'angles taken for zero'), (2, ENHANCED, 'angles known')):
         axes.plot([row[0] for row in rows], [row[column] for row in rows], 'o-', color=colour, label=words)
     _finish(axes, 'yaw of X at the end of its travel [µrad]', 'largest error of a found curve [µm]')
-    return ('# Angular errors in a step diagonal\n\nSource: Wang & Liotto 2003 against the exact model; the criticism '
-            'is that of Soons and Chapman. The sequential step diagonal takes angular motions for zero. On a machine '
-            'of 800 × 600 × 500 mm whose only error is a yaw of X, what the vector method finds is all error:\n\n'
-            + table(('yaw of X at the end [µrad]', 'largest error, angles taken for zero [µm]',
-                     'largest error, angles known [µm]', 'squareness found, none is there [µrad]'),
-                    [(f'{a:.0f}', f'{b:.2f}', f'{c:.2f}', f'{d:.2f}') for a, b, c, d in rows])
-            + '\n' + save(figure, out, 'angles_in_a_step_diagonal.png')
-            + '\nA detector beside the interferometer measures the angles, and the enhanced method uses them. '
-              '`stepdiag compare` says by how much the angles of a log move the readings that the vector method takes '
-              'for translations.\n')
+    return _page(
+        'Angular errors in a step diagonal',
+        'Source: Wang & Liotto 2003 against the exact model; the criticism is that of Soons and Chapman. The '
+        'sequential step diagonal takes angular motions for zero. On a machine of 800 × 600 × 500 mm whose only error '
+        'is a yaw of X, what the vector method finds is all error:',
+        ('yaw of X at the end [µrad]', 'largest error, angles taken for zero [µm]', 'largest error, angles known [µm]',
+         'squareness found, none is there [µrad]'),
+        [(f'{a:.0f}', f'{b:.2f}', f'{c:.2f}', f'{d:.2f}') for a, b, c, d in rows],
+        save(figure, out, 'angles_in_a_step_diagonal.png'),
+        'A detector beside the interferometer measures the angles, and the enhanced method uses them. `stepdiag '
+        'compare` says by how much the angles of a log move the readings that the vector method takes for '
+        'translations.')
 
 
-def _finish(axes, across: str, up: str) -> None:
+def _page(title: str, text: str, heads: tuple[str, ...], rows: list[tuple[str, ...]], picture: str, end: str) -> str:
+    return f'# {title}\n\n{text}\n\n{table(heads, rows)}\n{picture}\n{end}\n'
+
+
+def _panel() -> tuple[Figure, Axes]:
+    figure = Figure(figsize=(8.0, 4.2), layout='constrained')
+    return figure, figure.subplots()
+
+
+def _finish(axes: Axes, across: str, up: str) -> None:
     axes.set_xlabel(across)
     axes.set_ylabel(up)
     axes.grid(alpha=0.3)

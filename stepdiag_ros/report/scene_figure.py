@@ -1,4 +1,4 @@
-"""A picture of one setup: machine volume, course, mirror at the stops, beams, and what the mirror must cover.
+"""A picture of one setup: machine volume, path, mirror at the stops, beams, and what the mirror must cover.
 
 The caller traces the beams; this draws them.  Everything is at true scale in the machine frame,
 at the mirror's reference point: the box is the working volume moved by the tool vector.  The
@@ -28,7 +28,7 @@ SHOWN_MIRRORS = 9
 class SetupScene:
     """What is drawn of a setup; lengths [m], machine frame.
 
-    ``course`` (n, 3) the mirror's reference point at the stops; ``axis`` (n,) the axis that moved to
+    ``path`` (n, 3) the mirror's reference point at the stops; ``axis`` (n,) the axis that moved to
     each (255: none); ``triad`` (3, 3) rows u, v, d; ``origin`` (3,) of the base unit; ``volume`` and
     ``tool`` (3,) of the machine.  ``beams``: per interferometer beam (2, n, 3), start and strike.
     ``psd`` (3, n, 3): start, strike, return, or None.
@@ -38,7 +38,7 @@ class SetupScene:
     machine: str
     volume: np.ndarray
     tool: np.ndarray
-    course: np.ndarray
+    path: np.ndarray
     axis: np.ndarray
     triad: np.ndarray
     origin: np.ndarray
@@ -47,7 +47,7 @@ class SetupScene:
 
     def on_mirror(self, strikes: np.ndarray) -> np.ndarray:
         """Where strikes (n, 3) lie on the mirror, along u and v from its reference point: (n, 2) [m]."""
-        return (strikes - self.course) @ self.triad[:2].T
+        return (strikes - self.path) @ self.triad[:2].T
 
     @property
     def mirror_half(self) -> tuple[np.ndarray, np.ndarray]:
@@ -88,7 +88,7 @@ def draw_scene(scenes: list[SetupScene], path: Path) -> None:
 
 def _subtitle(scene: SetupScene) -> str:
     _, half = scene.mirror_half
-    return (f'{len(scene.course)} stops, beam {_longest(scene) * 1e3:.0f} mm at most, '
+    return (f'{len(scene.path)} stops, beam {_longest(scene) * 1e3:.0f} mm at most, '
             f'mirror of at least {2e3 * half[0]:.0f} × {2e3 * half[1]:.0f} mm')
 
 
@@ -102,14 +102,14 @@ def _space(axes: Axes, scene: SetupScene, large: bool) -> None:
     width = 1.0 if large else 0.75
     draw_box(axes, camera, scene.tool, scene.volume, width, behind=True)
 
-    shown = np.unique(np.linspace(0, len(scene.course) - 1, min(SHOWN_MIRRORS, len(scene.course))).round().astype(int))
+    shown = np.unique(np.linspace(0, len(scene.path) - 1, min(SHOWN_MIRRORS, len(scene.path))).round().astype(int))
     centre, half = scene.mirror_half
     ring = centre + half * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
-    for i in sorted(shown, key=lambda i: scene.course[i] @ camera.eye):
-        axes.add_patch(Polygon(camera(scene.course[i] + ring @ scene.triad[:2]), facecolor=MIRROR_FILL,
+    for i in sorted(shown, key=lambda i: scene.path[i] @ camera.eye):
+        axes.add_patch(Polygon(camera(scene.path[i] + ring @ scene.triad[:2]), facecolor=MIRROR_FILL,
                                edgecolor=MIRROR, alpha=0.75, linewidth=0.9 * width, zorder=3))
     for number, colour in AXIS_COLOURS.items():
-        steps = [camera(scene.course[i - 1:i + 1]) for i in np.flatnonzero(scene.axis == number) if i > 0]
+        steps = [camera(scene.path[i - 1:i + 1]) for i in np.flatnonzero(scene.axis == number) if i > 0]
         axes.add_collection(LineCollection(steps, colors=colour, linewidths=2.0 * width, capstyle='round', zorder=4))
     if scene.psd is not None:
         for i in shown:

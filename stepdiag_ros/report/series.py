@@ -83,14 +83,14 @@ class Inside:
     """What moves while the machine stands still; channels as in :class:`Series`.
 
     ``rate``, ``simulated_rate`` (n, 3) [m/s]; by axis moved: ``time`` (b,) [s] after the stop began,
-    ``course`` and ``simulated_course`` (3 axes, b, 3) [m] about their mean, backward runs turned round.
+    ``profile`` and ``simulated_profile`` (3 axes, b, 3) [m] about their mean, backward runs turned round.
     """
 
     rate: np.ndarray
     simulated_rate: np.ndarray
     time: np.ndarray
-    course: np.ndarray
-    simulated_course: np.ndarray
+    profile: np.ndarray
+    simulated_profile: np.ndarray
 
 
 def inside(diagnosis: Diagnosis) -> Inside:
@@ -102,16 +102,16 @@ def inside(diagnosis: Diagnosis) -> Inside:
     modelled = sum((a.inside for a in diagnosis.joint.active), np.zeros_like(seen.bins))[:, :, keep]
     away = view.bin_time - view.bin_time.mean(axis=1, keepdims=True)
     weight = away / np.maximum(np.sum(away**2, axis=1, keepdims=True), 1e-30)
-    courses = np.full((2, 3, real.shape[1], 3), np.nan)
+    profiles = np.full((2, 3, real.shape[1], 3), np.nan)
     for axis in range(3):
         rows = (table.axis == axis) & np.isfinite(real).all(axis=(1, 2))
         # Forward is away from the laser for every axis and setup: turned so, creep points one way.
         sign = table.direction[rows][:, None, None]
         if rows.any():
-            courses[0, axis] = np.mean(real[rows] * sign, axis=0)
-            courses[1, axis] = np.mean(modelled[rows] * sign, axis=0)
+            profiles[0, axis] = np.mean(real[rows] * sign, axis=0)
+            profiles[1, axis] = np.mean(modelled[rows] * sign, axis=0)
     return Inside(np.einsum('nb,nbc->nc', weight, real), np.einsum('nb,nbc->nc', weight, modelled),
-                  np.median(view.bin_time, axis=0), *courses)
+                  np.median(view.bin_time, axis=0), *profiles)
 
 
 def spectra(diagnosis: Diagnosis) -> dict[int, Spectrum]:

@@ -1,4 +1,4 @@
-"""How numbers and causes are said to someone who knows machines but not this program."""
+"""How numbers and causes are put to someone who knows machines but not this program."""
 
 import re
 
@@ -126,7 +126,7 @@ def setup_words(setup: Setup | str) -> str:
     return 'diagonal ' + ' '.join(f'{ends[sign]}{axis}' for sign, axis in zip(path, 'XYZ', strict=True)) + again
 
 
-def leftover_words(label: str) -> str:
+def unmodelled_words(label: str) -> str:
     """What an unexplained pattern looks like, from the label of the diagnosis."""
     channel, _, rest = label.partition(': ')
     rules = (

@@ -2,7 +2,7 @@
 
 What was fitted is put into the words of the virtual cell: the errors as they were fitted (straightness
 slopes of the carried axes counted as squareness, which is the same machine), misalignments, noise, the
-course of the plan in time, and each effect with the parameters of its physical face
+times of the plan, and each effect with the parameters of its physical face
 (:mod:`stepdiag_ros.twin.physical`).  A given cell is the base: whatever the log does not tell stays as
 it is there.
 """
@@ -94,8 +94,8 @@ def adopt(diagnosis: Diagnosis, base: Mapping[str, Any] | None = None) -> Adopte
                  f'stops (reduced chi2 {chi2:.2f})' + (
                      '; the gap is not closed by it: what is found is more than the simulator can be given'
                      if times > CLOSED else ''))
-    if diagnosis.leftover:
-        notes.append(f'not adopted, for it has no name: {diagnosis.leftover}')
+    if diagnosis.unmodelled:
+        notes.append(f'not adopted, for it is unmodelled structure: {diagnosis.unmodelled}')
     if diagnosis.solution.unidentifiable:
         notes.append('directions that the log leaves open are held near zero: '
                      + ', '.join(sorted({n for u in diagnosis.solution.unidentifiable for n in u.names})[:8]))

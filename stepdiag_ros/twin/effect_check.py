@@ -101,11 +101,11 @@ def check_effect(kind: type[Effect], seed: int = 1) -> Checked:
     ratio, ratio_sigma, sized = _ratio(kind, values, forms, lefts, target, space)
     if sigma >= SEEN and lefts[best] > max(MOST_LEFT, APART / sigma):
         problems.append(f'its best form ({forms[best].label}) leaves {100 * lefts[best]:.0f} % of what it does; '
-                        'correct the columns (sign, direction, where its course begins: view.elapsed is '
+                        'correct the columns (sign, direction, where its time profile begins: view.elapsed is '
                         'moment.seconds) or add a form')
     if ratio is not None and not SIZES[0] <= ratio <= SIZES[1] and abs(ratio - 1.0) > APART * ratio_sigma:
         problems.append(f'{sized} is estimated {ratio:.3f} ± {ratio_sigma:.3f} times as large as it was given; correct '
-                        'the columns, which are changes per unit of the coefficient, or their course in time (counted '
+                        'the columns, which are changes per unit of the coefficient, or their time profile (counted '
                         'from the beginning of the log: view.elapsed)')
     confounded = {}
     for name, other in all_effects().items():
@@ -116,7 +116,7 @@ def check_effect(kind: type[Effect], seed: int = 1) -> Checked:
     named = {name: float(p) for name, p in diagnosis.ranking.items() if p >= 0.01}
     if sigma >= SEEN and not confounded and named.get(kind.name, 0.0) < 0.5:
         problems.append(f'the diagnosis of its own log gives it a probability of {named.get(kind.name, 0.0):.2f}; give '
-                        'forms of the right size (scale) and course')
+                        'forms of the right size (scale) and time profile')
     return Checked(kind.name, values, sigma, forms[best].label, lefts[best], ratio, ratio_sigma, confounded, named,
                    tuple(problems))
 

@@ -1,9 +1,9 @@
 """From what a log was fitted with to the parameters of an effect's physical face, along the log's own moves.
 
 The simulator is made to move as the log did (:class:`~stepdiag_ros.twin.twin.Twin`), and the parameters are
-those with which the effect does there, in parity space, what was fitted: stops' means and the course inside the stops.
-So every effect is taken over alike, one of the user's own too.  The physical face is narrower than the forms; what is
-lost is told.
+those with which the effect does there, in parity space, what was fitted: stops' means and what changes inside the
+stops.  So every effect is taken over alike, one of the user's own too.  The physical face is narrower than the forms;
+what is lost is reported.
 """
 
 from collections.abc import Callable, Iterator
@@ -20,7 +20,7 @@ from stepdiag_ros.twin.story import basis_of, unknown_starts
 from stepdiag_ros.twin.twin import Twin
 
 LOSS = 0.05
-"""Share of what was fitted beyond which its loss is told …"""
+"""Share of what was fitted beyond which its loss is reported …"""
 LEAST_DONE = 0.1
 """… and share that must be kept for it to be adopted."""
 SIZE_UNITS = ('m', 'rad', 'K')
@@ -92,8 +92,8 @@ def _fitted(diagnosis: Diagnosis, active: list[Active], twin: Twin) -> Physical:
     apart = sum(a.contribution for a in active) - added.mean(axis=1)
     sizes = np.linalg.lstsq(space.stop_part(story), space.stop_part(apart[None])[:, 0], rcond=1e-10)[0]
     before = np.tensordot(sizes, story, axes=1)
-    told = basis.T @ (rest + own - twin.projected(added))
-    if told @ told > LOSS * float(nothing @ nothing):
+    seen = basis.T @ (rest + own - twin.projected(added))
+    if seen @ seen > LOSS * float(nothing @ nothing):
         notes.append('how the axes came to the first stop of a setup is the log\'s own story: until each has moved '
                      'the simulator differs')
     notes += [f'{p.name} of {", ".join(f"{v:.3g}" for v in np.atleast_1d(best[p.name]))} {p.unit} is beyond what is '

@@ -93,7 +93,7 @@ class Detector:
     """The PSD behind its analogue inputs: edge length [m], sum signal [V], inputs, mounting.
 
     ``channels``: inputs of I1…I4; ``rotation`` [rad] from the detector's x to u, ``gain``
-    along its x and y, ``zero`` [m] as the driver is told to take them off.  ``mode``: ``stream`` or ``poll``.
+    along its x and y, ``zero`` [m] as the driver is configured to take them off.  ``mode``: ``stream`` or ``poll``.
     """
 
     length: float = 0.010

@@ -3,8 +3,8 @@
 Starts interferometer, PSD and control, writes ``DIR/endpoints.yaml`` when all three
 listen, and ends them on SIGTERM or Ctrl-C.  Where machines share the interferometer
 (``multiplexer``), the others' controls and PSDs are started too, each in ``DIR/<machine>``
-with its own ``endpoints.yaml``.  If one of them dies the others are ended
-too and the exit status is 2.
+with its own ``endpoints.yaml``; ``--instruments`` starts some of them alone, as a hall does.
+If one of them dies the others are ended too and the exit status is 2.
 """
 
 import argparse
@@ -41,34 +41,35 @@ LINUXCNC_GRACE_S = 12.0
 class CellProcess:
     """The servers of a cell; a context manager."""
 
-    def __init__(self, cell_path: Path, runtime: Path):
+    def __init__(self, cell_path: Path, runtime: Path, instruments: tuple[str, ...] = tuple(SERVERS)):
         self._cell_path, self._runtime = Path(cell_path), Path(runtime)
         self._children: dict[str, subprocess.Popen] = {}
         self._grace_s = GRACE_S
-        self._servers = dict(SERVERS)
+        self._servers = {name: SERVERS[name] for name in instruments}
         self._beside: dict[str, Path] = {}    # runtime directories of the machines that share
 
     def start(self) -> dict:
         """Start the servers; returns the endpoints once all listen."""
         # Complain here, in one line, and not from three children.
         instruments = load_cell(self._cell_path).instruments
-        if instruments.control == 'linuxcnc':
+        whole = len(self._servers) == len(SERVERS)
+        if instruments.control == 'linuxcnc' and 'cnc' in self._servers:
             self._servers['cnc'], self._grace_s = 'linuxcnc_server', LINUXCNC_GRACE_S
-        self._beside = {name: self._runtime / name for name in instruments.multiplexer[1:]}
+        self._beside = {name: self._runtime / name for name in instruments.multiplexer[1:]} if whole else {}
         for folder in (self._runtime, *self._beside.values()):
             folder.mkdir(parents=True, exist_ok=True)
             self._clean(folder)
-        for name in SERVERS:
+        for name in self._servers:
             self._spawn(name, name, self._cell_path, self._runtime)
         for file, (machine, folder) in zip(instruments.machine_files, self._beside.items(),
-                                           strict=True):
+                                           strict=whole):
             for name in OWN:
                 self._spawn(f'{name} of {machine}', name, Path(file), folder)
-        endpoints = {name: self._wait_for(name, self._runtime) for name in SERVERS}
-        if instruments.multiplexer:
+        endpoints = {name: self._wait_for(name, self._runtime) for name in self._servers}
+        if instruments.multiplexer and 'interferometer' in self._servers:
             endpoints['switch'] = self._wait_for('switch', self._runtime)
         for file, (machine, folder) in zip(instruments.machine_files, self._beside.items(),
-                                           strict=True):
+                                           strict=whole):
             shared = {name: endpoints[name] for name in ('interferometer', 'switch')}
             self._tell(folder, shared | {name: self._wait_for(name, folder) for name in OWN}, file)
             endpoints.setdefault('machines', {})[machine] = str(folder / ENDPOINTS_FILE)
@@ -80,9 +81,9 @@ class CellProcess:
              '--runtime', str(runtime), '--parent', str(os.getpid())])
 
     def _tell(self, runtime: Path, endpoints: dict, cell: str | Path) -> dict:
-        told = endpoints | {'cell': str(Path(cell).resolve()), 'pid': os.getpid()}
-        write_atomically(runtime / ENDPOINTS_FILE, yaml.safe_dump(told, sort_keys=False))
-        return told
+        stated = endpoints | {'cell': str(Path(cell).resolve()), 'pid': os.getpid()}
+        write_atomically(runtime / ENDPOINTS_FILE, yaml.safe_dump(stated, sort_keys=False))
+        return stated
 
     def _wait_for(self, name: str, runtime: Path) -> dict:
         path, end = runtime / f'{name}.yaml', time.monotonic() + START_TIMEOUT_S
@@ -144,6 +145,8 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument('cell', type=Path, help='cell file, e.g. cells/demo.yaml')
     parser.add_argument('--runtime', type=Path,
                         help='directory for endpoints.yaml (default: a new temporary one)')
+    parser.add_argument('--instruments', nargs='+', choices=tuple(SERVERS), default=tuple(SERVERS),
+                        help='those to start (default: all)')
     parser.add_argument('--truth', type=Path, metavar='FILE',
                         help="write the machine's true errors there, as JSON")
     given = parser.parse_args(arguments)
@@ -152,7 +155,7 @@ def main(arguments: list[str] | None = None) -> int:
         signal.signal(number, lambda received, _frame: ended.append(received))
     runtime = given.runtime or Path(tempfile.mkdtemp(prefix='stepdiag-cell-'))
     try:
-        with CellProcess(given.cell, runtime) as cell:
+        with CellProcess(given.cell, runtime, tuple(given.instruments)) as cell:
             endpoints = cell.start()
             if given.truth is not None:
                 write_atomically(given.truth, to_json(truth(load_cell(given.cell))))

@@ -89,7 +89,7 @@ class Machine:
 
     # -- who commands
 
-    def heard(self) -> None:
+    def attended(self) -> None:
         """The owner said something."""
         self._heard_s = time.monotonic()
 
@@ -103,7 +103,7 @@ class Machine:
         """Look for the client, and begin what is next in the queue."""
         silent_s = time.monotonic() - self._heard_s
         if silent_s > self.cell.instruments.watchdog:
-            self._unattended(f'nothing was heard from its client for {silent_s:.2f} s')
+            self._unattended(f'nothing was received from its client for {silent_s:.2f} s')
         self._advance()
 
     def _unattended(self, why: str) -> None:
@@ -247,7 +247,7 @@ class Session(asyncio.Protocol):
         if self._echo and self._linked:
             self._transport.write(data)
         if self._enabled:
-            self._machine.heard()
+            self._machine.attended()
         *lines, self._rest = re.split(rb'[\r\n]', self._rest + data)
         for line in lines:
             if line.strip():
@@ -286,7 +286,7 @@ class Session(asyncio.Protocol):
         if name == 'ENABLE':
             if bool(words) and words[0] == ENABLE_PASSWORD:
                 machine.owner = self
-                machine.heard()
+                machine.attended()
             elif self._enabled:
                 machine.owner = None
             return self._enabled or value == 'OFF'

@@ -259,7 +259,9 @@ async def open_switch(cell: Cell, runtime: Path, instrument: Instrument) -> None
 
 
 async def main(cell: Cell, runtime: Path) -> None:
-    world = await open_world(cell, runtime)
+    # In a hall every machine has a folder of its own, the first too.
+    own = runtime / cell.description.machine.name
+    world = await open_world(cell, own if own.is_dir() else runtime)
     instrument = Instrument(cell, world, Faults(runtime, 'interferometer', cell.faults))
     if cell.instruments.multiplexer:
         await open_switch(cell, runtime, instrument)

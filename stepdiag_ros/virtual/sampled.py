@@ -26,7 +26,7 @@ DEAD_S = 5.0
 
 
 class SampledHistory(History):
-    """The history in a file that ``follow.py`` writes; moves are told by their beginning alone.
+    """The history in a file that ``follow.py`` writes; moves are identified by their beginning alone.
 
     Effects that count from a move's arrival count from its beginning here.
     """

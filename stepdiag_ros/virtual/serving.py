@@ -100,7 +100,7 @@ class PromptProtocol(asyncio.Protocol):
             self.connection_lost(None)
 
     def data_received(self, data: bytes) -> None:
-        """What asyncio read before it was told not to."""
+        """What asyncio read before reading was paused."""
         self.requested(data, now_ns())
 
     def requested(self, data: bytes, arrived_ns: int) -> None:

@@ -55,7 +55,7 @@ class World:
                  effects: Sequence[Effect] | None = None):
         self.cell, self.history, self.epoch_ns = cell, history, epoch_ns
         description = cell.description
-        # A standoff of 0 was not told: no mirror stands in the laser.
+        # A standoff of 0 was not stated: no mirror stands in the laser.
         self._scenes = {name: SensorScene.of_setup(description.machine,
                                                    replace(setup, standoff=setup.standoff or UNTOLD_STANDOFF))
                         for name, setup in description.setups.items()}

@@ -3,29 +3,30 @@
 import os
 import shutil
 import subprocess
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import pytest
+from drawn_machine import ORIGIN, TRAVEL
 
 from stepdiag_ros.devices.linuxcnc_rsh import LinuxCncRsh
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.linuxcnc import configuration, install
 from stepdiag_ros.linuxcnc.running import GROUP, USER, LinuxCnc, free_port, missing
-from stepdiag_ros.model.machine import CURVES, SQUARENESS, Curve, GeometricErrors
 
-TRAVEL, TOOL, ORIGIN = (0.2, 0.16, 0.12), (0.01, -0.02, -0.12), (0.05, -0.03, -0.15)
+#: LinuxCNC's own sampler keeps what some pins are in each servo cycle; its second channel only counts the cycles.
+SAMPLED_HAL, DEPTH = 'sampled.hal', 30_000
 
 
-def drawn_errors(seed: int = 7, size: float = 8.0e-6, angle: float = 2.0e-5) -> GeometricErrors:
-    """A machine with errors of all 21 kinds."""
-    rng = np.random.default_rng(seed)
-    curves = {}
-    for name in CURVES:
-        knots = np.linspace(0.0, TRAVEL['XYZ'.index(name[2])], 5 + 'XYZ'.index(name[2]))
-        value = rng.normal(size=knots.size) * (angle if name[1] in 'ABC' else size)
-        curves[name] = Curve(knots, value - value[0])
-    return GeometricErrors(curves, {name: angle * rng.normal() for name in SQUARENESS})
+def sampled(ini: str, pins: Sequence[str]) -> dict[str, str]:
+    """Files that have a configuration keep ``pins`` (floats), for :meth:`Running.sampling`."""
+    lines = [f'loadrt sampler depth={DEPTH},10 cfg={"f" * len(pins)},b', 'setp sampler.0.enable 0']
+    lines += [f'net sampled-{i} {pin} => sampler.0.pin.{i}' for i, pin in enumerate(pins)]
+    lines += ['addf sampler.0 servo-thread', 'addf sampler.1 servo-thread']
+    return {'machine.ini': configuration.with_halfile(ini, SAMPLED_HAL), SAMPLED_HAL: '\n'.join(lines) + '\n'}
 
 
 def need_linuxcnc() -> None:
@@ -80,8 +81,11 @@ class Running:
 
     def hal(self, *words: str) -> str:
         """What ``halcmd`` answers."""
+        return self._tool('halcmd', *words)
+
+    def _tool(self, program: str, *words: str) -> str:
         whom = {'user': USER, 'group': GROUP, 'extra_groups': []} if os.getuid() == 0 else {}
-        done = subprocess.run([shutil.which('halcmd'), *words], capture_output=True, text=True, check=True,
+        done = subprocess.run([shutil.which(program), *words], capture_output=True, text=True, check=True,
                               env=os.environ | {'HOME': str(self.machine.folder)}, cwd=self.machine.folder, **whom)
         return done.stdout.strip()
 
@@ -89,3 +93,27 @@ class Running:
         """Joint positions (3,) [m] from the volume's corner, to the nanometre."""
         words = self.client._get('joint_pos').split()[:3]
         return np.array([float(word) for word in words]) * 1e-3 - ORIGIN
+
+    def cycles(self, count: int) -> None:
+        """Wait until that many servo cycles have passed, however long the computer takes for them."""
+        end, wanted = time.monotonic() + 120.0, self._cycle() + count
+        while self._cycle() < wanted:
+            assert time.monotonic() < end, f'{count} servo cycles do not pass'
+
+    def _cycle(self) -> int:
+        """Nobody empties the second channel: its overruns count the cycles."""
+        return int(self.hal('getp', 'sampler.1.overruns'))
+
+    @contextmanager
+    def sampling(self) -> Iterator[list[np.ndarray]]:
+        """At the end the list holds what the pins of :func:`sampled` were, one row a servo cycle."""
+        rows: list[np.ndarray] = []
+        self.hal('setp', 'sampler.0.enable', '1')
+        yield rows
+        self.hal('setp', 'sampler.0.enable', '0')
+        assert self.hal('getp', 'sampler.0.overruns') == '0', 'the ramp took longer than the sampler keeps'
+        text = self._tool('halsampler', '-t', '-n', self.hal('getp', 'sampler.0.curr-depth'))
+        # A halsampler that begins later than the first sample calls that an overrun; the numbers are what counts.
+        table = np.array([line.split() for line in text.splitlines() if line != 'overrun'], float)
+        assert np.all(np.diff(table[:, 0]) == 1.0), 'a servo cycle is missing'
+        rows.extend(table[:, 1:])

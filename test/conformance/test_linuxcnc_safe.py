@@ -4,7 +4,8 @@ import time
 
 import numpy as np
 import pytest
-from linuxcnc_machine import ORIGIN, TOOL, TRAVEL, Running, configured, drawn_errors, need_components
+from drawn_machine import ORIGIN, TOOL, TRAVEL, drawn_errors
+from linuxcnc_machine import Running, configured, need_components
 
 from stepdiag_ros.linuxcnc import configuration, volume
 from stepdiag_ros.linuxcnc.install import installed

@@ -10,7 +10,8 @@ from contextlib import contextmanager
 
 import numpy as np
 import pytest
-from linuxcnc_machine import ORIGIN, Running, configured, need_components
+from drawn_machine import ORIGIN
+from linuxcnc_machine import Running, configured, need_components
 
 from stepdiag_ros.linuxcnc.configuration import SILENCE_S
 

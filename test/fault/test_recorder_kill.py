@@ -27,12 +27,12 @@ class Source:
         from rclpy.signals import SignalHandlerOptions
 
         from stepdiag_ros.bag.schemas import DESCRIPTION, STEP, TOPICS
-        from stepdiag_ros.nodes import base, ears
+        from stepdiag_ros.nodes import base, subscription
         self._context = rclpy.Context()
         rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
         self.node = rclpy.create_node('source', namespace='/kill', context=self._context)
         self._publishers = {
-            topic: self.node.create_publisher(ears.message_class(TOPICS[topic]), topic,
+            topic: self.node.create_publisher(subscription.message_class(TOPICS[topic]), topic,
                                               base.reliable(latched=topic == DESCRIPTION))
             for topic in (DESCRIPTION, STEP, DISPLACEMENT)}
         self.sent: list[tuple[int, int]] = []     # stamp of the block, when it was sent

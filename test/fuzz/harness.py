@@ -25,7 +25,7 @@ WALL_S = 240.0
 MEMORY = 1 << 30
 ADDRESSES = 4 << 30
 COMMANDS = ('info', 'recover', 'evaluate', 'compare', 'gap', 'map', 'report', 'replay', 'uncertainty')
-#: What stands beside a command that is not an error: the statuses it may end with.
+#: What comes with a command that is not an error: the statuses it may end with.
 STATUSES = (0, 1, 2)
 
 

@@ -36,6 +36,15 @@ def test_a_node_that_dies_is_started_again_and_that_is_said(ros_domain, cell_fil
     assert not [pid for pid in pids.values() if Path(f'/proc/{pid}').exists()]
 
 
+def test_a_node_that_comes_back_has_the_parameters_that_were_set(ros_domain, cell_file, tmp_path, eventually):
+    with Bringup(cell_file, bag=tmp_path / 'log', runtime=tmp_path / 'run') as cell:
+        for seconds in (21.0, 22.0):
+            cell.operator.set_parameters('step_sequencer', {'ready_timeout': seconds})
+            os.kill(cell.pids()['step_sequencer'], signal.SIGKILL)
+            eventually(lambda: cell.watch() == ['step_sequencer'])
+            assert cell.operator.parameters('step_sequencer', ['ready_timeout']) == [seconds]
+
+
 def test_a_driver_that_dies_in_a_run_and_is_not_waited_for_ends_it(ros_domain, cell_file, tmp_path):
     with Bringup(cell_file, bag=tmp_path / 'log', runtime=tmp_path / 'run') as cell:
         cell.operator.set_parameters('step_sequencer', {'resume_timeout': 0.0})

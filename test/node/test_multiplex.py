@@ -19,27 +19,33 @@ def pair(ros_domain, tmp_path, write_cell):
         yield cell, tmp_path
 
 
-def test_one_machine_waits_for_the_other(pair):
+def test_machines_take_turns(pair):
     cell, folder = pair
     left, right = cell.operator_of('/left'), cell.operator_of('/right')
-    right.set_parameters('step_sequencer', {'ready_timeout': 1.0})
-    refused, tried = [], threading.Event()
+    doing, outcomes = [], {}
 
-    def knock(feedback) -> None:
-        if feedback.stop >= 1 and not tried.is_set():
-            tried.set()
-            threading.Thread(target=lambda: refused.append(right.calibrate(setups=['lin_x']))).start()
-    outcome = left.calibrate(feedback=knock, dwell_s=1.0)
-    assert outcome.succeeded and tried.is_set()
-    assert refused[0].how == 'aborted'
-    assert refused[0].message.startswith('refused to start: the laser serves left')
-    right.set_parameters('step_sequencer', {'ready_timeout': 20.0})
-    # Left has given the laser back: right has it at once.
-    assert right.calibrate(setups=['lin_x']).succeeded
+    def measure(operator, name) -> None:
+        outcomes[name] = operator.calibrate(dwell_s=0.5, feedback=lambda f: doing.append((name, f.doing)))
+    threads = [threading.Thread(target=measure, args=pair) for pair in ((left, 'left'), (right, 'right'))]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert {name: outcome.how for name, outcome in outcomes.items()} == {'left': 'succeeded', 'right': 'succeeded'}, \
+        outcomes
+    assert any(text.startswith('waiting for the light: place 1') for _, text in doing)
+    usage = {v.key: v.value for v in left.health('multiplexer').values}
+    assert int(usage['grants']) >= 2 * (1 + 4)      # a look before the start, four runs each
     for operator in (left, right):
         operator.bring('recorder', 'inactive')
-    for name, steps in (('log', 36), ('log_right', 12)):
+    spans = []
+    for name in ('log', 'log_right'):
         log = read_log(folder / name)
-        assert len(log.steps) == steps and len(log.displacement)
+        assert len(log.steps) == 36 and len(log.displacement)
         assert not [w for w in log.warnings if 'hold no usable' in w or 'dwell' in w]
+        times, run = log.steps.time_ns, log.steps.run
+        spans += [(times[run == n].min(), times[run == n].max()) for n in set(run)]
+    # Never two at once: no run of one machine overlaps one of the other.
+    spans.sort()
+    assert all(end <= begin for (_, end), (begin, _) in zip(spans, spans[1:], strict=False))
     assert read_log(folder / 'log_right').namespace == '/right'

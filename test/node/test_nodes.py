@@ -186,30 +186,30 @@ def test_unknown_parameters_of_the_psd_are_refused_in_one_line(cell, eventually)
     operator.bring('psd_driver', 'active')
 
 
-def test_ears_hand_on_nothing_before_they_are_told_to(ros_domain, eventually):
+def test_a_raw_subscription_hands_on_nothing_before_its_start(ros_domain, eventually):
     import rclpy
     from std_msgs.msg import String
 
     from stepdiag_ros.nodes.base import reliable
-    from stepdiag_ros.nodes.ears import Ears
+    from stepdiag_ros.nodes.subscription import RawSubscription
     context = rclpy.Context()
     rclpy.init(context=context)
-    node = rclpy.create_node('speaker', namespace='/ears', context=context)
+    node = rclpy.create_node('speaker', namespace='/raw', context=context)
     publisher = node.create_publisher(String, 'cell_description', reliable(5))
-    heard = []
-    ears = Ears(node, {'cell_description': 'std_msgs/msg/String'}, heard.append)
+    received = []
+    raw = RawSubscription(node, {'cell_description': 'std_msgs/msg/String'}, received.append)
     try:
         eventually(publisher.get_subscription_count)
         for text in ('one', 'two', 'three'):
             publisher.publish(String(data=text))
-        assert heard == []
-        ears.start()
-        eventually(lambda: len(heard) == 3)
-        assert [message.sequence for message in heard] == [1, 2, 3]
-        assert all(message.cdr[8:11] in (b'one', b'two', b'thr') for message in heard)
-        assert all(0 < m.published_ns <= m.received_ns for m in heard)
-        assert ears.lost == {'cell_description': 0} and ears.received == {'cell_description': 3}
+        assert received == []
+        raw.start()
+        eventually(lambda: len(received) == 3)
+        assert [message.sequence for message in received] == [1, 2, 3]
+        assert all(message.cdr[8:11] in (b'one', b'two', b'thr') for message in received)
+        assert all(0 < m.published_ns <= m.received_ns for m in received)
+        assert raw.lost == {'cell_description': 0} and raw.received == {'cell_description': 3}
     finally:
-        ears.close()
+        raw.close()
         node.destroy_node()
         context.try_shutdown()

@@ -5,7 +5,7 @@ few columns beats it.  What physics may do beside the vocabulary is therefore of
 parameters too: readings bent at long range, the spot that leaks into the length, a head that is
 twisted by the direction of motion, a guideway that changes its shape with time, a detector that is sheared or has
 another gain on one side of its middle, a standoff that is not as described, readings that follow the light received
-(a beam cut by the mirror's edge).  None has a name here; which of them a log shows is said in its label.
+(a beam cut by the mirror's edge).  None has a name here; which of them a log shows is reported in its label.
 """
 
 from collections.abc import Iterator
@@ -13,7 +13,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from stepdiag_ros.effects.base import Effect, Form, StopView
-from stepdiag_ros.effects.timeforms import courses, drift_form
+from stepdiag_ros.effects.timeforms import drift_form, time_profiles
 from stepdiag_ros.gap.alternatives.unmodelled import NAME, pattern_form
 from stepdiag_ros.model.machine import AXES, CURVES
 
@@ -84,16 +84,16 @@ def _twist(view: StopView) -> Iterator[Form]:
         sign = view.approach[:, axis].astype(float)
         turning = view.by_motion[6 * axis + 3:6 * axis + 6]
         for what, derivative in (('tool', turning), ('beam', view.by_laser)):
-            for kind, course in (('', np.stack([sign])), (', by place', np.stack([sign * (0.5 + place[:, axis])]))):
-                columns = np.einsum('tn,anc->tanc', course, derivative).reshape(-1, *view.reading.shape)
+            for kind, sides in (('', np.stack([sign])), (', by place', np.stack([sign * (0.5 + place[:, axis])]))):
+                columns = np.einsum('tn,anc->tanc', sides, derivative).reshape(-1, *view.reading.shape)
                 yield Form(f'{what}: turned by the direction of {letter}{kind}', columns,
                            tuple(str(i) for i in range(len(columns))), np.full(len(columns), 2e-6), 'rad')
 
 
 def _bow(view: StopView) -> Iterator[Form]:
-    """A guideway's straightness changes its shape with time: a bow or an S that follows a course."""
+    """A guideway's straightness changes its shape with time: a bow or an S that follows a time profile."""
     place = view.commanded / np.array(view.description.machine.volume)
-    pace = [c for c in courses(view.time, view.watches) if c.label != 'winding']
+    pace = [c for c in time_profiles(view.time, view.watches) if c.label != 'winding']
     for axis, letter in enumerate(AXES):
         for across in range(3):
             if across == axis:
@@ -101,8 +101,8 @@ def _bow(view: StopView) -> Iterator[Form]:
             motion = view.by_motion[CURVES.index(f'E{AXES[across]}{letter}')]
             for waves, shape in ((1, 'bow'), (2, 'S')):
                 signature = (np.sin(np.pi * waves * place[:, axis])[:, None] * motion)[None]
-                for course in pace:
-                    yield drift_form(view, course, signature, ('0',), np.full(1, 2e-6),
+                for profile in pace:
+                    yield drift_form(view, profile, signature, ('0',), np.full(1, 2e-6),
                                      f'E{AXES[across]}{letter} changes its shape, {shape}')
 
 

@@ -1,7 +1,7 @@
 """Structure of no known cause: what "something else" may look like.
 
-Broad, nameless patterns in the three channels.  They stand against the named effects with the
-same price of complexity, so that a name must foretell the log better than a shapeless pattern
+Unmodelled structure: broad patterns in the three channels.  They stand against the named effects with the
+same price of complexity, so that a name must predict the log better than a shapeless pattern
 does, and what a name leaves behind is noticed although no name fits it.
 """
 
@@ -20,7 +20,7 @@ MOST_JUMPS = 500
 
 
 def unknown_families(view: StopView) -> dict[str, list[Form]]:
-    """All nameless patterns of a log by family; families count alike, however many they are."""
+    """All unmodelled patterns of a log by family; families count alike, however many they are."""
     return {'places': list(_static(view)), 'times': list(_in_time(view)),
             'jumps': list(_jumps(view)), 'mirror': list(_mirror_jumps(view)),
             'dwells': list(_inside(view)), 'lengths': list(_lengths(view)),
@@ -100,10 +100,10 @@ def _in_time(view: StopView) -> Iterator[Form]:
     # What the beam's direction does in time has a name, whatever its profile.
     for label, derivative, scale in (('tool point', view.by_shift, 1e-6), ('mirror', view.by_mirror, 1e-6)):
         for run_wise in (False, True):
-            courses = ([(view.run == run).astype(float) * view.run_time / 30.0 for run in runs]
+            profiles = ([(view.run == run).astype(float) * view.run_time / 30.0 for run in runs]
                        if run_wise else list(slow))
-            courses = [c for c in courses if np.any(c)]
-            columns = np.einsum('tn,anc->tanc', np.array(courses), derivative)
+            profiles = [c for c in profiles if np.any(c)]
+            columns = np.einsum('tn,anc->tanc', np.array(profiles), derivative)
             columns = columns.reshape(-1, *view.reading.shape)
             yield Form(f'{label}: wandering {"inside the runs" if run_wise else "in time"}', columns,
                        tuple(str(i) for i in range(len(columns))), np.full(len(columns), scale))

@@ -38,15 +38,15 @@ FOR_HINT = 'Do the whole calibration once more: what acts will speak as loud aga
 """Where no single run settles a hint."""
 
 
-def advise(joint: Joint, rivals: Sequence[Ways], groups: Sequence[Sequence[str]],
+def advise(joint: Joint, models: Sequence[Ways], groups: Sequence[Sequence[str]],
            unknown: bool, settles: float | None = None) -> tuple[str | None, NextRun | None]:
     """The advice in words, or None where nothing is left to tell apart; the run, where one is worth it.
 
-    ``rivals``: the likeliest set of effects in the forms that it may take, then those that may stand for it, or
-    nothing; ``groups``: names that cannot be told apart; ``unknown``: whether something acts that has no name;
+    ``models``: the likeliest set of effects in the forms that it may take, then those that may stand for it, or
+    nothing; ``groups``: names that are indistinguishable; ``unknown``: whether something acts that has no name;
     ``settles``: where it is in doubt that anything does, the log evidence that would settle it.
     """
-    run = recommend(joint, rivals)
+    run = recommend(joint, models)
     if run is not None and (run.at_once or run.evidence >= (WORTH if settles is None else settles)):
         return run.text, run
     if settles is not None:

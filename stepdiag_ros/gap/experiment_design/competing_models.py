@@ -14,7 +14,7 @@ from stepdiag_ros.gap.inference.search import EffectSet
 
 OTHER_WAYS = 2
 LEAST_WAY = 0.05
-"""Most further forms of an effect in which a set of effects is foretold, and the least share of one."""
+"""Most further forms of an effect in which a set of effects is predicted, and the least share of one."""
 BEYOND_LOG = 0.3
 """Power of a form's odds beyond the log: the form that suits best there need not be that in which things go on."""
 
@@ -31,7 +31,7 @@ def confused(sets: list[EffectSet], best: EffectSet) -> tuple[tuple[str, ...], .
 def separations(sets: list[EffectSet], best: EffectSet) -> dict[str, float]:
     """How well the log separates from the best set what may stand for a member of it.
 
-    By name the log evidence by which that falls behind; 0: not at all, ``CONFUSED``: it would be told.
+    By name the log evidence by which that falls behind; 0: not at all, ``CONFUSED``: it would be distinguished.
     """
     found: dict[str, float] = {}
     for other in _stand_ins(sets, best):
@@ -40,7 +40,7 @@ def separations(sets: list[EffectSet], best: EffectSet) -> dict[str, float]:
     return found
 
 
-def rivals_of(screen: Screen, effects: Mapping[str, Effect], sets: list[EffectSet], best: EffectSet,
+def competing_models(screen: Screen, effects: Mapping[str, Effect], sets: list[EffectSet], best: EffectSet,
               groups: Iterable[Iterable[str]], hint: bool = False) -> list[Ways]:
     """The best set and those that it may be taken for, each with the ways in which it may act; those are left out of
     which it is not known what they would do in a further run.  A ``hint`` may be nothing as well; none where it is not
@@ -49,10 +49,10 @@ def rivals_of(screen: Screen, effects: Mapping[str, Effect], sets: list[EffectSe
     if hint:
         groups = (*groups, best.key)
     found = [_ways(screen, known, found, groups)
-             for found in (best, *_stand_ins(sets, best)) if _foretells(screen, found)]
+             for found in (best, *_stand_ins(sets, best)) if _predicts(screen, found)]
     if not hint:
         return found
-    return [*found, [(1.0, [])]] if _foretells(screen, best) else []
+    return [*found, [(1.0, [])]] if _predicts(screen, best) else []
 
 
 def _stand_ins(sets: list[EffectSet], best: EffectSet) -> list[EffectSet]:
@@ -62,7 +62,7 @@ def _stand_ins(sets: list[EffectSet], best: EffectSet) -> list[EffectSet]:
             and UNKNOWN not in other.key and best.log_bayes - other.log_bayes < CONFUSED]
 
 
-def _foretells(screen: Screen, found: EffectSet) -> bool:
+def _predicts(screen: Screen, found: EffectSet) -> bool:
     """Whether it is known what a set would do in a further run: a shapeless pattern's is not."""
     return all(m.effect != UNKNOWN or screen.candidates[m.candidate].own for m in found.members)
 

@@ -1,6 +1,6 @@
-"""How well two forecasts are told apart: probability of error, expected evidence; mixtures of forecasts too.
+"""How well two forecasts are distinguished: probability of error, expected evidence; mixtures of forecasts too.
 
-Each set of effects foretells new readings as a normal distribution N(m, V).  The probability that they speak for the
+Each set of effects predicts new readings as a normal distribution N(m, V).  The probability that they speak for the
 wrong one of two sets is at most ½ρ, with
 
     −ln ρ = ⅛ (m_A − m_B)ᵀ V⁻¹ (m_A − m_B) + ½ ln |V| − ¼ ln |V_A| − ¼ ln |V_B|,   V = ½ (V_A + V_B)
@@ -23,7 +23,7 @@ from scipy import linalg
 
 @dataclass(frozen=True)
 class Forecast:
-    """White new readings (n,) as a set foretells them: ``mean`` and ``spread`` (n, p) of their covariance
+    """White new readings (n,) as a set predicts them: ``mean`` and ``spread`` (n, p) of their covariance
     ``1 + SSᵀ``; ``certain`` (p, n) is L⁻¹Sᵀ with ``LLᵀ = 1 + SᵀS``, ``volume`` ½ ln |1 + SSᵀ|, ``own`` the trace of
     ``(1 + SSᵀ)⁻¹ − 1``."""
 
@@ -38,7 +38,7 @@ Mixture = Sequence[tuple[float, Forecast]]
 """Forecasts of a set that may act in several ways, with the share of each."""
 
 
-def foretold(mean: np.ndarray, spread: np.ndarray) -> Forecast:
+def predicted(mean: np.ndarray, spread: np.ndarray) -> Forecast:
     """The forecast of white readings with ``mean`` (n,) and covariance ``1 + SSᵀ``, S the ``spread`` (n, p)."""
     root = linalg.cholesky(np.eye(spread.shape[1]) + spread.T @ spread, lower=True)
     certain = linalg.solve_triangular(root, spread.T, lower=True, check_finite=False)

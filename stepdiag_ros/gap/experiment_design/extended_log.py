@@ -1,6 +1,6 @@
 """A log with one more setup at its end: what is known of it before it is measured.
 
-Given the log, each set of effects foretells the new readings from its own sizes, the machine, all misalignments and
+Given the log, each set of effects predicts the new readings from its own sizes, the machine, all misalignments and
 resets, none of them better known than the log tells, and the noise.
 """
 
@@ -18,11 +18,11 @@ from stepdiag_ros.estimate.noise import whiteners
 from stepdiag_ros.estimate.parameters import parameters_of
 from stepdiag_ros.estimate.planned import planned_table
 from stepdiag_ros.estimate.reduce import PIECES, StopTable
-from stepdiag_ros.gap.experiment_design.discrimination import Forecast, Mixture, foretold
+from stepdiag_ros.gap.experiment_design.discrimination import Forecast, Mixture, predicted
 from stepdiag_ros.gap.inference.evidence import SIZES
 from stepdiag_ros.gap.inference.joint import Joint
 from stepdiag_ros.gap.preprocess.observe import view_of
-from stepdiag_ros.gap.summary.cross_validation import RESET_WIDTH_M
+from stepdiag_ros.gap.summary.cross_validation import PRIOR_RESET_M
 from stepdiag_ros.model.description import Description, Setup, path_of
 from stepdiag_ros.model.log import STOOD
 
@@ -35,6 +35,7 @@ Ways = Sequence[tuple[float, Sequence[Member]]]
 class Run:
     """A further run: a setup, ``how`` it differs from that of the log, in words; ``known``: whether the log holds it.
 
+    ``as_mounted``: the setup of the log that a mounting by code may bring back as it was, '': none;
     ``wait`` [s]: left alone so long before mounting; ``mirror_turn_rad``: how its mirror is turned; ``light`` in the
     beam against that of the log; ``watch`` [s]: length of the first stop's dwell, 0: as usual; ``again_after`` [s]:
     left standing so long and measured as often again, None: not.
@@ -48,6 +49,7 @@ class Run:
     wait: float = 0.0
     watch: float = 0.0
     again_after: float | None = None
+    as_mounted: str = ''
 
     @property
     def text(self) -> str:
@@ -58,8 +60,8 @@ class Run:
         if self.light != 1.0:
             said += f'Put a grey filter that leaves {self.light:.0%} of the light into the beam. '
         said += f'Mount and align the {label}'
-        said += ' once more and measure it again' if self.known else \
-            f', which this log does not hold, and measure it at {self.setup.stops} stops'
+        said += ' once more and measure it again' if self.known else ', which this log does not hold, and measure it'
+        said += f' at {self.setup.stops} stops' if self.setup.is_linear and not self.known else ''
         said += f', {self.how}.' if self.how else '.'
         if self.watch:
             said += f' Before it moves, let it stand at its first stop for {self.watch / 60.0:.0f} min while the ' \
@@ -101,7 +103,7 @@ class Known:
         return self._places[effect.name]
 
 
-class Longer:
+class ExtendedLog:
     """The log with one more setup: what is known of it before it is measured."""
 
     def __init__(self, joint: Joint, run: Run, known: Known):
@@ -120,7 +122,8 @@ class Longer:
         noise = replace(joint.noise, sensor=np.concatenate([joint.noise.sensor, new_noise]), spread=spread)
         parameters = parameters_of(log.description, table)
         first, new = old.parameters.offset_first, len(table.run_ids) - old.parameters.runs
-        theta = np.concatenate([old.theta[:first], [0.0, 0.0, *run.mirror_turn_rad], old.theta[first:],
+        mounted = [] if run.as_mounted else [0.0, 0.0, *run.mirror_turn_rad]
+        theta = np.concatenate([old.theta[:first], mounted, old.theta[first:],
                                 np.zeros(new * old.parameters.beams)])
         model = ForwardModel(log.description, table, parameters)
         predicted, jacobian, arrival = model.jacobian(theta)
@@ -139,20 +142,20 @@ class Longer:
         self._nominal = self._whitened(jacobian.toarray())
         self._precision = prior_precision(parameters)
         offsets = np.arange(parameters.offset_first, parameters.size)
-        self._precision[offsets, offsets] = RESET_WIDTH_M**-2.0
+        self._precision[offsets, offsets] = PRIOR_RESET_M**-2.0
         residual = np.zeros(present.shape)
         residual[:start] = observation.view.reading - predicted[:start]
         self._data = self._whitened(np.where(present, residual, 0.0).ravel())[~self._new]
 
     def forecasts(self, ways: Ways) -> Mixture:
-        """The new readings in each of the ways that have their like in the longer log."""
+        """The new readings in each of the ways that have their like in the extended log."""
         found = [(share, self.forecast(members)) for share, members in ways]
         found = [(share, forecast) for share, forecast in found if forecast is not None]
         total = sum(share for share, _ in found)
         return [(share / total, forecast) for share, forecast in found]
 
     def forecast(self, members: Sequence[Member]) -> Forecast | None:
-        """The new readings if ``members`` act; None where one of them has no like, or no bound, in the longer log."""
+        """The new readings if ``members`` act; None where one of them has no like, or no bound, in the extended log."""
         forms = [self._laid(effect, form) for effect, form in members]
         if None in forms:
             return None
@@ -176,10 +179,10 @@ class Longer:
                 best = fits, factor, scale, half, size
         _, factor, scale, half, self._log.sizes[way] = *best[:-1], best[-1:]
         spread = linalg.solve_triangular(factor, (new * scale).T, lower=True).T
-        return foretold(spread @ half, spread)
+        return predicted(spread @ half, spread)
 
     def _laid(self, effect: Effect, form: Form) -> Form | None:
-        """The form at the longer log, its shape kept: time constants in a label follow the log's length, the
+        """The form at the extended log, its shape kept: time constants in a label follow the log's length, the
         order of an effect's forms of one kind does not."""
         if effect.name not in self._forms:
             forms = effect.appearance(self.view)
@@ -198,6 +201,13 @@ def _length_ns(table: StopTable) -> np.ndarray:
     return np.maximum(table.done_ns - table.dwell_ns, 1)
 
 
+def seconds_of(joint: Joint, run: Run) -> float:
+    """How long a run takes [s], with what goes before it, at the log's own pace."""
+    table, description = joint.observation.table, joint.observation.log.description
+    longer, _ = with_run(table, run, replace(description, setups={**description.setups, run.setup.name: run.setup}), 0)
+    return float(longer.done_ns.max() - table.done_ns.max()) * 1e-9
+
+
 def with_run(table: StopTable, run: Run, description: Description, usual: int) -> tuple[StopTable, np.ndarray]:
     """The table with the setup of ``run`` measured at its end, once or twice; and for each of the new stops the old
     one that it is like: that of the same diagonal or line or, where there was none, ``usual``."""
@@ -209,6 +219,9 @@ def with_run(table: StopTable, run: Run, description: Description, usual: int) -
     shifts = [int(table.done_ns.max()) + max(pause, 0) + int(run.wait * 1e9) - first]
     if run.again_after is not None:
         shifts.append(shifts[0] + longer + int(part['done_ns'].max()) - first + int(run.again_after * 1e9))
+    names = table.setup_names if run.as_mounted else (*table.setup_names, run.setup.name)
+    setup = names.index(run.as_mounted or run.setup.name)
+    held = int(table.repeat[table.setup == setup].max()) + 1 if run.as_mounted else 0
     parts, ids, rows = [], [], []
     for visit, shift in enumerate(shifts):
         # What is watched comes before the first stop as it usually is, cut as in a log.
@@ -222,12 +235,12 @@ def with_run(table: StopTable, run: Run, description: Description, usual: int) -
             for name, end in (('dwell_ns', 0), ('done_ns', 1)):
                 new[name][:before] = first + shift + longer * (np.arange(before) + end) // before
         parts.append(new | {
-            'run': new['run'] + len(table.run_ids) + len(ids), 'setup': np.full(len(own), len(table.setup_names)),
-            'repeat': new['repeat'] + visit * (int(part['repeat'].max()) + 1),
+            'run': new['run'] + len(table.run_ids) + len(ids), 'setup': np.full(len(own), setup),
+            'repeat': new['repeat'] + held + visit * (int(part['repeat'].max()) + 1),
             'intensity': new['intensity'] * run.light})
         ids += [f'{run.setup.name}/{visit}/{one}' for one in passes]
         rows.append(like[own])
-    return replace(table, run_ids=(*table.run_ids, *ids), setup_names=(*table.setup_names, run.setup.name),
+    return replace(table, run_ids=(*table.run_ids, *ids), setup_names=names,
                    **{name: np.concatenate([getattr(table, name), *(part[name] for part in parts)])
                       for name in parts[0]}), np.concatenate(rows)
 

@@ -4,8 +4,8 @@ A run is one more setup at the end of the log: a diagonal or line, mounted and a
 distance, with the detector's beam elsewhere, the mirror turned or less light; perhaps watched at its first stop for a
 while, where no arrival errs and what drifts shows at the sensors' own noise; perhaps left standing and measured
 again, so that what goes on while nothing is touched shows; such a run begins after a wait.  The run with the least
-probability of error (:mod:`experiment_design.discrimination`) is taken, the largest over all sets that rival the
-likeliest.  Expected log evidence, which is given beside, would be a worse guide: where one set foretells little, it
+probability of error (:mod:`experiment_design.discrimination`) is taken, the largest over all sets that compete with the
+likeliest.  Expected log evidence, which is given beside, would be a worse guide: where one set predicts little, it
 is large on the average of outcomes and nothing in many of them.
 """
 
@@ -16,7 +16,7 @@ import numpy as np
 
 from stepdiag_ros.gap.alternatives.unmodelled import NAME as UNKNOWN
 from stepdiag_ros.gap.experiment_design.discrimination import Mixture, apart, expected_evidence
-from stepdiag_ros.gap.experiment_design.extended_log import Known, Longer, Run, Ways
+from stepdiag_ros.gap.experiment_design.extended_log import ExtendedLog, Known, Run, Ways, seconds_of
 from stepdiag_ros.gap.inference.joint import Joint
 from stepdiag_ros.gap.inference.search import NOTHING
 from stepdiag_ros.model.description import LINEAR, Setup, path_of
@@ -31,20 +31,20 @@ ASIDE_M = 0.02
 RESTS = (0.0, 0.3, 1.0)
 """How long a run is left standing before it is measured again: shares of the log's length, the first that is …"""
 ENOUGH = 15.0
-"""… told apart by this −ln ρ is taken.  The forms are never quite right: runs of which they promised odds of a hundred
+"""… separated by this −ln ρ is taken.  The forms are never quite right: runs of which they promised odds of a hundred
 to one settled one case in two."""
 WATCHED = (60.0, 1200.0)
 """A run is watched for as long as a setup usually takes, within these limits [s]."""
 PATIENT_S = 600.0
-"""Where it is the courses in time that tell, the cell is left alone before the run for as long as the log took, and
+"""Where it is the time profiles that tell, the cell is left alone before the run for as long as the log took, and
 watched for at least so long: what follows the clock has gone on by then, what begins at each mounting begins as before.
 No forecast asks for that, for each takes one of its forms to be right."""
 GREY = 0.5
-"""Light that is left in the beam where background is to be told from it."""
+"""Light that is left in the beam where background is to be distinguished from it."""
 BACKGROUND = 'ambient_light'
 FRESH = 'mirror_mount_creep'
 SOON = 'Begin right after mounting the mirror: a mount that relaxes moves most then, nothing else does.'
-"""An effect that a fresh mounting shows best, whatever its forms foretell."""
+"""An effect that a fresh mounting shows best, whatever its forms predict."""
 
 Best = tuple[Run, float, Mixture, list[Mixture]] | None
 """A run, its −ln ρ and the forecasts of the likeliest set and of the others."""
@@ -81,47 +81,68 @@ class NextRun:
                 'between': list(self.between), 'text': self.text}
 
 
-def recommend(joint: Joint, rivals: Sequence[Ways]) -> NextRun | None:
-    """The further run that tells the likeliest set, the first of ``rivals``, from all others best."""
-    if len(rivals) < 2:
+def recommend(joint: Joint, models: Sequence[Ways], able: Sequence[Run] | None = None,
+              longest_s: float = np.inf) -> NextRun | None:
+    """The further run that tells the likeliest set, the first of ``models``, from all others best.
+
+    ``able``: the runs to choose from, which are only watched, left standing or waited for, for a cell that sets nothing
+    up otherwise; None: all that hands can do.  ``longest_s``: a run that takes longer [s] is not thought of.
+    """
+    if len(models) < 2:
         return None
-    names = [{effect.name for effect, _ in ways[0][1]} or {NOTHING} for ways in rivals]
+    names = [{effect.name for effect, _ in ways[0][1]} or {NOTHING} for ways in models]
     between = tuple(sorted(set.union(*names) - set.intersection(*names)))
     if not between:
         return None
     # Which diagonal or line, whether it is watched or left standing, matters most; how it is set up is tried on the
     # best.
-    log, best, plain = Known(joint), None, _once_more(joint)
+    log, best, plain = Known(joint), None, _once_more(joint) if able is None else able
+
+    def better(runs: Sequence[Run], than: Best) -> Best:
+        return _best(joint, models, [run for run in runs if seconds_of(joint, run) <= longest_s], than, log)
     for runs in (plain, [_watched(joint, run) for run in plain], [_standing(joint, run)[-1] for run in plain]):
         if best is None or best[1] < ENOUGH:
-            best = _best(joint, rivals, runs, best, log)
+            best = better(runs, best)
+    if best and best[1] < ENOUGH and able is None:
+        best = better(_set_up(joint, best[0], between), best)
     if best and best[1] < ENOUGH:
-        best = _best(joint, rivals, _set_up(joint, best[0], between), best, log)
-    if best and best[1] < ENOUGH:
-        best = _best(joint, rivals, [_watched(joint, best[0]), *_standing(joint, best[0])], best, log)
+        best = better([_watched(joint, best[0]), *_standing(joint, best[0])], best)
     if best is None:
         return None
     if best[0].watch or best[0].again_after is not None:
-        best = _best(joint, rivals, [_patient(joint, best[0])], None, log) or best
-    run, told, first, others = best
+        best = better([_patient(joint, best[0])], None) or best
+    run, separation, first, others = best
     evidence = min(min(expected_evidence(first, other), expected_evidence(other, first)) for other in others)
-    error, at_once = 0.5 * float(np.exp(-max(told, 0.0))), FRESH in between
+    error, at_once = 0.5 * float(np.exp(-max(separation, 0.0))), FRESH in between
     return NextRun(run, evidence, error, between, at_once,
                    run.text + (f' {SOON}' if at_once else '') + _hope(error, between))
 
 
-def _best(joint: Joint, rivals: Sequence[Ways], runs: Sequence[Run], best: Best,
+def _best(joint: Joint, models: Sequence[Ways], runs: Sequence[Run], best: Best,
           log: Known) -> Best:
-    """The run that tells the sets apart best among ``runs`` and ``best``."""
+    """The run that tells the sets apart best among ``runs`` and ``best``.
+
+    A mounting by code may bring back the directions that it had or not: what tells less counts.
+    """
     for run in runs:
-        longer = Longer(joint, run, log)
-        forecasts = [longer.forecasts(ways) for ways in rivals]
-        if not all(forecasts):
+        found = [_separation(joint, models, way, log) for way in ([run, replace(run, as_mounted='')] if run.as_mounted
+                                                            else [run])]
+        if None in found:
             continue
-        told = min(apart(forecasts[0], other) for other in forecasts[1:])
-        if best is None or told > best[1]:
-            best = run, told, forecasts[0], forecasts[1:]
+        separation, first, others = min((one for one in found if one), key=lambda one: one[0])
+        if best is None or separation > best[1]:
+            best = run, separation, first, others
     return best
+
+
+def _separation(joint: Joint, models: Sequence[Ways], run: Run,
+                log: Known) -> tuple[float, Mixture, list[Mixture]] | None:
+    """−ln ρ of a run and the forecasts of the likeliest set and of the others; None where one forecasts nothing."""
+    extended = ExtendedLog(joint, run, log)
+    forecasts = [extended.forecasts(ways) for ways in models]
+    if not all(forecasts):
+        return None
+    return min(apart(forecasts[0], other) for other in forecasts[1:]), forecasts[0], forecasts[1:]
 
 
 def _hope(error: float, between: Sequence[str]) -> str:
@@ -130,7 +151,7 @@ def _hope(error: float, between: Sequence[str]) -> str:
     names = f'{", ".join(said[:-1])} and {said[-1]}'
     odds = 'more than 10000' if error < 1e-4 else f'{float(f"{1.0 / error:.2g}"):.0f}'
     return f' It is to decide between {names}' + (
-        f', with odds of {odds} to one that it does if the courses thought of hold.' if error < 0.25 else
+        f', with odds of {odds} to one that it does if the time profiles thought of hold.' if error < 0.25 else
         '; no run that was thought of promises to.')
 
 

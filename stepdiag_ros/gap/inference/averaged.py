@@ -2,7 +2,7 @@
 
 What an effect takes of the errors depends on the form that it is given, and forms that explain a log as well as
 each other may take different things: a motion that depends on two axes' places can be laid to either.  So may a
-course whose size the log hardly shows.  The errors are therefore averaged over forms and sizes by their evidence;
+profile whose size the log hardly shows.  The errors are therefore averaged over forms and sizes by their evidence;
 their variance is the mean of the forms' own and the variance between them (law of total variance).  A pattern without a
 name is weighed against the names that may stand for it.  What may act beside an effect, as large and unseen, is as
 uncertain as that: a machine that is seen to bend in one motion bends in others.  No form of the list is right to the
@@ -25,7 +25,16 @@ from stepdiag_ros.gap.alternatives.unmodelled import NAME as UNKNOWN
 from stepdiag_ros.gap.constants import FORM_ERROR
 from stepdiag_ros.gap.inference.candidates import Member, Screen, allowed
 from stepdiag_ros.gap.inference.evidence import Judged
-from stepdiag_ros.gap.inference.joint import Active, Joint, held_to_sizes, inverse, size_of, solve, unexplained, widths
+from stepdiag_ros.gap.inference.joint import (
+    Active,
+    Joint,
+    held_to_sizes,
+    inverse,
+    prior_sigmas,
+    size_of,
+    solve,
+    unexplained,
+)
 from stepdiag_ros.gap.inference.search import EffectSet
 
 WITHIN = 5.0
@@ -46,11 +55,11 @@ def compositions(screen: Screen, best: EffectSet) -> list[EffectSet]:
             rest = found.members[:place] + found.members[place + 1:]
             taken = {m.candidate for m in rest}
             fitting = [number for number, candidate in enumerate(screen.candidates)
-                       if number not in taken and candidate.effect != UNKNOWN and not candidate.decoy]
+                       if number not in taken and candidate.effect != UNKNOWN and not candidate.negative_control]
             judged = screen.judge_all(rest, fitting)
             evidence = {number: judged[number].log_bayes - float(np.log(forms[screen.candidates[number].effect]))
                         for number in fitting}
-            now = member.log_bayes - member.doubt if member.effect == UNKNOWN else evidence[member.candidate]
+            now = member.log_bayes - member.penalty if member.effect == UNKNOWN else evidence[member.candidate]
             others = [EffectSet((*found.members[:place], _as_member(screen, number, judged[number]),
                                  *found.members[place + 1:]), found.log_bayes - now + evidence[number])
                       for number in fitting if number != member.candidate]
@@ -123,7 +132,7 @@ def _pull(joint: Joint, active: Sequence[Active]) -> tuple[np.ndarray, np.ndarra
     white = white[:len(joint.jacobian)]
     follow = joint.followed(white)
     left = white.T @ white - white.T @ joint.jacobian @ follow
-    spread = inverse(left + np.diag(widths(a.form for a in active) ** -2.0))
+    spread = inverse(left + np.diag(prior_sigmas(a.form for a in active) ** -2.0))
     return follow @ size, inverse(joint.normal) + follow @ spread @ follow.T
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from stepdiag_ros.effects.base import Effect, Form
 from stepdiag_ros.estimate.eigen import eigen
-from stepdiag_ros.gap.constants import CONFUSED, DECOY_SHARE, DISCREPANCY_SHARE, MEMBER_ALARM
+from stepdiag_ros.gap.constants import CONFUSED, CONTROL_SHARE, DISCREPANCY_SHARE, MEMBER_ALARM
 from stepdiag_ros.gap.inference.discrepancy import LEAST, held
 from stepdiag_ros.gap.inference.discrepancy import columns as discrepancy_of
 from stepdiag_ros.gap.inference.evidence import SIZES, Judged, judge, log_evidence, log_mean, log_sum
@@ -27,16 +27,16 @@ LEAST_EXPLAINED = 0.02
 class Candidate:
     """One form of one effect: ``family`` splits an effect's forms into groups of equal weight.
 
-    ``doubt``: log odds against the family where a name explains as much.  ``decoy``: a form that the effect
-    named in ``family`` cannot take.  ``own``: whether the family weighs as much as an effect does, instead of
-    sharing the weight of one with the others.
+    ``penalty``: log prior odds against the family where a name explains as much.  ``negative_control``: a form
+    that the effect named in ``family`` cannot take.  ``own``: whether the family weighs as much as an effect does,
+    instead of sharing the weight of one with the others.
     """
 
     effect: str
     family: str
     form: Form
-    doubt: float = 0.0
-    decoy: bool = False
+    penalty: float = 0.0
+    negative_control: bool = False
     own: bool = False
 
 
@@ -49,12 +49,12 @@ class Member:
     candidate: int
     log_bayes: float
     size: float = float(SIZES[-1])
-    doubt: float = 0.0
+    penalty: float = 0.0
     refused: str = ''
 
 
 def allowed(form: Form, judged: Judged) -> float:
-    """The size that a form's coefficients are allowed in a set: an unknown course the one that the log shows of it."""
+    """The size that a form's coefficients are allowed in a set: an unknown profile the one that the log shows of it."""
     return judged.size if form.process else float(SIZES[-1])
 
 
@@ -64,8 +64,8 @@ class Screen:
 
     ``repeatable``: effects that may enter a set more than once; ``modulations`` (m, n): those of
     :mod:`~stepdiag_ros.gap.inference.discrepancy`, None where forms are taken to be exact; ``effects`` by name.
-    ``data`` (M,): those of the parity space, and below them those of what columns made of readings owe
-    (:meth:`Parity.own_rows`).
+    ``data`` (M,): those of the parity space, and below them those of the Jacobian correction of columns made
+    of readings (:meth:`Parity.own_rows`).
     """
 
     parity: Parity
@@ -116,7 +116,7 @@ class Screen:
             grams[i] = columns.T @ columns - lost.T @ lost
             if i in inside:
                 grams[i] += inside[i].T @ inside[i]
-        owed = {i: block.T @ block for i, block in own.items()}
+        correction = {i: block.T @ block for i, block in own.items()}
         by_width: dict[int, list[int]] = {}
         for number, part in enumerate(self._slices):
             by_width.setdefault(part.stop - part.start, []).append(number)
@@ -128,9 +128,9 @@ class Screen:
             gram = np.stack([grams[first[n]] for n in numbers]) * both
             along = self._along[places] * ratios
             mine = None
-            if any(first[n] in owed for n in numbers):
+            if any(first[n] in correction for n in numbers):
                 none = np.zeros(gram.shape[1:])
-                mine = np.stack([owed.get(first[n], none) for n in numbers]) * both
+                mine = np.stack([correction.get(first[n], none) for n in numbers]) * both
                 gram += mine
             self._alike.append(_Alike(np.array(numbers), places, ratios, gram, along, mine))
 
@@ -237,8 +237,8 @@ class Screen:
             return known
         basis = self.basis(members)
         taken = basis.T @ self.data
-        owed = _Owed.by(self._below[-1], basis, self.data, taken, self._white.shape[1])
-        total = float(self.data @ self.data - taken @ taken) - owed.total
+        correction = _Correction.by(self._below[-1], basis, self.data, taken, self._white.shape[1])
+        total = float(self.data @ self.data - taken @ taken) - correction.total
         dof = sum(self.parity.dof) - float(np.sum(basis[:self.parity.size]**2))
         overlap = basis[:self.parity.stops].T @ self._white
         for below in self._below:
@@ -248,7 +248,7 @@ class Screen:
             cross = (overlap[:, alike.places[chosen]] * alike.ratios[chosen]).transpose(1, 2, 0)
             gram = alike.grams[chosen] - cross @ cross.transpose(0, 2, 1)
             along = alike.alongs[chosen] - cross @ taken
-            judged = judge(gram, along, total, dof, self.noise_dof, owed.of(alike, chosen, cross))
+            judged = judge(gram, along, total, dof, self.noise_dof, correction.of(alike, chosen, cross))
             known.update(zip(alike.numbers[chosen].tolist(), judged, strict=True))
         return known
 
@@ -263,21 +263,21 @@ class Screen:
     def by_effect(self, members: Sequence[Member] = (),
                   asked: Callable[[str], bool] = lambda effect: True) -> dict[str, Member]:
         """The evidence of every effect ``asked`` for given ``members``, averaged over its forms; the best form,
-        doubts weighed."""
+        penalties weighed."""
         groups: dict[str, dict[str, list[int]]] = {}
         present = {m.effect for m in members}
         sources = {(m.effect, self.candidates[m.candidate].form.source) for m in members
                    if self.candidates[m.candidate].form.source}
         settled = {effect for effect, _ in sources}
-        decoys: dict[tuple[str, int], list[int]] = {}
+        controls: dict[tuple[str, int], list[int]] = {}
         wanted = {effect for effect in {candidate.effect for candidate in self.candidates} if asked(effect)}
         for number, candidate in enumerate(self.candidates):
-            if candidate.decoy:
-                decoys.setdefault((candidate.family, len(candidate.form.columns)), []).append(number)
+            if candidate.negative_control:
+                controls.setdefault((candidate.family, len(candidate.form.columns)), []).append(number)
             if candidate.effect not in wanted:
                 continue
-            if candidate.decoy and candidate.family in present:
-                continue  # beside the name its decoys are no rivals
+            if candidate.negative_control and candidate.family in present:
+                continue  # beside the name its negative controls do not compete
             if (candidate.effect in settled and candidate.form.source
                     and (candidate.effect, candidate.form.source) not in sources):
                 continue
@@ -286,45 +286,47 @@ class Screen:
                                           for numbers in families.values() for i in numbers])
         result = {}
         for effect, families in groups.items():
-            doubts = {family: self._doubt(numbers, judged) for family, numbers in families.items()}
+            penalties = {family: self._penalty(numbers, judged) for family, numbers in families.items()}
             shared = sum(not self.candidates[numbers[0]].own for numbers in families.values())
-            logs = {family: log_mean([judged[i].log_bayes for i in numbers]) - doubts[family]
+            logs = {family: log_mean([judged[i].log_bayes for i in numbers]) - penalties[family]
                     - (0.0 if self.candidates[numbers[0]].own else float(np.log(shared)))
                     for family, numbers in families.items()}
-            # The doubt is that against the family which carries the sum: another's would be paid back unpaid.
+            # The penalty is that against the family which carries the sum: another's would be paid back unpaid.
             family = max(logs, key=logs.__getitem__)
             best = max(families[family], key=lambda i: judged[i].log_bayes)
-            member = Member(effect, best, log_sum(list(logs.values())) + doubts[family],
-                            allowed(self.candidates[best].form, judged[best]), doubts[family])
-            as_rich = decoys.get((effect, len(self.candidates[best].form.columns)))
-            result[effect] = self._beyond_decoys(members, member, as_rich) if as_rich else member
+            member = Member(effect, best, log_sum(list(logs.values())) + penalties[family],
+                            allowed(self.candidates[best].form, judged[best]), penalties[family])
+            as_rich = controls.get((effect, len(self.candidates[best].form.columns)))
+            result[effect] = self._beyond_controls(members, member, as_rich) if as_rich else member
         return result
 
-    def _beyond_decoys(self, members: Sequence[Member], member: Member, decoys: Sequence[int]) -> Member:
-        """A member; refused where negative controls, ``decoys`` as rich, show nearly as much beside it still.
+    def _beyond_controls(self, members: Sequence[Member], member: Member, controls: Sequence[int]) -> Member:
+        """A member; refused where its negative ``controls``, as rich, show nearly as much beside it still.
 
-        What a name explains its decoys do not show any more.  What they show beside it is of another cause, and of
+        What a name explains its controls show no more.  What they show beside it is of another cause, and of
         that the name's own forms, as rich, have shown as much; and once more what that is beyond chance,
-        for decoys are few.
+        for controls are few.
         """
         if member.log_bayes < 0.0:
             return member
-        judged = self.judge_all((*members, member), decoys)
-        shown = max(0.0, *(judged[i].log_bayes for i in decoys))
-        owed = shown + max(0.0, shown - CONFUSED)
-        if member.log_bayes - owed > MEMBER_ALARM:
+        judged = self.judge_all((*members, member), controls)
+        shown = max(0.0, *(judged[i].log_bayes for i in controls))
+        asked = shown + max(0.0, shown - CONFUSED)
+        if member.log_bayes - asked > MEMBER_ALARM:
             return member
         return replace(member, refused=f'{member.effect}: beside it its negative controls show {shown:.1f} in log '
                                        f'evidence, it brings {member.log_bayes:.1f}')
 
-    def _doubt(self, numbers: Sequence[int], judged: Mapping[int, Judged]) -> float:
+    def _penalty(self, numbers: Sequence[int], judged: Mapping[int, Judged]) -> float:
         """Log odds against a family where a name explains as much.
 
-        What decoys explain, forms as rich would have explained whatever the cause: a name has earned
-        only what it explains beyond, and must beat its decoys by a share of what they have.
+        What negative controls explain, forms as rich would have explained whatever the cause: a name has earned
+        only what it explains beyond, and must beat its controls by a share of what they have.
         """
         first = self.candidates[numbers[0]]
-        return -DECOY_SHARE * max(0.0, *(judged[i].log_bayes for i in numbers)) if first.decoy else first.doubt
+        if first.negative_control:
+            return -CONTROL_SHARE * max(0.0, *(judged[i].log_bayes for i in numbers))
+        return first.penalty
 
 
 @dataclass(frozen=True)
@@ -340,20 +342,20 @@ class _Below:
 class _Alike:
     """Candidates with k columns each: ``numbers`` (F,), ``places`` (F, k) of their columns among all and
     ``ratios`` (F, k) of their scales to those of the columns there, products ``grams`` (F, k, k) with
-    themselves and ``alongs`` (F, k) with the data; ``owed`` (F, k, k): what of the first is in rows that columns made
-    of readings owe, None where there are none."""
+    themselves and ``alongs`` (F, k) with the data; ``correction`` (F, k, k): what of the first is in the rows of the
+    Jacobian correction, None where there are none."""
 
     numbers: np.ndarray
     places: np.ndarray
     ratios: np.ndarray
     grams: np.ndarray
     alongs: np.ndarray
-    owed: np.ndarray | None
+    correction: np.ndarray | None
 
 
 @dataclass(frozen=True)
-class _Owed:
-    """The rows that columns made of readings owe, given a set: what is left of them, squared, in ``total``; products of
+class _Correction:
+    """The rows of the Jacobian correction, given a set: what is left of them, squared, in ``total``; products of
     the set's directions there with each other (r, r) and with what is left (r,), and of all columns with the
     directions (K, r) and with what is left (K,)."""
 
@@ -364,7 +366,7 @@ class _Owed:
     with_left: np.ndarray
 
     @classmethod
-    def by(cls, rows: '_Below', basis: np.ndarray, data: np.ndarray, taken: np.ndarray, columns: int) -> '_Owed':
+    def by(cls, rows: '_Below', basis: np.ndarray, data: np.ndarray, taken: np.ndarray, columns: int) -> '_Correction':
         mine = basis[rows.rows]
         left = data[rows.rows] - mine @ taken
         with_basis, with_left = np.zeros((columns, mine.shape[1])), np.zeros(columns)
@@ -373,14 +375,14 @@ class _Owed:
 
     def of(self, alike: _Alike, chosen: np.ndarray, cross: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
         """Products of the ``chosen`` candidates with themselves and with what is left, ``cross`` (F, k, r) of what the
-        set explains taken off; None where neither they nor the set owe anything."""
-        if alike.owed is None and not np.any(self.among):
+        set explains taken off; None where neither they nor the set need a correction."""
+        if alike.correction is None and not np.any(self.among):
             return None
         places, ratios = alike.places[chosen], alike.ratios[chosen]
         mixed = (self.with_basis[places] * ratios[:, :, None]) @ cross.transpose(0, 2, 1)
         gram = cross @ self.among @ cross.transpose(0, 2, 1) - mixed - mixed.transpose(0, 2, 1)
-        if alike.owed is not None:
-            gram = gram + alike.owed[chosen]
+        if alike.correction is not None:
+            gram = gram + alike.correction[chosen]
         return gram, self.with_left[places] * ratios - cross @ self.among_left
 
 
@@ -394,7 +396,7 @@ def _explained(columns: np.ndarray) -> np.ndarray:
 
 def _first_alike(forms: Sequence[Form]) -> list[int]:
     """For each form the number of that whose columns it shares: its own, or that of the process before it
-    where the two differ in the sizes of their coefficients only (a winding and a smooth course)."""
+    where the two differ in the sizes of their coefficients only (a winding and a smooth profile)."""
     first = list(range(len(forms)))
     for number in range(1, len(forms)):
         form, before = forms[number], forms[number - 1]

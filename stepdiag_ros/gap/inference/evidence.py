@@ -1,4 +1,4 @@
-"""The evidence for a form: how much better the log is foretold with it than without.
+"""The evidence for a form: how much better the log is predicted with it than without.
 
 With white data z of N degrees of freedom and a form's columns Z (N, k) in units of its typical
 size, coefficients are normal with variance s² and the scale of the noise is known only as well as
@@ -10,7 +10,7 @@ against no effect is
 The size s is not known: the factor is averaged over s from a thirtieth to thirty times the typical.
 The determinant is the price of complexity: a form that could have fitted much pays for it.
 
-Columns that are made of the readings owe the readings' noise besides (:meth:`Parity.own_rows`), Δₒ of what the
+Columns that are made of the readings hold their noise: a Jacobian correction (:meth:`Parity.own_rows`), Δₒ of what the
 coefficients gain.  That is a density of readings, whatever the scale of the noise: it counts as ½ Δₒ, and only
 what the data gain, Δ − Δₒ, is held against them.
 """
@@ -38,18 +38,20 @@ class Judged:
 def judge(gram: np.ndarray, along: np.ndarray, total: float, dof: float, noise_dof: float,
           own: tuple[np.ndarray, np.ndarray] | None = None) -> list[Judged]:
     """Evidence for F forms of k columns each, from the products ``ZᵀZ`` (F, k, k), ``Zᵀz`` (F, k) and
-    ``zᵀz``, in data with ``dof`` free dimensions; ``own``: what of the first two is owed to the readings' noise."""
+    ``zᵀz``, in data with ``dof`` free dimensions; ``own``: what of the first two the Jacobian
+    correction takes."""
     value, vector = eigen(gram)
     value = np.maximum(value, 0.0)
     turned = (vector.transpose(0, 2, 1) @ along[:, :, None])[:, :, 0]
     variance = SIZES[:, None, None] ** 2
     gain = np.sum(turned**2 * variance / (1.0 + variance * value), axis=2)
-    owed = 0.0
+    correction = 0.0
     if own:
-        owed = _owed(*own, (variance * turned / (1.0 + variance * value))[:, :, None] @ vector.transpose(0, 2, 1))
-    share = np.minimum((gain - owed) / (noise_dof + total), 1.0 - 1e-12)
+        correction = _correction(*own, (variance * turned / (1.0 + variance * value))[:, :, None]
+                                 @ vector.transpose(0, 2, 1))
+    share = np.minimum((gain - correction) / (noise_dof + total), 1.0 - 1e-12)
     logs = (-0.5 * np.sum(np.log1p(variance * value), axis=2)
-            - 0.5 * (dof + noise_dof) * np.log1p(-share) + 0.5 * owed)
+            - 0.5 * (dof + noise_dof) * np.log1p(-share) + 0.5 * correction)
     top = logs.max(axis=0)
     mean = top + np.log(np.mean(np.exp(logs - top), axis=0))
     odds = np.exp(logs - top)
@@ -66,12 +68,12 @@ def log_evidence(gram: np.ndarray, along: np.ndarray, total: float, dof: float, 
                  - 0.5 * (dof + noise_dof) * np.log1p(-min(gain / (noise_dof + total), 1.0 - 1e-12)))
 
 
-def _owed(gram: np.ndarray, along: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
+def _correction(gram: np.ndarray, along: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
     """``2aᵀb − aᵀGa`` (S, F) for ``coefficients`` a (S, F, 1, k), ``gram`` G (F, k, k) and ``along`` b (F, k)."""
     return np.sum(coefficients * (2.0 * along[:, None] - coefficients @ gram), axis=(2, 3))
 
 
-def width_of(form: Form) -> float:
+def prior_sigma_of(form: Form) -> float:
     """Standard deviation of a form's coefficients, in its scales, in a fit: wide enough to be free, but
     for a process."""
     return float(SIZES[-1]) if form.held is None else form.held

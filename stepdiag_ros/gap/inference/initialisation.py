@@ -1,8 +1,8 @@
-"""Where to begin when an effect is gross.
+"""Where to begin when an effect is large.
 
-A gross effect bends the nominal fit so far that at it hardly anything looks like itself: forms laid
+A large effect bends the nominal fit so far that at it hardly anything looks like itself: forms laid
 there and evidence taken there mislead.  Therefore each effect that might be to blame is first fitted
-together with the machine, against noise scaled up to what is left, which shrinks as the right one
+together with the machine, against noise scaled up to the residual, which shrinks as the right one
 finds its size.  The one that leaves least gives the place where the search begins.  It says nothing
 of what acts: that the search decides, from all candidates, at the noise as it is.
 """
@@ -22,15 +22,15 @@ from stepdiag_ros.gap.inference.joint import Active, Joint, fit_jointly, freed, 
 from stepdiag_ros.gap.inference.parity import Parity, parity
 from stepdiag_ros.gap.preprocess.observe import SETTLED, Observation
 
-GROSS = 5.0
+LARGE = 5.0
 """Residuals this many times the noise call for a search of the place to begin at."""
 TRIED = 5
 """Effects tried: the first by evidence against scaled-up noise."""
 MOST, BEAM = 3, 3
-"""Gross effects that are sought together, and sets that are carried on."""
+"""Large effects that are sought together, and sets that are carried on."""
 ROUNDS = 8
 STEADY = 0.95
-"""Rounds end when what is left does not shrink below this share."""
+"""Rounds end when the residual does not shrink below this share."""
 NEAR = 1.5
 """Sets that leave more than this factor above the least are not carried on."""
 WORTH = 0.8
@@ -47,12 +47,12 @@ class _Trial:
 
 
 def place_to_begin(joint: Joint, effects: Mapping[str, Effect]) -> Joint:
-    """``joint``, or where its residuals are gross, the joint fit of what takes most of them away."""
+    """``joint``, or where its residuals are large, the joint fit of what takes most of them away."""
     noise = joint.noise
     best = _Trial(joint.observation, (), _left(joint.parity, joint.parity.data))
     front = [best]
     for _ in range(MOST):
-        if best.scale < GROSS:
+        if best.scale < LARGE:
             break
         tried: dict[frozenset, _Trial] = {}
         for trial in front:
@@ -88,7 +88,7 @@ def _suspects(trial: _Trial, effects: Mapping[str, Effect], noise: NoiseModel) -
 
 
 def _fitted(trial: _Trial, further: tuple[Effect, Form], noise: NoiseModel) -> _Trial:
-    """``trial`` with one effect more, machine and effects in turn until what is left shrinks no more."""
+    """``trial`` with one effect more, machine and effects in turn until the residual shrinks no more."""
     trial = replace(trial, chosen=(*trial.chosen, further))
     best = replace(trial, scale=np.inf)
     for _ in range(ROUNDS):

@@ -2,7 +2,7 @@
 
 Given which effects act and in which form, their coefficients are found in parity space, the readings
 are freed of them, machine and misalignments are fitted anew, and the forms are laid anew at the new
-fit: a few rounds, for misalignments act to second order and a gross effect moves them far.
+fit: a few rounds, for misalignments act to second order and a large effect moves them far.
 """
 
 from collections.abc import Iterable, Mapping
@@ -19,7 +19,7 @@ from stepdiag_ros.estimate.enhanced import Fit, readings_of
 from stepdiag_ros.estimate.imitation import what_is_left
 from stepdiag_ros.estimate.noise import NoiseModel, estimate_noise
 from stepdiag_ros.estimate.reduce import StopTable
-from stepdiag_ros.gap.inference.evidence import SIZES, Judged, judge, width_of
+from stepdiag_ros.gap.inference.evidence import SIZES, Judged, judge, prior_sigma_of
 from stepdiag_ros.gap.inference.parity import Parity, parity
 from stepdiag_ros.gap.noise.arrival_law import reweighed
 from stepdiag_ros.gap.preprocess.observe import Observation, sane_fit, view_of
@@ -31,7 +31,7 @@ FREE = 3.0
 """Coefficients that are no process are held to this many times the size that the log shows: those that it
 settles hardly feel it, those that nothing settles stay where the model is linear."""
 LEAST_SIZE = 0.02
-"""Sizes of an unknown course less probable than this are left out."""
+"""Sizes of an unknown profile less probable than this are left out."""
 SETTLED = 0.02
 """Rounds end when no coefficient moves by more than this many standard deviations … or percent."""
 
@@ -84,7 +84,7 @@ class Joint:
 
     @cached_property
     def normal(self) -> np.ndarray:
-        """``JᵀJ + P`` (size, size) of the unknowns and their widths."""
+        """``JᵀJ + P`` (size, size) of the unknowns and their priors."""
         return self.jacobian.T @ self.jacobian + self.fit.precision
 
     @cached_property
@@ -130,6 +130,9 @@ def fit_jointly(observation: Observation, chosen: list[tuple[Effect, Form]],
 
 def freed(table: StopTable, active: Iterable[Active]) -> StopTable:
     """The stops with the effects taken off their readings."""
+    active = tuple(active)
+    if not active:
+        return table
     added = sum(a.contribution for a in active)
     return replace(table, displacement=table.displacement - added[:, :-2], spot=table.spot - added[:, -2:])
 
@@ -149,7 +152,7 @@ def tuned(space: Parity, chosen: list[tuple[Effect, Form]]) -> list[tuple[Effect
 
         def explained(tried: Form, rest: np.ndarray = rest) -> float:
             columns = space.project(tried)
-            normal = columns.T @ columns + np.eye(columns.shape[1]) / width_of(tried) ** 2
+            normal = columns.T @ columns + np.eye(columns.shape[1]) / prior_sigma_of(tried) ** 2
             along = columns.T @ rest
             return float(along @ np.linalg.solve(normal, along))
 
@@ -159,10 +162,10 @@ def tuned(space: Parity, chosen: list[tuple[Effect, Form]]) -> list[tuple[Effect
 
 
 def held_to_sizes(space: Parity, chosen: list[tuple[Effect, Form]]) -> list[tuple[float, list[tuple[Effect, Form]]]]:
-    """The chosen forms, untuned, each held to the size that the log shows, an unknown course in turn to each size
+    """The chosen forms, untuned, each held to the size that the log shows, an unknown profile in turn to each size
     that the log leaves it; with their probabilities.
 
-    Where little of a course is seen (a gain that ages, of which only the ageing shows), its size is hardly known,
+    Where little of a profile is seen (a gain that ages, of which only the ageing shows), its size is hardly known,
     nor how far what is not seen may go.
     """
     active, ways = solve(space, chosen), []
@@ -184,14 +187,14 @@ def _judged(space: Parity, form: Form, rest: np.ndarray) -> Judged:
 
 
 def _held(form: Form, judged: Judged) -> Form:
-    """A form held to the size that speaks best for it: an unknown course to that itself, other coefficients to a
+    """A form held to the size that speaks best for it: an unknown profile to that itself, other coefficients to a
     few times as much."""
     return replace(form, held=judged.size if form.process else min(FREE * judged.size, float(SIZES[-1])))
 
 
 def size_of(form: Form) -> float:
     """The size, in its scales, that the log shows of a form held to it."""
-    return width_of(form) if form.process else width_of(form) / FREE
+    return prior_sigma_of(form) if form.process else prior_sigma_of(form) / FREE
 
 
 def solve(space: Parity, chosen: list[tuple[Effect, Form]]) -> tuple[Active, ...]:
@@ -199,7 +202,7 @@ def solve(space: Parity, chosen: list[tuple[Effect, Form]]) -> tuple[Active, ...
     if not chosen:
         return ()
     columns = np.concatenate([space.project(form) for _, form in chosen], axis=1)
-    normal = columns.T @ columns + np.diag(widths([form for _, form in chosen]) ** -2.0)
+    normal = columns.T @ columns + np.diag(prior_sigmas([form for _, form in chosen]) ** -2.0)
     along = columns.T @ space.data
     if any(form.by_reading is not None for _, form in chosen):
         own = np.concatenate([np.zeros((len(space.own_data), len(form.columns))) if form.by_reading is None
@@ -217,9 +220,9 @@ def solve(space: Parity, chosen: list[tuple[Effect, Form]]) -> tuple[Active, ...
     return tuple(result)
 
 
-def widths(forms: Iterable[Form]) -> np.ndarray:
+def prior_sigmas(forms: Iterable[Form]) -> np.ndarray:
     """Standard deviations of all coefficients of some forms, in their scales."""
-    return np.concatenate([np.full(len(form.columns), width_of(form)) for form in forms])
+    return np.concatenate([np.full(len(form.columns), prior_sigma_of(form)) for form in forms])
 
 
 def with_shapes(space: Parity, active: tuple[Active, ...]) -> tuple[Active, ...]:
@@ -242,8 +245,8 @@ def with_shapes(space: Parity, active: tuple[Active, ...]) -> tuple[Active, ...]
         return active
     linear = np.concatenate(blocks, axis=1)
     whole = np.column_stack([linear, *columns])
-    width = np.concatenate([widths(a.form for a in active), np.full(len(columns), np.log(10.0))])
-    covariance = inverse(whole.T @ whole + np.diag(width**-2.0))
+    sigma = np.concatenate([prior_sigmas(a.form for a in active), np.full(len(columns), np.log(10.0))])
+    covariance = inverse(whole.T @ whole + np.diag(sigma**-2.0))
     result, start = [], 0
     for k, (a, block) in enumerate(zip(active, blocks, strict=True)):
         part = slice(start, start + block.shape[1])
@@ -258,7 +261,7 @@ def with_shapes(space: Parity, active: tuple[Active, ...]) -> tuple[Active, ...]
 def inverse_root(normal: np.ndarray) -> np.ndarray:
     """``F`` (k, k) with ``FFᵀ`` the inverse of a positive definite matrix (k, k), its units evened out.
 
-    Forms that a gross effect blew up may differ by eleven orders; a direction that only rounding leaves
+    Forms that a large effect blew up may differ by eleven orders; a direction that only rounding leaves
     is held at the rounding's size instead of getting a negative variance.
     """
     scale = 1.0 / np.sqrt(np.diag(normal))

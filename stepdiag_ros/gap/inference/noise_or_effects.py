@@ -1,19 +1,22 @@
 """Noise of another law, or effects: which of the two a log shows.
 
 Tails, and errors that go with those before, look like causes where noise is taken to be normal and independent;
-and a cause looks like tails to a noise that may have them.  So both are tried: effects beside normal noise, and
-effects beside the noise whose laws explain the log best without any.  Of each, machine and set-up at their widths,
-the log evidence of what it leaves is taken, the price of its effects' freedom paid; the larger decides.
+and a cause looks like tails to a noise that may have them.  So effects are searched in three noises: a normal one, that
+whose laws explain the log best without any effect, and that whose laws explain best what the names found in the first
+leave.  Of each, machine and set-up at their priors, the log evidence of what it leaves is taken, the price of its
+effects' freedom paid; the largest decides.
 """
 
 from collections import Counter
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
 from stepdiag_ros.effects.base import Effect
+from stepdiag_ros.estimate.noise import NoiseModel
 from stepdiag_ros.gap.alternatives.unmodelled import NAME as UNKNOWN
-from stepdiag_ros.gap.constants import SUSPICION
+from stepdiag_ros.gap.constants import ALARM, SUSPICION
 from stepdiag_ros.gap.inference.candidates import Screen
 from stepdiag_ros.gap.inference.joint import Joint, fit_jointly, freed, refitted, size_of, unexplained
 from stepdiag_ros.gap.inference.search import EffectSet, log_prior
@@ -27,7 +30,8 @@ Settled = tuple[Joint, Joint, list[EffectSet], Screen]
 
 
 def settle_in_noise(observation: Observation, effects: Mapping[str, Effect]) -> Settled:
-    """The fit of the machine alone, and what :func:`settle` finds from there, in the noise that explains more."""
+    """The fit of the machine alone, and what :func:`settle` finds from there, in the noise that explains more; the log
+    evidence of the sets is that against nothing in whatever noise explains the log best without any effect."""
     tidy = noise_of(observation)
     alone = fit_jointly(observation, [], tidy)
     plain: Settled = alone, *settle(alone, effects)
@@ -37,12 +41,49 @@ def settle_in_noise(observation: Observation, effects: Mapping[str, Effect]) -> 
     noise, gain = as_it_is(observation, tidy, observation.table)
     if gain < SUSPICION:
         return plain
-    observation = refitted(observation, sane_fit(observation.log, observation.table, observation.fit.theta, noise))
-    alone = fit_jointly(observation, [], noise)
-    other: Settled = alone, *settle(alone, effects)
-    if not plain[1].active:
-        return other
-    return max(other, plain, key=lambda found: total_evidence(*found[1:]))
+    found = [plain, _settled_in(noise, observation, effects)]
+    if plain[1].active:
+        joint = _without_outliers(plain[1])
+        noise, gain = as_it_is(joint.observation, tidy, freed(observation.table, joint.active))
+        if gain >= SUSPICION:
+            found.append(_settled_in(noise, observation, effects))
+    # Of these noises only that of the machine alone is settled at what it leaves without an effect.
+    alone, _, _, screen = nothing = found[1]
+    least = total_evidence(alone, [EffectSet((), 0.0)], screen)
+    acting = [(total_evidence(*f[1:]), f) for f in found if f[1].active]
+    return _against((least, nothing), max(acting, key=lambda pair: pair[0])) if acting else nothing
+
+
+def _against(nothing: tuple[float, Settled], acting: tuple[float, Settled]) -> Settled:
+    """Effects against nothing, each in the noise that suits it, after their total log evidence.
+
+    Of an outlier that a law of tails takes nearly as well as a slip the data do not decide, however many standard
+    deviations of a normal noise it is large.
+    """
+    (plain, (alone, _, _, screen)), (total, (own, joint, sets, forms)) = nothing, acting
+    among = len({candidate.effect for candidate in screen.candidates})
+    ahead = total - log_prior(sets[0], among) - plain + log_prior(EffectSet((), 0.0), among)
+    if ahead < SUSPICION:
+        return nothing[1]
+    behind = max(sets[0].log_bayes - ahead, 0.0)
+    sets = sorted((replace(s, log_bayes=s.log_bayes - behind) if s.members else s for s in sets),
+                  key=lambda s: (bool(s.refused), -(s.log_bayes + log_prior(s, among))))
+    return own if sets[0].log_bayes > ALARM else alone, joint, sets, forms
+
+
+def _without_outliers(joint: Joint) -> Joint:
+    """The joint fit of its names alone, or of its largest pattern where it has none: what else was found beside them in
+    normal noise may be its tails."""
+    kept = [a for a in joint.active if a.effect.name] or [max(joint.active, key=lambda a: np.sum(a.contribution**2))]
+    return joint if len(kept) == len(joint.active) else fit_jointly(
+        joint.observation, [(a.effect, a.form) for a in kept], joint.noise)
+
+
+def _settled_in(noise: NoiseModel, observation: Observation, effects: Mapping[str, Effect]) -> Settled:
+    """The fit of the machine alone, and what is found from there, in one noise."""
+    fit = sane_fit(observation.log, observation.table, observation.fit.theta, noise)
+    alone = fit_jointly(refitted(observation, fit), [], noise)
+    return alone, *settle(alone, effects)
 
 
 def _settles(plain: Settled, hint: float) -> bool:
@@ -58,7 +99,7 @@ def total_evidence(joint: Joint, sets: list[EffectSet], screen: Screen) -> float
     The noise is given tails beside the effects too, where they leave any.
     """
     observation, space = joint.observation, joint.parity
-    table = freed(observation.table, joint.active) if joint.active else observation.table
+    table = freed(observation.table, joint.active)
     stops = log_evidence(observation, joint.noise, table)
     if joint.noise.tidy:
         stops += as_it_is(observation, joint.noise, table)[1]

@@ -1,7 +1,7 @@
 """Parity space: what the fitted model leaves free, in units of the noise.
 
 Readings are whitened with the noise of the log and everything that a change of the 21 errors, the
-misalignments or a reset can imitate, within the widths that the fit gives them, is projected out.
+misalignments or a reset can imitate, within the priors that the fit gives them, is projected out.
 What an effect adds to the log is seen here and only here; judged on plain residuals it would be
 mistaken for what the fit made of it.
 The bins of the dwells, which the rigid-body model does not touch, are appended as contrasts.
@@ -32,7 +32,7 @@ CALM = 2
 LOUDEST, MEDIAN_SQUARE = 16.0, 0.4549
 """Squares are held to so many times the quiet majority's; the median of χ² of one degree of freedom."""
 LEAST_ALIKE = 3
-"""Fewest dwells of one kind from which a size typical of them is told: the median of three stands one that errs."""
+"""Fewest dwells of one kind from which their typical size is estimated: the median of three stands one that errs."""
 
 
 @dataclass(frozen=True)
@@ -119,14 +119,14 @@ class Parity:
         return share
 
     def own_rows(self, form: Form) -> np.ndarray:
-        """What columns made of readings owe to the readings' noise, as rows (m, k) beside those of the data, against
+        """The Jacobian correction of columns made of readings, as rows (m, k) beside those of the data, against
         ``own_data`` (m,), per unit of the form's ``scale``.
 
         Data z = r − model − a·c(r) have the density of the noise times |∂z/∂r| = Π(1 − a·c′(r)); the
         logarithm of that, −Σ a·c′ − ½ Σ (a·c′)², is, but for a constant, −½ Σ (a·c′ + 1)²: as if each reading had been
-        read once more, as −1.  So two forms made of the same readings owe it once, not each for itself.  Against data
-        with less noise than was taken for granted (where air boils or a laser hops it is an upper bound) it
-        counts by that much less.
+        read once more, as −1.  So two forms made of the same readings are corrected once, not each for itself.
+        Against data with less noise than was taken for granted (where there is turbulence or a mode hop it is an
+        upper bound) it counts by that much less.
         """
         reading, root = self._own
         slopes = form.by_reading.reshape(len(form.columns), -1)[:, reading] * form.scale[:, None]
@@ -165,7 +165,7 @@ def projection(observation: Observation, result: Fit, noise: NoiseModel,
     unknowns' own departures last; −½ ln|C| − ½ ln|JᵀC⁻¹J + P|, the logarithm of what noise and unknowns leave open."""
     present = result.present
     white = whiteners(observation.table, noise, result.arrival, present)
-    # The unknowns are held to their widths as in the fit: else errors of metres, along directions that the
+    # The unknowns are held to their priors as in the fit: else errors of metres, along directions that the
     # readings hardly tell, would imitate what no machine does.
     held = np.linalg.cholesky(result.precision).T
     dense = result.jacobian.toarray()
@@ -203,7 +203,7 @@ def parity(observation: Observation, result: Fit, noise: NoiseModel,
     rows = np.concatenate([w.rows for w in white])
     stop, _, channel = np.nonzero(bin_present)
     return Parity(np.concatenate([data, inside]), len(data),
-                  # Machines are far better than the widths: their own departures count for nothing.
+                  # Machines are far better than the priors: their own departures count for nothing.
                   (round(own - float(np.sum(basis[:own]**2))), len(inside)),
                   np.concatenate([rows % channels, np.full(len(data) - own, -1), channel]),
                   np.concatenate([rows // channels, np.full(len(data) - own, -1), stop]), scale,
@@ -286,9 +286,9 @@ def _contrasts(bins: int) -> np.ndarray:
 def _roughness(slope: np.ndarray, observation: Observation) -> np.ndarray:
     """Factor (c,) by which the dwells' slopes (n, c) scatter above the sensors' noise.
 
-    A drift that wanders changes its rate from stop to stop: a form with a smooth course foretells the
+    A drift that wanders changes its rate from stop to stop: a form with a smooth profile predicts the
     slopes only so well, whatever the sensor could see.  Taken from second differences between stops
-    that the same axis led to, in which smooth courses and settling cancel.
+    that the same axis led to, in which smooth profiles and settling cancel.
     """
     table = observation.table
     parts = []

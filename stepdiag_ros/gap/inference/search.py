@@ -14,7 +14,7 @@ import numpy as np
 
 from stepdiag_ros.gap.alternatives.unmodelled import NAME as UNKNOWN
 from stepdiag_ros.gap.constants import (
-    IMITATION_DOUBT,
+    IMITATION_PENALTY,
     LARGE_EVIDENCE,
     MEMBER_ALARM,
 )
@@ -23,7 +23,7 @@ from stepdiag_ros.gap.inference.candidates import Member, Screen
 NOTHING = 'nothing'
 """What it is called that no effect acts."""
 BEAM = 4
-BEAM_OF_NAMELESS = 2
+BEAM_OF_UNMODELLED = 2
 LARGEST = 3
 PRIOR_NUMBER = (0.5, 0.32, 0.14, 0.04)
 """Prior probability that none, one, two, three effects act."""
@@ -78,9 +78,9 @@ def search(screen: Screen) -> list[EffectSet]:
             front.append(again)
     alone = max((s.log_bayes for s in front if UNKNOWN not in s.key), default=0.0)
     while front:
-        # Nameless patterns, which fit anything, must not crowd out the names.
+        # Unmodelled patterns, which fit anything, must not crowd out the names.
         front = _leading([s for s in front if UNKNOWN not in s.key], BEAM) \
-            + _leading([s for s in front if UNKNOWN in s.key], BEAM_OF_NAMELESS)
+            + _leading([s for s in front if UNKNOWN in s.key], BEAM_OF_UNMODELLED)
         grown = []
         for found in front:
             for member in screen.by_effect(found.members, partial(_may_join, screen, found)).values():
@@ -113,7 +113,8 @@ def _with_imitations(screen: Screen, sets: Iterable[EffectSet]) -> Iterator[Effe
         yield replace(found, log_bayes=found.log_bayes + evidence)
         if UNKNOWN not in found.key:
             yield replace(found, members=tuple(
-                replace(m, effect=UNKNOWN, doubt=IMITATION_DOUBT) if effect is not None and effect.imitated_by else m
+                replace(m, effect=UNKNOWN, penalty=IMITATION_PENALTY)
+                if effect is not None and effect.imitated_by else m
                 for effect, m in zip(known, found.members, strict=True)))
 
 
@@ -199,11 +200,11 @@ def _may_join(screen: Screen, found: EffectSet, effect: str) -> bool:
 def log_prior(found: EffectSet, effects: int) -> float:
     """Logarithm of the prior probability of a set among ``effects`` possible ones."""
     number = len(found.key)
-    doubt = next((m.doubt for m in found.members if m.effect == UNKNOWN), 0.0)
+    penalty = next((m.penalty for m in found.members if m.effect == UNKNOWN), 0.0)
     ways = 1.0
     for i in range(number):
         ways *= (effects - i) / (i + 1)
-    return float(np.log(PRIOR_NUMBER[number]) - np.log(max(ways, 1.0)) - doubt)
+    return float(np.log(PRIOR_NUMBER[number]) - np.log(max(ways, 1.0)) - penalty)
 
 
 def probabilities(sets: Sequence[EffectSet], effects: int) -> tuple[Mapping[str, float], float, list[float]]:

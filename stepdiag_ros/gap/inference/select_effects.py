@@ -16,15 +16,15 @@ from stepdiag_ros.estimate.noise import NoiseModel, estimate_noise
 from stepdiag_ros.gap.alternatives.known_physics import beyond_families
 from stepdiag_ros.gap.alternatives.unmodelled import LEAN, inconsistent_forms, unknown_families
 from stepdiag_ros.gap.alternatives.unmodelled import NAME as UNKNOWN
-from stepdiag_ros.gap.constants import BEYOND_DOUBT, LEAN_DOUBT, SUSPICION, UNKNOWN_DOUBT
+from stepdiag_ros.gap.constants import BEYOND_PENALTY, LEAN_PENALTY, SUSPICION, UNKNOWN_PENALTY
 from stepdiag_ros.gap.inference.candidates import Candidate, Screen
 from stepdiag_ros.gap.inference.discrepancy import modulations
-from stepdiag_ros.gap.inference.evidence import width_of
-from stepdiag_ros.gap.inference.initialisation import GROSS, misfit, place_to_begin
+from stepdiag_ros.gap.inference.evidence import prior_sigma_of
+from stepdiag_ros.gap.inference.initialisation import LARGE, misfit, place_to_begin
 from stepdiag_ros.gap.inference.joint import Joint, fit_jointly, solve, unexplained
 from stepdiag_ros.gap.inference.parity import parity
 from stepdiag_ros.gap.inference.search import EffectSet, search
-from stepdiag_ros.gap.noise.scatter import strays
+from stepdiag_ros.gap.noise.scatter import outliers
 from stepdiag_ros.gap.preprocess.observe import Observation
 
 ROUNDS = 4
@@ -41,11 +41,11 @@ def settle(nominal: Joint, effects: Mapping[str, Effect]) -> tuple[Joint, list[E
         screen = _screen(joint, effects)
         screen = _sharpened(screen)
         sets = search(screen)
-        decoys = [Candidate(UNKNOWN, name, form, decoy=True)
+        controls = [Candidate(UNKNOWN, name, form, negative_control=True)
                   for name in sorted(sets[0].key & set(effects))
-                  for form in effects[name].decoys(joint.observation.view)]
-        if decoys:
-            screen = screen.extended(decoys)
+                  for form in effects[name].negative_controls(joint.observation.view)]
+        if controls:
+            screen = screen.extended(controls)
             sets = search(screen)
         best = sets[0] if sets[0].log_bayes > SUSPICION else EffectSet((), 0.0)
         chosen: list[tuple[Effect, Form]] = []
@@ -57,8 +57,8 @@ def settle(nominal: Joint, effects: Mapping[str, Effect]) -> tuple[Joint, list[E
             break
         previous = identity
         fitted = fit_jointly(joint.observation, chosen, joint.noise) if chosen else nominal
-        if joint.active and misfit(fitted) > max(GROSS, misfit(joint)):
-            # The search foretold from its place what the joint fit does not hold: what did hold is kept.
+        if joint.active and misfit(fitted) > max(LARGE, misfit(joint)):
+            # The search predicted from its place what the joint fit does not hold: what did hold is kept.
             screen = Screen(joint.parity, [Candidate(a.effect.name or UNKNOWN, '', a.form) for a in joint.active],
                             float(sum(joint.noise.dof)), modulations=modulations(joint.observation.view))
             return joint, search(screen), screen
@@ -71,16 +71,16 @@ def settle(nominal: Joint, effects: Mapping[str, Effect]) -> tuple[Joint, list[E
 
 
 def _short(joint: Joint, chosen: list[tuple[Effect, Form]], fitted: Joint) -> float:
-    """Log evidence by which ``chosen`` falls short, once ``fitted``, of what its search foretold at ``joint``.
+    """Log evidence by which ``chosen`` falls short, once ``fitted``, of what its search predicted at ``joint``.
 
     A beam's cosine only shortens: at a fit that an effect has freed a small step may seem to lengthen what the machine
     alone can never fit, and what was found seems not to be needed.
     """
-    foretold = unexplained(joint.parity, solve(joint.parity, chosen))[:joint.parity.stops]
+    predicted = unexplained(joint.parity, solve(joint.parity, chosen))[:joint.parity.stops]
     observation = fitted.observation
     space = parity(observation, observation.fit, joint.noise, readings_of(observation.table))
     left = unexplained(space, solve(space, [(a.effect, a.form) for a in fitted.active]))[:space.stops]
-    return 0.5 * float(left @ left - foretold @ foretold)
+    return 0.5 * float(left @ left - predicted @ predicted)
 
 
 def _evidence(sets: list[EffectSet], joint: Joint) -> float:
@@ -105,20 +105,20 @@ def _screen(joint: Joint, effects: Mapping[str, Effect]) -> Screen:
     tuned = [a for a in joint.active if a.form.tuned_from]
     candidates += [Candidate(a.effect.name, '', a.form) for a in tuned if a.effect.name]
     for family, forms in unknown_families(view).items():
-        doubt = LEAN_DOUBT if family in LEAN else UNKNOWN_DOUBT
-        candidates += [Candidate(UNKNOWN, family, form, doubt) for form in forms]
+        penalty = LEAN_PENALTY if family in LEAN else UNKNOWN_PENALTY
+        candidates += [Candidate(UNKNOWN, family, form, penalty) for form in forms]
     for family, forms in beyond_families(view).items():
         # A form that was tuned from one of a family is one more of that, not a way of its own.
         labels = {form.label for form in forms}
         forms += [a.form for a in tuned if a.form.tuned_from in labels]
-        candidates += [Candidate(UNKNOWN, family, form, BEYOND_DOUBT, own=True) for form in forms]
-    stray = strays(joint)
-    if stray:
-        form, ways = stray
-        candidates.append(Candidate(UNKNOWN, 'strays', form, LEAN_DOUBT + ways))
+        candidates += [Candidate(UNKNOWN, family, form, BEYOND_PENALTY, own=True) for form in forms]
+    outlier = outliers(joint)
+    if outlier:
+        form, ways = outlier
+        candidates.append(Candidate(UNKNOWN, 'outliers', form, LEAN_PENALTY + ways))
     named = [a for a in joint.active if a.effect.name]
     if named:
-        candidates += [Candidate(UNKNOWN, 'inconsistent', form, UNKNOWN_DOUBT)
+        candidates += [Candidate(UNKNOWN, 'inconsistent', form, UNKNOWN_PENALTY)
                        for form in inconsistent_forms(view, [a.form for a in named])]
     repeatable = frozenset(e.name for e in effects.values() if e.repeatable)
     return Screen(joint.parity, candidates, float(sum(joint.noise.dof)), repeatable, modulations(view), effects)
@@ -140,7 +140,7 @@ def _sharpened(screen: Screen) -> Screen:
         def explained(form: Form) -> float:
             columns = screen.parity.project(form)
             along = columns.T @ data
-            normal = columns.T @ columns + np.eye(columns.shape[1]) / width_of(form) ** 2
+            normal = columns.T @ columns + np.eye(columns.shape[1]) / prior_sigma_of(form) ** 2
             return float(along @ np.linalg.solve(normal, along))
 
         form = tune(candidate.form, explained, close=0.01)

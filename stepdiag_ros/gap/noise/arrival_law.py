@@ -35,7 +35,7 @@ WORTH = 4.0
 HINT = 3.0
 """Log evidence, by the errors' scores alone, from which a law is tried."""
 LEAST_DOF = 8
-"""Degrees of freedom of the repeats below which no law can be told."""
+"""Degrees of freedom of the repeats below which no law can be estimated."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class _Held:
 
     def next_within(self, largest: NoiseModel) -> NoiseModel:
         """The noise with the sizes and spread that the errors show, the sizes none above those of ``largest``: the
-        repeats have told how large noise is, a law how it is distributed."""
+        repeats have shown how large noise is, a law how it is distributed."""
         factor = [float(np.mean(self.squares[mine])) ** HASTE if mine.any() else 1.0
                   for mine in (self.source >= 2, self.source < 2)]
         return replace(self.weighed, position=min(self.noise.position * factor[0], largest.position),

@@ -70,9 +70,9 @@ class Spectrum:
         return int(near[np.argmax(np.sum(self.level * self.power[:, near], axis=0))])
 
 
-def steady_lines(dwells: Dwells, run: np.ndarray, path: np.ndarray, alarm: float) -> Vibration | None:
+def find_coherent_lines(dwells: Dwells, run: np.ndarray, path: np.ndarray, alarm: float) -> Vibration | None:
     """Lines in ``dwells`` of K stops that belong to ``run`` (K,) and lie ``path`` (K,) [m] from the mirror; None
-    where no stretch is long enough.  Lines beside the strongest are told above the evidence ``alarm``."""
+    where no stretch is long enough.  Lines beside the strongest are reported above the evidence ``alarm``."""
     samples = _samples(dwells)
     found = [_lines(dwells, samples, path, stretches, alarm) for stretches in _stretches(run)]
     return max((f for f in found if f is not None), key=lambda f: f.log_bayes, default=None)
@@ -122,8 +122,8 @@ def _spectrum(dwells: Dwells, samples: np.ndarray, stretches: list[np.ndarray]) 
     power, counts = np.empty((len(stretches), len(usable))), np.array([len(rows) for rows in stretches])
     for p, rows in zip(power, stretches, strict=True):
         at = place[rows].ravel()
-        course = np.bincount(at - at.min(), samples[rows].ravel(), size)
-        p[:] = np.abs(fft.rfft(course)[usable]) ** 2 / (len(rows) * seen)
+        curve = np.bincount(at - at.min(), samples[rows].ravel(), size)
+        p[:] = np.abs(fft.rfft(curve)[usable]) ** 2 / (len(rows) * seen)
     level = np.median(power, axis=1, keepdims=True)  # the farther the mirror, the more air
     power /= level
     return Spectrum(hertz, power, level, _floor(power.mean(axis=0), block, len(stretches)), seen, counts,

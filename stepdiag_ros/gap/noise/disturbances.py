@@ -1,4 +1,4 @@
-"""Disturbances without a pattern, found in the samples: coarse readings, unrest inside the dwells, a unit that hops.
+"""Disturbances without a pattern, found in the samples: coarse readings, vibration and turbulence, mode hops.
 
 What they do to the stops is noise, of another kind than the sensors' own; weighed as such, no effect is fitted to it.
 """
@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from stepdiag_ros.gap.noise.dwell_spectrum import Unrest, unrest
-from stepdiag_ros.gap.noise.mode_hops import Hops, hops
+from stepdiag_ros.gap.noise.dwell_spectrum import DwellSpectrum, dwell_spectrum
+from stepdiag_ros.gap.noise.mode_hops import ModeHops, mode_hops
 from stepdiag_ros.gap.preprocess.observe import Observation
 from stepdiag_ros.gap.preprocess.samples import quantum
 from stepdiag_ros.gap.preprocess.timing import step_noise
@@ -18,33 +18,33 @@ from stepdiag_ros.model.log import CalibrationLog
 
 @dataclass(frozen=True)
 class Disturbances:
-    """``widths`` (c,) [m] of the steps in which readings move, 0: none; ``unrest`` inside the dwells; ``hops`` of the
-    unit of length, None: none."""
+    """``quanta`` (c,) [m] of the steps in which readings move, 0: none; ``dwell_spectrum`` of the samples inside the
+    dwells; ``mode_hops`` of the laser, None: none."""
 
-    widths: np.ndarray
-    unrest: Unrest
-    hops: Hops | None
+    quanta: np.ndarray
+    dwell_spectrum: DwellSpectrum
+    mode_hops: ModeHops | None
 
     def words(self, names: Mapping[str, float]) -> tuple[str, str]:
-        """What disturbs, in words: what goes before a pattern, and what is said where there is none; ``names``:
+        """What disturbs, in words: what goes before a pattern, and what is reported where there is none; ``names``:
         probabilities of the effects that are claimed."""
-        return self.hops.words if self.hops else '', _restless(self.unrest, names)
+        return self.mode_hops.words if self.mode_hops else '', _disturbance_words(self.dwell_spectrum, names)
 
 
 def disturbed(log: CalibrationLog, observation: Observation) -> tuple[Observation, Disturbances]:
     """The observation with what disturbs it as noise, and what that is."""
     table = observation.table
     distance = observation.view.distance.mean(axis=1)
-    samples = unrest(log, table, distance)
-    widths = np.concatenate([quantum(log.displacement, table.displacement_rows, table.run),
+    samples = dwell_spectrum(log, table, distance)
+    quanta = np.concatenate([quantum(log.displacement, table.displacement_rows, table.run),
                              quantum(log.spot, table.spot_rows, table.run)])
-    if widths.any():
-        observation = _with_steps(observation, widths)
-    observation = _with_unrest(observation, samples)
-    hopping = hops(log.displacement, observation.table, distance)
+    if quanta.any():
+        observation = _with_steps(observation, quanta)
+    observation = _with_spectrum(observation, samples)
+    hopping = mode_hops(log.displacement, observation.table, distance)
     if hopping:
         observation = _with_hops(observation, hopping)
-    return observation, Disturbances(widths, samples, hopping)
+    return observation, Disturbances(quanta, samples, hopping)
 
 
 def _with_steps(observation: Observation, width: np.ndarray) -> Observation:
@@ -60,17 +60,17 @@ def _with_steps(observation: Observation, width: np.ndarray) -> Observation:
                    bin_sigma=np.where(width > 0.0, np.maximum(observation.bin_sigma, scatter), observation.bin_sigma))
 
 
-def _with_unrest(observation: Observation, samples: Unrest) -> Observation:
-    """The observation with what shakes or boils as noise of the displacement: else effects would be fitted
+def _with_spectrum(observation: Observation, samples: DwellSpectrum) -> Observation:
+    """The observation with vibration or turbulence as noise of the displacement: else effects would be fitted
     to it.  Shaking hardly moves a dwell's mean; moving air does, and wanders from stop to stop."""
     table, beams = observation.table, observation.fit.model.beams
     if samples.swings.any():
         observation = replace(observation, swings=samples.swings)
-    if samples.boils:
+    if samples.turbulent:
         table = replace(table, wander=samples.power)
         # A part of a dwell has that of the e-folds between its length and the dwell's besides.
         more = samples.power[:, None] * np.log(observation.bins.shape[1])
-    elif samples.shakes or samples.swells:
+    elif samples.shakes or samples.grows_with_path:
         length = float(np.median(table.done_ns - table.dwell_ns)) * 1e-9
         bins = observation.bins.shape[1]
         # A line fills no more than two of the bins' contrasts, with all its power.
@@ -82,7 +82,7 @@ def _with_unrest(observation: Observation, samples: Unrest) -> Observation:
     return replace(observation, bin_sigma=sigma, table=table)
 
 
-def _with_hops(observation: Observation, seen: Hops) -> Observation:
+def _with_hops(observation: Observation, seen: ModeHops) -> Observation:
     """The observation with the unit of length as noise: in which unit a stop was read is not known.  Dwells
     with a step inside say nothing else."""
     table, beams = observation.table, observation.fit.model.beams
@@ -93,15 +93,15 @@ def _with_hops(observation: Observation, seen: Hops) -> Observation:
                    table=replace(table, hop=seen.step, hops_per_s=seen.per_s))
 
 
-def _restless(samples: Unrest, names: Mapping[str, float]) -> str:
-    """Unrest inside the dwells that is no shaking of the tool point, in words."""
-    if samples.boils:
+def _disturbance_words(samples: DwellSpectrum, names: Mapping[str, float]) -> str:
+    """What the dwell spectrum shows besides a shaking of the tool point, in words."""
+    if samples.turbulent:
         return ('displacement: slow random noise inside the dwells that grows with the path '
                 f'(its power as path^{samples.growth:.1f}), as of moving air')
-    if samples.swells:
+    if samples.grows_with_path:
         return (f'displacement: swings at {samples.displacement.frequency:.3g} Hz (as sampled) inside the dwells, '
                 'the more the longer the path, as of moving air or of the laser')
-    if samples.hums and names.get('ambient_light', 0.0) < 0.5:
+    if samples.mains_hum and names.get('ambient_light', 0.0) < 0.5:
         return (f'spot: swings at {samples.spot.frequency:.3g} Hz (as sampled) inside the dwells, '
                 'the displacement does not')
     return ''

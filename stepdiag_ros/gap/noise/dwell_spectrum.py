@@ -1,4 +1,4 @@
-"""Unrest inside the dwells: a machine that shakes, air that boils, a detector into which the mains hum."""
+"""The spectrum of the samples inside the dwells: vibration of the machine, turbulence of the air, mains hum."""
 
 from dataclasses import dataclass, replace
 
@@ -7,27 +7,27 @@ import numpy as np
 from stepdiag_ros.estimate.reduce import StopTable
 from stepdiag_ros.gap.constants import (
     BACKGROUND_ALARM,
+    COHERENT_ALARM,
     GROWS,
     GROWTH_SIGMAS,
     LEAST_GROWTH,
     MISFIT,
-    STEADY_ALARM,
     VIBRATION_ALARM,
 )
-from stepdiag_ros.gap.noise.coherent_lines import steady_lines
+from stepdiag_ros.gap.noise.coherent_lines import find_coherent_lines
 from stepdiag_ros.gap.noise.incoherent_lines import Vibration, find_lines
 from stepdiag_ros.gap.preprocess.dwells import LEAST_DWELLS, Dwells, dwells_of
 from stepdiag_ros.model.log import CalibrationLog
 
 
 @dataclass(frozen=True)
-class Unrest:
+class DwellSpectrum:
     """What the samples of the dwells show besides white noise.
 
     ``displacement`` and ``spot``: lines of each, None where dwells are too short to tell; ``slow``: log
     evidence for a smooth background in the displacement, ``slow_spot`` in the spot; ``growth``: exponent
-    with which the displacement's unrest grows with the path, and ``growth_sigma`` (infinite: not seen);
-    ``power`` (n,) [m²]: of that unrest at each stop, per e-fold of frequency; ``swings`` (n, 3) [m²]: what lines
+    with which the power of that of the displacement grows with the path, ``growth_sigma`` (infinite: not seen);
+    ``power`` (n,) [m²]: of that background at each stop, per e-fold of frequency; ``swings`` (n, 3) [m²]: what lines
     that were seen add to displacement and spot in the dwells, beyond the noise on average.
     """
 
@@ -43,26 +43,26 @@ class Unrest:
     @property
     def shakes(self) -> bool:
         """Whether the tool point shakes: lines that no smooth spectrum explains, alike near and far."""
-        return _clear(self.displacement, self.slow) and not (self.boils or self.swells)
+        return _clear(self.displacement, self.slow) and not (self.turbulent or self.grows_with_path)
 
     @property
-    def swells(self) -> bool:
+    def grows_with_path(self) -> bool:
         """Whether lines of the displacement grow with the path, as those of air or of the laser do."""
-        return _clear(self.displacement, self.slow) and self.displacement.log_growth > GROWS and not self.boils
+        return _clear(self.displacement, self.slow) and self.displacement.log_growth > GROWS and not self.turbulent
 
     @property
-    def boils(self) -> bool:
+    def turbulent(self) -> bool:
         """Whether slow noise grows with the path, as that of moving air does and shaking does not."""
         return self.slow > BACKGROUND_ALARM and self.growth > LEAST_GROWTH \
             and self.growth > GROWTH_SIGMAS * self.growth_sigma
 
     @property
-    def hums(self) -> bool:
+    def mains_hum(self) -> bool:
         """Whether the spot alone swings: no motion that the displacement sees."""
-        return _clear(self.spot, self.slow_spot) and not self.shakes and not self.swells
+        return _clear(self.spot, self.slow_spot) and not self.shakes and not self.grows_with_path
 
 
-def unrest(log: CalibrationLog, table: StopTable, distance: np.ndarray) -> Unrest:
+def dwell_spectrum(log: CalibrationLog, table: StopTable, distance: np.ndarray) -> DwellSpectrum:
     """What the samples inside the dwells show; ``distance`` (n,) [m] of the stops to the mirror."""
     beams, *spots = dwells_by_channel(log, table)
     found = [(None, 0.0) if dwells is None else _lines(dwells, table.run, distance) for dwells in (beams, *spots)]
@@ -73,7 +73,7 @@ def unrest(log: CalibrationLog, table: StopTable, distance: np.ndarray) -> Unres
             swings[dwells.rows, channel] = lines.by_dwell
     (lines, slow), *others = found
     spot, slow_spot = max(others, key=lambda s: _margin(*s))
-    return Unrest(lines, spot, slow, slow_spot, growth, sigma, power, swings)
+    return DwellSpectrum(lines, spot, slow, slow_spot, growth, sigma, power, swings)
 
 
 def dwells_by_channel(log: CalibrationLog, table: StopTable) -> list[Dwells | None]:
@@ -92,11 +92,11 @@ def _lines(dwells: Dwells, run: np.ndarray, distance: np.ndarray) -> tuple[Vibra
     path: of which cause lines are, only they say.
     """
     lines, slow = find_lines(dwells)
-    steady = steady_lines(dwells, run[dwells.rows], distance[dwells.rows], STEADY_ALARM)
-    if _clear(steady, slow) and (not _clear(lines, slow) or steady.log_growth > GROWS):
-        return steady, slow
-    if _clear(steady, slow) and abs(steady.frequency - lines.frequency) < 1.0 / dwells.length:
-        lines = replace(lines, frequency=steady.frequency)  # of what a dwell tells to one over its length
+    coherent = find_coherent_lines(dwells, run[dwells.rows], distance[dwells.rows], COHERENT_ALARM)
+    if _clear(coherent, slow) and (not _clear(lines, slow) or coherent.log_growth > GROWS):
+        return coherent, slow
+    if _clear(coherent, slow) and abs(coherent.frequency - lines.frequency) < 1.0 / dwells.length:
+        lines = replace(lines, frequency=coherent.frequency)  # of what a dwell tells to one over its length
     return lines, slow
 
 
@@ -108,14 +108,14 @@ def _margin(lines: Vibration | None, slow: float) -> float:
     """Log evidence of lines above what is asked of them."""
     if lines is None:
         return -np.inf
-    if lines.steady:
-        return lines.log_bayes - STEADY_ALARM
+    if lines.coherent:
+        return lines.log_bayes - COHERENT_ALARM
     # No smooth form holds to the last part: what it leaves of much noise is not yet a line.
     return lines.log_bayes - VIBRATION_ALARM - MISFIT * slow
 
 
 def growth_with(dwells: Dwells, distance: np.ndarray) -> tuple[float, float, np.ndarray]:
-    """Exponent with which the dwells' unrest grows with ``distance`` (stops,), its σ, and the unrest's
+    """Exponent with which the dwells' smooth background grows with ``distance`` (stops,), its σ, and the background's
     power (stops,) per e-fold of frequency by that law.
 
     The power of the slow half of the spectrum, above that of the fast half, is fitted as c dᵖ.  Of noise as 1/f the

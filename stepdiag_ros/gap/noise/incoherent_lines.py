@@ -1,4 +1,4 @@
-"""Lines in the samples of the dwells: shaking at a few frequencies, told from noise of any smooth spectrum.
+"""Lines in the samples of the dwells: shaking at a few frequencies, distinguished from noise of any smooth spectrum.
 
 A vibration has no fixed phase from dwell to dwell; all it leaves is the covariance of a dwell's samples,
 which it makes periodic.  With K dwells of n samples, freed of mean and slope and of what all dwells of
@@ -7,7 +7,7 @@ one kind share (creep after a move), the sum of squares S/K is compared with
     C = w (I + r B) + Σ ½ a² (c cᵀ + s sᵀ),      ln L = −½ K (ln|C| + tr C⁻¹ S/K),
 
 B a smooth background (a power law, an exponential or a Gaussian correlation), c and s a cosine and a
-sine.  Air that boils, a filter in the sensor or a drift that wanders is a background and no line, and the
+sine.  Turbulent air, a filter in the sensor or a drift that wanders is a background and no line, and the
 white level is measured, not believed.  The likelihood ratio with and without lines is the evidence.
 """
 
@@ -21,7 +21,7 @@ from stepdiag_ros.estimate.eigen import eigen
 from stepdiag_ros.gap.preprocess.dwells import Dwells
 
 LEAST_RANK = 3
-"""Dimensions that a dwell must have left: in two a line cannot be told from a smooth spectrum."""
+"""Dimensions that a dwell must have left: in two a line is indistinguishable from a smooth spectrum."""
 PADDING = 4
 """Frequencies tried in one over the dwell's length."""
 LEAST_CYCLES = 1.0
@@ -39,7 +39,7 @@ SIZES = np.logspace(-2.5, 5.5, 33)
 class Vibration:
     """Lines in the dwells' spectrum: ``frequency`` [Hz] of the strongest (as sampled, at ``rate`` [Hz]: it may
     be an alias), its ``amplitude`` and ``sigma`` [m]; ``log_bayes`` of ``lines`` lines against a smooth spectrum;
-    ``share`` of them in the dwells' variance; ``powers`` [m²]: variance of each line in one sample; ``steady``: they
+    ``share`` of them in the dwells' variance; ``powers`` [m²]: variance of each line in one sample; ``coherent``: they
     keep their phase from dwell to dwell; ``log_growth``: log evidence that the strongest grows with the path;
     ``by_dwell`` (K,) [m²]: what single dwells show of the strongest, beyond the noise on average."""
 
@@ -50,7 +50,7 @@ class Vibration:
     share: float
     lines: tuple[float, ...] = ()
     powers: tuple[float, ...] = ()
-    steady: bool = False
+    coherent: bool = False
     log_growth: float = 0.0
     by_dwell: np.ndarray | None = None
     rate: float = np.inf

@@ -1,4 +1,4 @@
-"""Lengths that hop between two units: steps inside dwells, each the same share of its length.
+"""Mode hops of the laser, between two units of length: steps inside dwells, each the same share of its length.
 
 A laser that changes between two modes scales all lengths by one factor, then by the other, then back.  In
 the stops' means each hop looks like a slip of the counter; inside a dwell, where nothing moves, it is
@@ -26,12 +26,12 @@ PRIOR_DOF = 10.0
 """ν: degrees of freedom by which the log's typical noise is known to hold in one dwell."""
 ALIKE = 0.05
 """Share by which steps of one unit may differ: the lengths are the fit's, the step lasts part of a sample."""
-DOUBT = 3.0
+ALARM = 3.0
 """Log evidence by which shares of the length must hold better than one amount for all."""
 
 
 @dataclass(frozen=True)
-class Hops:
+class ModeHops:
     """``unit``: share by which lengths hop; ``rows`` (k,): stops in whose dwells a step was seen.
 
     As noise: lengths are in one of two states ``step`` (n,) [m] apart, which change ``per_s`` times a second;
@@ -50,8 +50,8 @@ class Hops:
                 f'stands, seen in {len(self.rows)} dwells (look at the laser: is it locked to one mode?)')
 
 
-def hops(samples: Samples, table: StopTable, distance: np.ndarray) -> Hops | None:
-    """Hops of the unit of length, None where none are seen; ``distance`` (n,) [m] of the stops to the mirror."""
+def mode_hops(samples: Samples, table: StopTable, distance: np.ndarray) -> ModeHops | None:
+    """Mode hops, None where none are seen; ``distance`` (n,) [m] of the stops to the mirror."""
     rows, size, sigma = _steps(samples, table)
     far = distance[rows]
     kept = np.isfinite(far) & (far > 0.0)
@@ -62,12 +62,12 @@ def hops(samples: Samples, table: StopTable, distance: np.ndarray) -> Hops | Non
     unit, misfit = _common(size / far, spread / far)
     _, constant = _common(size, spread)
     # One amount for all is what a counter loses; shares that agree by chance alone are not enough.
-    if 0.5 * (constant - misfit) < DOUBT or misfit > len(rows) + DOUBT * np.sqrt(2.0 * len(rows)):
+    if 0.5 * (constant - misfit) < ALARM or misfit > len(rows) + ALARM * np.sqrt(2.0 * len(rows)):
         return None
     step = np.where(np.isfinite(distance), unit * distance, 0.0)
     dwells = (table.done_ns - table.dwell_ns) * 1e-9
     often = len(rows) / float(dwells.sum())  # as seen while the machine stood
-    return Hops(unit, rows, step, often, step**2 / 6.0 * np.minimum(often * dwells, 1.0))
+    return ModeHops(unit, rows, step, often, step**2 / 6.0 * np.minimum(often * dwells, 1.0))
 
 
 def _common(values: np.ndarray, sigma: np.ndarray) -> tuple[float, float]:

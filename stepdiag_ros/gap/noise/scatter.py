@@ -1,7 +1,7 @@
 """Scatter that the noise of the log does not explain: a cause without a pattern.
 
 Something may shake a reading now and then or make one channel, axis or stretch of the log noisier than
-the repeats foretell, without any form to fit.  What the diagnosis leaves is compared with its noise, group
+the repeats predict, without any form to fit.  What the diagnosis leaves is compared with its noise, group
 by group, and its tails with those of the normal distribution.
 """
 
@@ -22,11 +22,11 @@ LEAST = 24
 """Fewest residuals of a group that is judged."""
 HELD = 4.0
 """Standard deviations to which what single dwells show inside is held."""
-STRAY_SIZE = 3.0
-"""Typical stray, in standard deviations of an arrival: a smaller one is no more than noise."""
-MOST_STRAYS = 60
+OUTLIER_SIZE = 3.0
+"""Typical outlier, in standard deviations of an arrival: a smaller one is no more than noise."""
+MOST_OUTLIERS = 60
 PATIENCE = 8.0
-"""Log evidence by which more strays may fall behind before no more are picked."""
+"""Log evidence by which more outliers may fall behind before no more are picked."""
 
 SHARES = np.array([0.02, 0.05, 0.1, 0.2, 0.4, 1.0])
 """Shares of arrivals that may be off, all others being as good as the noise says …"""
@@ -36,7 +36,7 @@ LEVELS = np.geomspace(0.3, 1.2, 12)
 """What of the noise the other arrivals may have: repeats that are off now and then have raised it."""
 
 
-def stray_arrivals(joint: Joint, rest: np.ndarray | None = None) -> tuple[float, str]:
+def scattered_arrivals(joint: Joint, rest: np.ndarray | None = None) -> tuple[float, str]:
     """Log evidence that an axis's arrivals are off by a random amount until the next move, and the axis in words.
 
     Noise of an arrival stays until its axis moves again; what a next move of another axis shakes loose
@@ -92,18 +92,18 @@ def _mixture(score: np.ndarray, side: float) -> float:
         mixed = np.logaddexp(quiet, np.log(SHARES)[:, None, None] + ratio)
         logs.append(log_mean((alone + mixed).sum(axis=2).ravel()))
         plain.append(float(np.sum(alone)))
-    # Less noise than the repeats say is no sign of strays: noise alone may have any level too.
+    # Less noise than the repeats say is no sign of outliers: noise alone may have any level too.
     return log_mean(logs) - log_mean(plain)
 
 
-def strays(joint: Joint) -> tuple[Form, float] | None:
+def outliers(joint: Joint) -> tuple[Form, float] | None:
     """Single arrivals that are off until the next move, as one form, and the log of the ways to pick them; None
     where noise explains as much.
 
     Stops are picked one by one, each the one that explains most of what those before leave, as long as the
     evidence grows.  To pick k of m stops at a rate that is not known costs ln (m + 1) + ln C(m, k); where all
     are short (or all too far) each sign saves ln 2.  So it competes on equal terms with slips, that two or three
-    steps make of few large strays.
+    steps make of few large outliers.
     """
     space, view = joint.parity, joint.observation.view
     stops = np.flatnonzero(view.axis < 3)
@@ -111,7 +111,7 @@ def strays(joint: Joint) -> tuple[Form, float] | None:
     stops, sign = stops[sign != 0], sign[sign != 0]
     if len(stops) < LEAST:
         return None
-    scale = STRAY_SIZE * joint.noise.position
+    scale = OUTLIER_SIZE * joint.noise.position
     columns = np.zeros((len(stops), *view.reading.shape))
     columns[np.arange(len(stops)), stops] = scale * sign[:, None] * view.by_shift[view.axis[stops], stops]
     seen = space.stop_part(columns)
@@ -147,7 +147,7 @@ def _picks(columns: np.ndarray, data: np.ndarray, side: float) -> Iterator[int]:
     power = np.sum(columns**2, axis=0)
     least, left, rest = 0.1 * power, power.copy(), data
     basis = np.zeros((len(data), 0))
-    for _ in range(MOST_STRAYS):
+    for _ in range(MOST_OUTLIERS):
         along = columns.T @ rest
         fall = np.where((left > least) & (along * side >= 0.0), along**2 / np.maximum(left, 1e-300), 0.0)
         k = int(np.argmax(fall))
@@ -168,7 +168,7 @@ def excess_scatter(joint: Joint, rest: np.ndarray | None = None) -> tuple[float,
     space, table = joint.parity, joint.observation.table
     rest = unexplained(space, joint.active) if rest is None else rest
     beams, repeats = joint.fit.model.beams, max(float(sum(joint.noise.dof)), 1.0)
-    worst: list[tuple[float, str]] = [(0.0, ''), stray_arrivals(joint, rest)]
+    worst: list[tuple[float, str]] = [(0.0, ''), scattered_arrivals(joint, rest)]
     for part, what, dof in ((slice(0, space.stops), 'the stops', space.dof[0]),
                             (slice(space.stops, None), 'the samples inside the dwells', space.dof[1])):
         values, channel, row = rest[part], space.channel[part], space.row[part]

@@ -36,7 +36,7 @@ def _laws(noise: NoiseModel) -> Iterator[str]:
             yield (f"noise: {what} has heavy tails (Student's t with about {law.dof:.2g} degrees of freedom); it is "
                    'weighed as such')
         if law.correlation:
-            yield f'noise: {what} goes with the one before (correlation about {law.correlation:.2g})'
+            yield f'noise: {what} correlates with the one before (correlation about {law.correlation:.2g})'
 
 
 def _inside(joint: Joint) -> Iterator[str]:

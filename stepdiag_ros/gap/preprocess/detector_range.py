@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import least_squares
 
-from stepdiag_ros.gap.inference.initialisation import GROSS
+from stepdiag_ros.gap.inference.initialisation import LARGE
 from stepdiag_ros.gap.preprocess.observe import Observation, sane_fit, view_of
 
 UNIT = 1e-3
@@ -29,7 +29,7 @@ HARD = 0.4
 SHARES = (0.15, 0.3, 0.6, 1.0)
 """Shares of a setup's readings, from either end, through which a line is begun."""
 LEAST_PLACES = 6
-"""Places of a setup from which a line and a bending can be told apart."""
+"""Places of a setup from which a line and a bending can be distinguished."""
 
 
 @dataclass(frozen=True)
@@ -50,11 +50,11 @@ class Bent:
 def within_range(observation: Observation) -> tuple[Observation, str]:
     """The observation without spots that were read where the detector is bent hard, and words that say so.
 
-    The same observation and '' where the fit leaves nothing gross, or what it leaves is no such detector's.
+    The same observation and '' where the fit leaves nothing large, or what it leaves is no such detector's.
     """
     table, fit = observation.table, observation.fit
     left = fit.residual[:, -2:] / fit.noise.sensor[:, -2:]
-    if np.isnan(left).all() or np.sqrt(np.nanmean(left**2)) <= GROSS:
+    if np.isnan(left).all() or np.sqrt(np.nanmean(left**2)) <= LARGE:
         return observation, ''
     bent = bent_by(table.setup, observation.view.distance.mean(axis=1), table.spot / UNIT)
     if bent is None:
@@ -151,8 +151,8 @@ def _line(basis: np.ndarray, read: np.ndarray, bending: float) -> np.ndarray:
     Begun through the readings next to either end, few or many, as if they lay before the turn.
     """
     radius = np.linalg.norm(read, axis=1)
-    course = np.linspace(0.0, 1.0 / np.sqrt(3.0 * abs(bending)), 200)
-    unbent = np.interp(radius, course * (1.0 + bending * course**2), course)
+    curve = np.linspace(0.0, 1.0 / np.sqrt(3.0 * abs(bending)), 200)
+    unbent = np.interp(radius, curve * (1.0 + bending * curve**2), curve)
     near = read * (unbent / np.maximum(radius, 1e-12))[:, None]
 
     def left(line: np.ndarray) -> np.ndarray:

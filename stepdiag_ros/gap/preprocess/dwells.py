@@ -86,8 +86,8 @@ def _of_the_move(dwells: np.ndarray, kind: np.ndarray, later: np.ndarray) -> np.
     alike, terms = np.empty_like(calm), 0
     for number in np.unique(kind):
         mine = kind == number
-        courses = np.vander(later[mine], LATER) if mine.sum() > 2 * LATER else np.ones((mine.sum(), 1))
-        directions, size, _ = np.linalg.svd(courses, full_matrices=False)
+        profiles = np.vander(later[mine], LATER) if mine.sum() > 2 * LATER else np.ones((mine.sum(), 1))
+        directions, size, _ = np.linalg.svd(profiles, full_matrices=False)
         directions = directions[:, size > 1e-6 * size[0]]
         alike[mine] = directions @ (directions.T @ calm[mine])
         terms += directions.shape[1]

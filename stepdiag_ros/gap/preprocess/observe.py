@@ -24,7 +24,7 @@ SETTLED = 1e-2
 FIRST = 5
 """Readings of an environment sensor that are averaged where the log begins."""
 BADLY_FITTED = 4.0
-"""Reduced χ² above which the noise is scaled up for the fit, so that a gross effect bends it less."""
+"""Reduced χ² above which the noise is scaled up for the fit, so that a large effect bends it less."""
 
 
 def channels(beams: int) -> dict[str, slice]:
@@ -62,7 +62,7 @@ def sane_fit(log: CalibrationLog, table: StopTable, theta: np.ndarray | None = N
              noise: NoiseModel | None = None) -> Fit:
     """The nominal fit; where the model fails grossly, with the noise scaled up until it does not.
 
-    The widths of the unknowns then hold machine and misalignments to plausible sizes instead of
+    The priors of the unknowns then hold machine and misalignments to plausible sizes instead of
     letting them explain the gap away.  ``theta`` starts the iteration; ``noise``: if not as the repeats show it.
     """
     result = fit(log.description, table, noise=noise, theta=theta, settled=SETTLED)

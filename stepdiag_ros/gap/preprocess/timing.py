@@ -11,6 +11,7 @@ from functools import cache, partial
 import numpy as np
 
 from stepdiag_ros.estimate.reduce import StopTable
+from stepdiag_ros.gap.preprocess.samples import quantum
 from stepdiag_ros.model.log import CalibrationLog, Samples
 
 ONSET_SIGMAS = 8.0
@@ -18,7 +19,7 @@ ONSET_SIGMAS = 8.0
 SURE_NS = 1_000_000
 """A sample whose time is known worse than this tells nothing of a clock."""
 LEAST_MOVES = 24
-"""Fewest moves from which the delay between two sensors is told."""
+"""Fewest moves from which the delay between two sensors is estimated."""
 LEAST_STRETCHES = 6
 """Fewest stretches by which those moves must agree."""
 MOST_NOISE = 0.5
@@ -66,7 +67,8 @@ def timing(samples: Samples, table: StopTable, columns: np.ndarray, rows: np.nda
     the dwells' samples."""
     offsets, kinds, times, firsts, onsets, faint, periods = [], [], [], [], [], [], []
     before = after = moves = 0
-    rest = cache(partial(_rest, samples, table, steps(samples, rows)))  # where one move ends, the next begins
+    # Where one move ends, the next begins.
+    rest = cache(partial(_rest, samples, table, quantum(samples, rows, table.run)))
     for i in range(1, len(table)):
         if table.move_ns[i] < 0 or table.run[i] != table.run[i - 1]:
             continue
@@ -143,10 +145,10 @@ def apart(log: CalibrationLog, table: StopTable) -> tuple[float, float] | None:
     In each move the spot's progress p is the displacement's, later by τ and bent by the guides:
     p_spot − p = −τ dp/dt + κ p (1 − p), over all samples of the move.  A bend changes its sign with the
     direction of motion, a delay does not: the moves to and fro over one stretch share a bend, which by one of
-    them alone is hardly told from a delay.
+    them alone is hardly distinguished from a delay.
     """
     stretches: dict[tuple, list[np.ndarray]] = {}
-    rests = [cache(partial(_rest, samples, table, steps(samples, rows)))
+    rests = [cache(partial(_rest, samples, table, quantum(samples, rows, table.run)))
              for samples, rows in ((log.displacement, table.displacement_rows), (log.spot, table.spot_rows))]
     for i in range(1, len(table)):
         if table.move_ns[i] < 0 or table.run[i] != table.run[i - 1]:
@@ -155,9 +157,9 @@ def apart(log: CalibrationLog, table: StopTable) -> tuple[float, float] | None:
         two = _progress(log.spot, table, table.spot, i, rests[1])
         if one is None or two is None:
             continue
-        (time, course, _), (seen, spot, noise) = one, two
-        place = np.interp(seen, time, course)
-        rate = np.interp(seen, time, np.gradient(course, time))
+        (time, curve, _), (seen, spot, noise) = one, two
+        place = np.interp(seen, time, curve)
+        rate = np.interp(seen, time, np.gradient(curve, time))
         inside = (place > 0.02) & (place < 0.98)
         if inside.sum() < 4 or len(np.unique(spot[inside])) < 0.8 * inside.sum():
             continue
@@ -239,33 +241,6 @@ def _drift(offsets: np.ndarray, times: np.ndarray, kinds: list[tuple]) -> tuple[
         sigma = float(np.sqrt(np.sum(rest[kept] ** 2) / free / power))
         kept = np.abs(rest) < 5.0 * max(float(np.median(np.abs(rest))) / 0.6745, 1e-7)
     return slope, sigma
-
-
-def steps(samples: Samples, rows: np.ndarray) -> np.ndarray:
-    """Step [m] in which each column of a sensor's readings moves (k,); 0 where its noise hides any.
-
-    A reading moves in steps where most neighbours in a dwell are equal to the last bit and the others
-    differ by whole multiples of the least difference.
-    """
-    columns = samples.values.shape[1]
-    result = np.zeros(columns)
-    for k in range(columns):
-        differences = [np.diff(samples.values[lo:hi, k]) for lo, hi in rows if hi - lo > 2]
-        if not differences:
-            continue
-        flat = np.abs(np.concatenate(differences))
-        flat = flat[np.isfinite(flat)]
-        levels = np.concatenate([samples.values[lo:lo + 1, k] for lo, hi in rows if hi > lo])
-        apart = np.diff(np.unique(levels))
-        if not len(flat) or np.mean(flat == 0.0) < 0.5 or not len(apart):
-            continue
-        apart = apart[apart > 1e-12]
-        if len(apart):
-            least = float(apart.min())
-            ratio = apart / least
-            if np.mean(np.abs(ratio - np.rint(ratio)) < 0.05) > 0.8:
-                result[k] = least
-    return result
 
 
 def step_noise(samples: Samples, rows: np.ndarray, width: np.ndarray) -> np.ndarray:

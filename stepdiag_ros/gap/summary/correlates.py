@@ -1,4 +1,4 @@
-"""With what a structure without a name goes: place, time, distance, spot, light, signal, air and scales.
+"""What an unmodelled structure correlates with: place, time, distance, spot, light, signal, air and scales.
 
 It names no cause and decides nothing.  A quantity is laid on a channel as a column and held against what the named
 effects leave, in parity space: what the machine's own errors could imitate is no correlation.
@@ -22,7 +22,7 @@ SURE = 25.0
 
 @dataclass(frozen=True)
 class Correlate:
-    """A quantity that a ``channel`` goes with, and the ``share`` of the structure's variance there that follows it."""
+    """A quantity that a ``channel`` correlates with, and the ``share`` of the structure's variance there that does."""
 
     quantity: str
     channel: str

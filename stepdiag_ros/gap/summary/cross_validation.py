@@ -1,13 +1,13 @@
 """How far the gap closes on runs that took no part in the fit.
 
-All repeats but one are fitted, with and without the effects, and that one is foretold; each repeat has
+All repeats but one are fitted, with and without the effects, and that one is predicted; each repeat has
 its turn, for what one repeat's noise leaves open of a small gap the others settle.  A log of one run, as a table of
-cycles is, is split in time: its last repeats are foretold from those before.  Fits are linear at the joint fit.
-The gap is a distance: the root mean square [m] of what is read and was not fitted less what is foretold of it, before
+cycles is, is split in time: its last repeats are predicted from those before.  Fits are linear at the joint fit.
+The gap is a distance: the root mean square [m] of what is read and was not fitted less what is predicted of it, before
 and after, beside what noise alone makes.  Of lengths or of spots, whichever stands out of its noise more.  Beside it
 stands how large the error is against what the forecast expected of itself, its noise and the uncertainty of
 what was fitted; a forecast so wide that it says nothing is right by that measure and closes nothing by the other.
-The reset of a run that was not fitted is not known and is given free.  Beside that each setup is foretold from the
+The reset of a run that was not fitted is not known and is given free.  Beside that each setup is predicted from the
 others, with the misalignments of its own no better known than before the log.
 """
 
@@ -18,9 +18,9 @@ import numpy as np
 from scipy import linalg
 
 from stepdiag_ros.estimate.noise import Whitener
-from stepdiag_ros.gap.inference.joint import Joint, inverse, widths
+from stepdiag_ros.gap.inference.joint import Joint, inverse, prior_sigmas
 
-RESET_WIDTH_M = 1e-4
+PRIOR_RESET_M = 1e-4
 ONCE = 0.05
 """Share of an effect's columns outside the part held out below which the effect happened in that part alone."""
 TOO_WIDE = 0.5
@@ -30,12 +30,12 @@ TOO_WIDE = 0.5
 @dataclass(frozen=True)
 class Distance:
     """Root mean squares [m] of held-out readings of one kind: less their forecast ``before`` and ``after`` the effects,
-    what noise alone makes, ``floor``, and the forecast's own uncertainty after, ``width``."""
+    what noise alone makes, ``floor``, and the forecast's own uncertainty after, ``sigma``."""
 
     before: float
     after: float
     floor: float
-    width: float = 0.0
+    sigma: float = 0.0
 
     @property
     def stands_out(self) -> float:
@@ -49,11 +49,11 @@ class Distance:
 
     def to_json_dict(self) -> dict:
         return {'before_m': self.before, 'after_m': self.after, 'noise_floor_m': self.floor,
-                'forecast_sigma_m': self.width}
+                'forecast_sigma_m': self.sigma}
 
 
 @dataclass(frozen=True)
-class Closing:
+class CrossValidation:
     """How far the gap closes on what was ``held_out``, in words.
 
     ``before`` and ``after``: reduced χ² of the forecast, in units of what it expects of itself, over ``count`` readings
@@ -100,37 +100,39 @@ class Closing:
 
         Where the forecast is as wide as the gap, by the distance that is left.
         """
-        if self.gap.width > TOO_WIDE * self.gap.before:
+        if self.gap.sigma > TOO_WIDE * self.gap.before:
             return self.gap.left
         beyond_chance = self.after > 1.0 + 5.0 * np.sqrt(2.0 / max(self.count, 1) + 2.0 / max(self.noise_dof, 1.0))
         return (self.after - 1.0) / (self.before - 1.0) if beyond_chance and self.before > self.after else 0.0
 
 
-def closing(joint: Joint, alone: Joint | None = None) -> Closing:
-    """Fit on all repeats but one and foretell that one, each in turn.
+def cross_validated(joint: Joint, alone: Joint | None = None) -> CrossValidation:
+    """Fit on all repeats but one and predict that one, each in turn.
 
     ``alone``: the fit of the machine without effects.  Where it leaves more than seems to be left at the joint fit, a
     linear step from there does what the machine cannot, and the gap before is that at ``alone``.
     """
     place = alone if alone is not None and _left(alone) > _left(joint) else joint
-    return _closing(joint, place, *_held_out(joint.observation.table))
+    return _cross_validated(joint, place, *_held_out(joint.observation.table))
 
 
-def closing_over_setups(joint: Joint) -> Closing | None:
-    """Fit on all setups but one and foretell that one, each in turn; None where there is but one."""
+def cross_validated_by_setup(joint: Joint) -> CrossValidation | None:
+    """Fit on all setups but one and predict that one, each in turn; None where there is but one."""
     setup = joint.observation.table.setup
     parts = [setup == s for s in np.unique(setup)]
-    return _closing(joint, joint, parts, 'each setup in turn, foretold from the others') if len(parts) > 1 else None
+    if len(parts) < 2:
+        return None
+    return _cross_validated(joint, joint, parts, 'each setup in turn, predicted from the others')
 
 
-def _closing(joint: Joint, place: Joint, parts: list[np.ndarray], name: str) -> Closing:
+def _cross_validated(joint: Joint, place: Joint, parts: list[np.ndarray], name: str) -> CrossValidation:
     """``place``: the fit at which the gap before is taken; ``parts``: masks (n,) of the stops held out in turn."""
-    after = _foretold(joint, parts, with_effects=True)
-    before = _foretold(place, parts, with_effects=False) if joint.active else after
+    after = _predicted(joint, parts, with_effects=True)
+    before = _predicted(place, parts, with_effects=False) if joint.active else after
     freedom = max(after.freedom, 1)
-    distances = {kind: Distance(before.errors[kind], rms, after.floors[kind], after.widths[kind])
+    distances = {kind: Distance(before.errors[kind], rms, after.floors[kind], after.sigmas[kind])
                  for kind, rms in after.errors.items()}
-    return Closing(before.chi2 / freedom, after.chi2 / freedom, after.count, float(sum(joint.noise.dof)), name,
+    return CrossValidation(before.chi2 / freedom, after.chi2 / freedom, after.count, float(sum(joint.noise.dof)), name,
                    distances)
 
 
@@ -150,11 +152,11 @@ class _Forecast:
     count: int
     errors: Mapping[str, float]
     floors: Mapping[str, float]
-    widths: Mapping[str, float]
+    sigmas: Mapping[str, float]
 
 
-def _foretold(joint: Joint, parts: list[np.ndarray], with_effects: bool) -> _Forecast:
-    """All that is held out, foretold from the rest."""
+def _predicted(joint: Joint, parts: list[np.ndarray], with_effects: bool) -> _Forecast:
+    """All that is held out, predicted from the rest."""
     table = joint.observation.table
     # Whiteners are one a run: rows of a run stay together on either side.
     white = joint.parity._white
@@ -166,13 +168,13 @@ def _foretold(joint: Joint, parts: list[np.ndarray], with_effects: bool) -> _For
     design, precision = joint.jacobian, joint.fit.precision.copy()
     bare = joint.fit.jacobian[rows].toarray()
     offsets = np.arange(joint.fit.parameters.offset_first, joint.fit.parameters.size)
-    precision[offsets, offsets] = RESET_WIDTH_M**-2.0
+    precision[offsets, offsets] = PRIOR_RESET_M**-2.0
     if with_effects and joint.active:
         columns = np.concatenate([a.form.columns.reshape(len(a.form.columns), -1).T * a.form.scale
                                   for a in joint.active], axis=1)
         design = np.concatenate([design, np.concatenate([w(columns) for w in white])], axis=1)
         bare = np.concatenate([bare, columns[rows]], axis=1)
-        precision = linalg.block_diag(precision, np.diag(widths(a.form for a in joint.active) ** -2.0))
+        precision = linalg.block_diag(precision, np.diag(prior_sigmas(a.form for a in joint.active) ** -2.0))
     sizes = np.concatenate([np.zeros(0), *(a.coefficients / a.form.scale for a in joint.active)])
     residual = np.concatenate([w(plain) for w in white])
     total, freedom, count = 0.0, 0, 0
@@ -220,16 +222,16 @@ def _squares(white: list[Whitener], run: np.ndarray, channels: int, new: np.ndar
     return result
 
 
-def excess_forecast(how_far: Closing) -> tuple[float, str]:
-    """Log evidence that the part held out is foretold worse than noise allows, and that in words.
+def excess_forecast(how_far: CrossValidation) -> tuple[float, str]:
+    """Log evidence that the part held out is predicted worse than noise allows, and that in words.
 
     A log may be fitted to the noise by errors that are not those of the machine, bent until they follow
-    whatever disturbs it; then they do not foretell.  Of forecasts made in turn from each other only half are counted
+    whatever disturbs it; then they do not predict.  Of forecasts made in turn from each other only half are counted
     as independent.
     """
     ratio, count = how_far.after, 1.0 / (2.0 / max(how_far.count, 1) + 1.0 / max(how_far.noise_dof, 1.0))
     gain = 0.5 * count * (ratio - 1.0 - np.log(ratio)) if ratio > 1.0 else 0.0
-    return gain, f'{how_far.held_out} is foretold {np.sqrt(max(ratio, 0.0)):.2f} times worse than noise allows'
+    return gain, f'{how_far.held_out} is predicted {np.sqrt(max(ratio, 0.0)):.2f} times worse than noise allows'
 
 
 def _held_out(table) -> tuple[list[np.ndarray], str]:
@@ -238,12 +240,12 @@ def _held_out(table) -> tuple[list[np.ndarray], str]:
     if len(repeats) > 1:
         whole = all(len(np.unique(table.repeat[table.run == run])) == 1 for run in runs)
         if whole:
-            return [table.repeat == repeat for repeat in repeats], 'each repeat in turn, foretold from the others'
+            return [table.repeat == repeat for repeat in repeats], 'each repeat in turn, predicted from the others'
         if len(runs) == 1:
             # White rows of a run are what is new at each stop given those before: those at its end are a forecast.
             last = len(repeats) // 2
             return [table.repeat >= repeats[-last]], (
-                f'the last {last} of {len(repeats)} repeats, foretold from those before')
+                f'the last {last} of {len(repeats)} repeats, predicted from those before')
     if len(runs) > 1:
         chosen = runs[len(runs) // 2:][::2] if len(runs) > 3 else runs[-1:]
         return [np.isin(table.run, chosen)], 'runs ' + ', '.join(table.run_ids[r] for r in chosen)
@@ -252,7 +254,7 @@ def _held_out(table) -> tuple[list[np.ndarray], str]:
 
 def _forecast(design: np.ndarray, residual: np.ndarray, held: np.ndarray,
               precision: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
-    """χ² of the held-out rows foretold from the others; what the others say of the unknowns, and its covariance."""
+    """χ² of the held-out rows predicted from the others; what the others say of the unknowns, and its covariance."""
     train = ~held
     normal = design[train].T @ design[train] + precision
     covariance = inverse(normal)

@@ -41,13 +41,13 @@ class Margins:
         return {**at_stops, 'state': self.state}
 
 
-def margins(joint: Joint, leftover: bool, stamps: float, standing: bool) -> Margins | None:
-    """Shares of what ``joint`` explains and, where something is ``leftover``, of what it leaves; ``stamps``: squared
+def margins(joint: Joint, unmodelled: bool, stamps: float, standing: bool) -> Margins | None:
+    """Shares of what ``joint`` explains and, where something is ``unmodelled``, of what it leaves; ``stamps``: squared
     standard deviations by which stamps are wrong; ``standing``: whether anything is wrong while the machine stands.
     None where there is no excess."""
     table, beams = joint.observation.table, joint.fit.model.beams
     setups = tuple(table.setup_names)
-    excess = excess_of(joint, leftover) if standing else np.zeros(joint.fit.residual.shape)
+    excess = excess_of(joint, unmodelled) if standing else np.zeros(joint.fit.residual.shape)
     total = float(excess.sum())
     if total <= 0.0:
         return None if stamps <= 0.0 else Margins(np.zeros((3, len(setups))), setups, {}, {}, {}, _states(1.0, 0.0))
@@ -63,17 +63,17 @@ def margins(joint: Joint, leftover: bool, stamps: float, standing: bool) -> Marg
     gone = (table.time_s - table.time_s.min()) / max(float(np.ptp(table.time_s)), 1e-9)
     third = np.minimum(3.0 * gone, 2.0).astype(int)
     time = {f'{said} third of the log': float(stops[third == k].sum()) for k, said in enumerate(THIRDS)}
-    still, inside = _standing(joint, leftover)
+    still, inside = _standing(joint, unmodelled)
     return Margins(cells, setups, axis, direction, time, _states(stamps / (stamps + still), inside))
 
 
-def _standing(joint: Joint, leftover: bool) -> tuple[float, float]:
+def _standing(joint: Joint, unmodelled: bool) -> tuple[float, float]:
     """Squares in parity space of all that is seen while the machine stands, and the share of it inside the stops."""
     space = joint.parity
     rest = unexplained(space, joint.active)
     seen = (space.data - rest) ** 2 if joint.active else np.maximum(rest**2 - 1.0, 0.0)
     total = max(float(seen.sum()), 1e-300)
-    swings = joint.observation.swings is not None and not joint.active and not leftover
+    swings = joint.observation.swings is not None and not joint.active and not unmodelled
     return total, 1.0 if swings else float(seen[space.stops:].sum()) / total
 
 

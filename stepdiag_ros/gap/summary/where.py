@@ -16,11 +16,11 @@ import numpy as np
 
 from stepdiag_ros.estimate.noise import as_noise
 from stepdiag_ros.gap.constants import CELL_SIGMAS, LEAST_SHARE, NAMED_CELL_SIGMAS
-from stepdiag_ros.gap.inference.joint import Joint, inverse_root, unexplained, widths
+from stepdiag_ros.gap.inference.joint import Joint, inverse_root, prior_sigmas, unexplained
 from stepdiag_ros.gap.preprocess.observe import channels
 
 CONCENTRATED = 0.85
-"""Share of a cell in one axis or direction from which it is said."""
+"""Share of a cell in one axis or direction from which it is reported."""
 
 
 @dataclass(frozen=True)
@@ -39,16 +39,16 @@ class Share:
         return {key: value for key, value in full.items() if value is not None}
 
 
-def shares(joint: Joint, found: Sequence, leftover: bool) -> tuple[Share, ...]:
+def shares(joint: Joint, found: Sequence, unmodelled: bool) -> tuple[Share, ...]:
     """Cells that hold more than noise and at least a few percent of the excess, largest first.
 
-    ``found``: the effects named, ``leftover``: whether something without a name is left.
+    ``found``: the effects named, ``unmodelled``: whether something without a name is left.
     """
-    if not found and not leftover and not joint.active:
+    if not found and not unmodelled and not joint.active:
         return ()
     table, beams = joint.observation.table, joint.fit.model.beams
     axis = np.array([{0: 'X', 1: 'Y', 2: 'Z'}.get(int(a)) for a in table.axis], dtype=object)
-    excess = excess_of(joint, leftover)
+    excess = excess_of(joint, unmodelled)
     total = float(excess.sum())
     result = []
     for channel, columns in channels(beams).items():
@@ -61,7 +61,7 @@ def shares(joint: Joint, found: Sequence, leftover: bool) -> tuple[Share, ...]:
     return tuple(sorted(result, key=lambda r: -r.share))
 
 
-def excess_of(joint: Joint, leftover: bool = False) -> np.ndarray:
+def excess_of(joint: Joint, unmodelled: bool = False) -> np.ndarray:
     """Excess variance of each reading (n, c), in units of its own noise; 0 in cells that hold only noise.
 
     What disturbs without a pattern lies where it adds to the readings' variance.
@@ -74,7 +74,7 @@ def excess_of(joint: Joint, leftover: bool = False) -> np.ndarray:
         # Of a variance that holds a disturbance, no less than a hundredth is the sensors' and the arrivals'.
         own = whole if held is None else np.maximum(whole - held, 0.01 * whole)
         excess = excess + added / np.maximum(own, 1e-32)
-    elif leftover or not joint.active:
+    elif unmodelled or not joint.active:
         excess = excess + _of_residuals(joint)
     if excess.any():
         return excess
@@ -86,7 +86,7 @@ def _of_effects(joint: Joint) -> np.ndarray:
     space, result, shape = joint.parity, joint.fit, joint.fit.residual.shape
     columns = np.concatenate([a.form.columns * a.form.scale[:, None, None] for a in joint.active])
     seen = np.concatenate([space.project(a.form) for a in joint.active], axis=1)
-    factor = inverse_root(seen.T @ seen + np.diag(widths(a.form for a in joint.active) ** -2.0))
+    factor = inverse_root(seen.T @ seen + np.diag(prior_sigmas(a.form for a in joint.active) ** -2.0))
     # The unknowns follow a change of the coefficients by (JᵀJ + P)⁻¹ JᵀB; what they cannot follow is left.  Small as
     # the coefficients' own uncertainty is, that is straight; what all effects add need not be.
     follow = joint.followed(space.white_part(columns)[:len(joint.jacobian)])

@@ -1,7 +1,6 @@
 """The sheet of one axis after ISO 230-2: A, E, R, B, M with uncertainties, the plot with its bands of ± 2 s."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -12,7 +11,7 @@ from stepdiag_ros.estimate.iso230_2 import AxisResult, LinearTest
 from stepdiag_ros.estimate.method_budget import with_cell_budget
 from stepdiag_ros.estimate.methods import linear_test
 from stepdiag_ros.estimate.readings import CellReadings
-from stepdiag_ros.model.description import Machine, path_of
+from stepdiag_ros.model.description import path_of
 from stepdiag_ros.model.log import CalibrationLog
 from stepdiag_ros.report.gap_figures import AFTER, BEFORE, INK, SOFT
 from stepdiag_ros.report.legends import legend_outside
@@ -32,46 +31,18 @@ SYMBOLS = {'A_up': 'A↑', 'A_down': 'A↓', 'E_up': 'E↑', 'E_down': 'E↓', '
            'mean_reversal': 'B mean'}
 
 
-@dataclass(frozen=True)
-class WholeLinearTest(LinearTest):
-    """ISO 230-2 with the figures of one direction among those that get an uncertainty."""
-
-    def figures(self) -> dict[str, float]:
-        named = {f'{figure} {name}': getattr(axis, figure) for name, axis in self.axes.items()
-                 for figure, _ in FIGURES}
-        return {name: value for name, value in named.items() if value is not None}
-
-    def repeat_sigma(self, cell: CellReadings) -> dict[str, float]:
-        """As its parent's, a figure of one direction by the scatter of that direction."""
-        found = {}
-        for figure in self.figures():
-            letter, name = figure.split()
-            axis = self.axes[name]
-            mean = 2.0 * float(cell.setups[name].displacement_sigma_m.max())
-            spread = 0.0
-            if letter[0] in 'AR':
-                scatter = {'up': [axis.s_up], 'down': [axis.s_down]}.get(letter[2:], [axis.s_up, axis.s_down])
-                spread = 4.0 * float(np.max(scatter)) / np.sqrt(2.0 * (axis.runs - 1))
-            found[figure] = float(np.hypot(mean, spread))
-        return found
-
-    def slope_sigma(self, slopes: Mapping[str, np.ndarray], machine: Machine) -> dict[str, float]:
-        """As its parent's, of the figures of one direction too."""
-        named = ((figure, figure.split()[1]) for figure in self.figures() if figure[0] in 'AEM')
-        return {figure: float(np.linalg.norm(slopes.get(f'E{self.letter(name) * 2}', 0.0))
-                              * np.ptp(self.axes[name].target_m)) for figure, name in named}
-
-
 def linear_sheets(log: CalibrationLog, evaluation: Evaluation, cell: CellReadings, source: str) -> list[Sheet]:
     """A sheet for every linear setup that was run both ways; none where there is none."""
     own = linear_test(cell)
     if not own.axes:
         return []
-    test = with_cell_budget(lambda readings: WholeLinearTest(linear_test(readings).axes), evaluation)
+    # The figures of one direction get an uncertainty too.
+    wanted = tuple(figure for figure, _ in FIGURES)
+    test = with_cell_budget(lambda readings: replace(linear_test(readings), wanted=wanted), evaluation)
     return [_sheet(name, test, log, evaluation, cell, source) for name in test.axes]
 
 
-def _sheet(name: str, test: WholeLinearTest, log: CalibrationLog, evaluation: Evaluation, cell: CellReadings,
+def _sheet(name: str, test: LinearTest, log: CalibrationLog, evaluation: Evaluation, cell: CellReadings,
            source: str) -> Sheet:
     axis = test.axes[name]
     letter = test.letter(name)

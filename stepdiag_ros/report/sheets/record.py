@@ -15,7 +15,7 @@ Row = tuple[str, str]
 ENVIRONMENT = (('air temperature', 'air_temperature', 'temperature', 1.0, '°C', 2),
                ('air pressure', 'air_pressure', 'pressure', 1e-2, 'hPa', 1),
                ('relative humidity', 'humidity', 'humidity', 1e2, '%', 1))
-"""What is said, the log's series, the cell's value, factor, unit, digits."""
+"""What is stated, the log's series, the cell's value, factor, unit, digits."""
 
 
 def conditions(log: CalibrationLog, evaluation: Evaluation, names: list[str], source: str) -> list[Row]:

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 @dataclass(frozen=True)
 class Grid:
-    """A table of text: its title, the column heads, the rows, and what is said below it."""
+    """A table of text: its title, the column heads, the rows, and the note below it."""
 
     title: str
     head: tuple[str, ...]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from stepdiag_ros.blind.hidden import Hidden, course
+from stepdiag_ros.blind.hidden import Hidden, profile
 from stepdiag_ros.blind.outside import OUTSIDE
 from stepdiag_ros.blind.vocabulary import NAMES, VOCABULARY
 from stepdiag_ros.blind.world import Order, make
@@ -25,8 +25,8 @@ def test_outside_is_outside() -> None:
 
 
 @pytest.mark.parametrize('seed', range(12))
-def test_courses_start_at_zero_and_reach_one(seed: int) -> None:
-    along, _ = course(np.random.default_rng(seed), 1800.0)
+def test_time_profiles_start_at_zero_and_reach_one(seed: int) -> None:
+    along, _ = profile(np.random.default_rng(seed), 1800.0)
     values = along(np.linspace(0.0, 1800.0, 400))
     assert values[0] == pytest.approx(0.0, abs=1e-12)
     assert np.ptp(values) == pytest.approx(1.0, abs=1e-9)

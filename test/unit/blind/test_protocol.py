@@ -139,7 +139,7 @@ def test_purposes_never_share_a_log() -> None:
 
 def test_open_asks_the_sealed_worlds(copy: Path, monkeypatch: pytest.MonkeyPatch,
                                      capsys: pytest.CaptureFixture[str]) -> None:
-    """What noise alone leaves and how far rivals are, of each log with effects of the vocabulary."""
+    """What noise alone leaves and how far competing effects are, of each log with effects of the vocabulary."""
     monkeypatch.setattr('stepdiag_ros.blind.judge.COUNTS_FROM', 0.0)
     assert main(['blind', 'open', str(copy), '--floor', '--apart', '--settle', '--processes', '1', '--quiet']) == 0
     assert 'gap closed on held-out data' in capsys.readouterr().out

@@ -81,7 +81,7 @@ def test_faint_effects_do_not_count_but_stand_in_the_curve() -> None:
                                                'interval': pytest.approx([0.0, 0.793], abs=1e-3)}
 
 
-def test_rivals_of_the_leader() -> None:
+def test_what_competes_with_the_leader() -> None:
     one = case(said=(('backlash', 0.9),), sets=[[['backlash'], 0.6], [['backlash', 'psd_gain'], 0.2],
                                                 [['count_slip'], 0.17], [['psd_zero_offset'], 0.03]])
     assert credible_set(one) == {'backlash', 'count_slip'}

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from stepdiag_ros.blind.settle import AT_ONCE_S, is_settled, longer_log
+from stepdiag_ros.blind.settle import AT_ONCE_S, extended_log, is_settled
 from stepdiag_ros.blind.world import Order, make
 from stepdiag_ros.estimate.reduce import reduce_log
 
@@ -13,7 +13,7 @@ def test_the_run_comes_at_the_end_and_nothing_before_it_changes(kind):
     made = make(Order('develop', 5, 1, 'single', (kind,), 'field', small=True))
     run = {'setup': 'ppp.2', 'standoff_m': 0.9, 'psd_offset_m': [0.02, 0.0], 'mirror_turn_rad': [1e-4, -1e-4],
            'at_once': True, 'light': 0.5, 'again_after_s': 300.0, 'watch_s': 60.0, 'wait_s': 900.0}
-    longer = longer_log(made, run)
+    longer = extended_log(made, run)
     for now, before in ((longer.displacement, made.log.displacement), (longer.spot, made.log.spot)):
         np.testing.assert_array_equal(now.values[:len(before)], before.values)
     table = reduce_log(longer)
@@ -33,7 +33,7 @@ def test_the_run_comes_at_the_end_and_nothing_before_it_changes(kind):
 def test_a_further_line_has_stops_of_its_own():
     made = make(Order('develop', 5, 1, 'single', ('psd_rotation',), 'field', small=True))
     length = made.cell.description.machine.volume[1]
-    table = reduce_log(longer_log(made, {
+    table = reduce_log(extended_log(made, {
         'setup': 'lin_y.9', 'standoff_m': 0.4, 'psd_offset_m': [0.02, 0.0], 'mirror_turn_rad': [0.0, 0.0],
         'at_once': False, 'length': length, 'stops': 4}))
     new = table.setup == len(table.setup_names) - 1
@@ -61,7 +61,7 @@ def test_background_stays_when_the_beam_is_dimmed():
     effect, = made.effects
     run = {'setup': 'ppp.2', 'standoff_m': 0.5, 'psd_offset_m': [0.02, 0.0], 'mirror_turn_rad': [0.0, 0.0],
            'at_once': False, 'light': 0.5, 'again_after_s': None}
-    bright, dim = (longer_log(made, run | {'light': light}) for light in (1.0, 0.5))
+    bright, dim = (extended_log(made, run | {'light': light}) for light in (1.0, 0.5))
     rows = bright.spot.setup == bright.spot.setup.max()
     volts = made.cell.instruments.detector.sum_voltage
     np.testing.assert_allclose((bright.spot.health - dim.spot.health)[rows], 0.5 * volts, rtol=1e-6)

@@ -18,10 +18,10 @@ def made():
 
 def test_the_floor_is_where_a_gap_closed_to_the_noise_ends(made):
     bare, effects = observe(made.yardstick.log), [kind() for kind in all_effects().values()]
-    before, after = diagnose(made.yardstick.log, effects).closing, diagnose(made.log, effects).closing
+    before, after = diagnose(made.yardstick.log, effects).cross_validation, diagnose(made.log, effects).cross_validation
     assert floor(bare) == pytest.approx(before.before)
     assert after.before > 1.2 * after.after
-    # The same noise fell in both logs: what is left of the one without its effect is what the other began with.
+    # Both logs have the same realised noise: the residual of the one without its effect is what the other began with.
     assert after.after == pytest.approx(floor(bare), abs=0.05)
 
 

@@ -66,7 +66,7 @@ def place(tmp_path_factory):
 
 @pytest.mark.parametrize('kind', ['linuxcnc', 'heidenhain'])
 def test_the_loop_closes_as_predicted(place, kind, capsys):
-    """Measure, make tables, put them in force, measure: the machine is better, and as much as was said."""
+    """Measure, make tables, put them in force, measure: the machine is better, and as much as was predicted."""
     capsys.readouterr()
     assert main(['verify', str(place / 'before'), str(place / f'after_{kind}'), '--tolerance', '12um', 'EYY=6um',
                  '--prediction', str(place / kind / 'prediction.json'), '--out', str(place / 'v'), '--json']) == 0

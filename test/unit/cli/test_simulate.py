@@ -15,8 +15,8 @@ DEMO = Path(__file__).resolve().parents[3] / 'cells' / 'demo.yaml'
 
 
 def test_the_bag_holds_the_simulated_log(tmp_path, capsys):
-    bag, told = tmp_path / 'demo', tmp_path / 'truth.json'
-    assert main(['simulate', str(DEMO), '--out', str(bag), '--truth', str(told), '--json']) == 0
+    bag, stated = tmp_path / 'demo', tmp_path / 'truth.json'
+    assert main(['simulate', str(DEMO), '--out', str(bag), '--truth', str(stated), '--json']) == 0
     summary = json.loads(capsys.readouterr().out)
     assert summary['runs'] == 28 and summary['stops'] == 232 and summary['machine'] == 'demo'
     log, expected = read_log(bag), simulate_log(load_cell(DEMO))
@@ -27,7 +27,7 @@ def test_the_bag_holds_the_simulated_log(tmp_path, capsys):
     np.testing.assert_array_equal(log.steps.time_ns, expected.steps.time_ns)
     np.testing.assert_array_equal(log.steps.commanded, expected.steps.commanded)
     assert set(log.environment) == set(expected.environment)
-    assert json.loads(told.read_text())['errors']['EXX']['value'][0] == 0.0
+    assert json.loads(stated.read_text())['errors']['EXX']['value'][0] == 0.0
 
 
 def test_options(tmp_path, capsys):

@@ -39,7 +39,7 @@ def test_the_largest_deviation_lies_inside_its_uncertainty():
     true = [np.linalg.norm(deviation(drawn_from(solution, s).errors, machine, field.points), axis=1).max()
             for s in range(200)]
     assert 175 <= np.sum(np.abs(np.array(true) - size) <= spread) <= 199
-    # A machine without errors, as far as is known: nothing is said to be zero.
+    # A machine without errors, as far as is known: nothing is reported as zero.
     none = Solution('made', solution.positions, solution.names, 0.0 * solution.value, solution.covariance)
     _, floor, _ = largest(none, machine, np.asarray(machine.tool), predict(none, machine, grid(6)))
     assert floor > 2.0 * np.sqrt(predict(none, machine, grid(6)).size_sigma_m.max() * 1e-9)

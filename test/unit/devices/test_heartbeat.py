@@ -1,4 +1,4 @@
-"""Signs of life reach whoever takes them; a lost link is said in one line."""
+"""Signs of life reach whoever takes them; a lost link is reported in one line."""
 
 import socket
 import threading

@@ -328,18 +328,18 @@ def running(marker: str) -> list[str]:
 
 @pytest.mark.parametrize('how', [signal.SIGTERM, signal.SIGINT, signal.SIGKILL])
 def test_the_cell_s_process_leaves_nothing(tmp_path, how):
-    runtime, told = tmp_path / 'runtime', tmp_path / 'truth.json'
+    runtime, stated = tmp_path / 'runtime', tmp_path / 'truth.json'
     process = subprocess.Popen(
         [sys.executable, '-m', 'stepdiag_ros.virtual.cell_process', str(cell_file(tmp_path)),
-         '--runtime', str(runtime), '--truth', str(told)], stdout=subprocess.PIPE, text=True)
+         '--runtime', str(runtime), '--truth', str(stated)], stdout=subprocess.PIPE, text=True)
     try:
         end = time.monotonic() + 60
-        while not told.exists() and time.monotonic() < end:
+        while not stated.exists() and time.monotonic() < end:
             assert process.poll() is None
             time.sleep(0.05)
         endpoints = yaml.safe_load((runtime / 'endpoints.yaml').read_text())
         assert endpoints['pid'] == process.pid and endpoints['psd']['stream_port'] > 0
-        assert json.loads(told.read_text())['machine'] == 'demo'
+        assert json.loads(stated.read_text())['machine'] == 'demo'
         assert len(running(str(runtime))) == 4
         os.kill(process.pid, how)
         process.wait(30)

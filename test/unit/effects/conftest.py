@@ -57,7 +57,7 @@ class Bench:
         return flat - self.free @ (self.free.T @ flat)
 
     def fitted(self, form: Form, change: np.ndarray) -> tuple[np.ndarray, float]:
-        """Coefficients (k,) of a form for a change (n, c), and the share of it that is left over."""
+        """Coefficients (k,) of a form for a change (n, c), and the share of it that remains."""
         columns, target = self.left(form.columns), self.left(change[None])[:, 0]
         size = np.linalg.norm(columns, axis=0)
         found = np.linalg.lstsq(columns / size, target, rcond=1e-9)[0] / size

@@ -24,7 +24,7 @@ def pick(forms: list[Form], *words: str) -> Form:
 
 
 def compare(bench, name: str, parameters: dict, *words: str, limit: float) -> np.ndarray:
-    """Coefficients of the form whose label has ``words``; fails where more than ``limit`` is left over."""
+    """Coefficients of the form whose label has ``words``; fails where more than ``limit`` remains."""
     kind = effect_class(name)
     acting = bench.with_effect(kind(**parameters))
     change = bench.change(acting)
@@ -124,7 +124,7 @@ def test_psd_gain(bench):
 
 
 def test_a_gain_that_ages_does_so_inside_the_dwells(bench):
-    """What the spot shows in a dwell is the rate of its course from stop to stop."""
+    """What the spot shows in a dwell is the rate of its profile from stop to stop."""
     view = bench.view
     form = pick(effect_class('psd_gain')().appearance(view), 'apart', 'ageing')
     gain, ageing = form.columns[:2], form.columns[2:]

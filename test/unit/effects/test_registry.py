@@ -45,7 +45,7 @@ def test_everything_is_said(name):
     assert kind.sources
     assert kind.parameters
     assert all(p.low <= p.high and p.unit for p in kind.parameters)
-    # What it is told apart from are effects that exist.
+    # What it is distinguished from are effects that exist.
     assert all(other in VOCABULARY for other in re.findall(r'\b[a-z]+(?:_[a-z]+)+\b', kind.neighbours))
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from stepdiag_ros.estimate.banded import BandedNormal
 from stepdiag_ros.estimate.dense import normal_equations, weighted
-from stepdiag_ros.estimate.enhanced import WIDTH_FRAME_RAD, frame_rows, prior_precision, widths
+from stepdiag_ros.estimate.enhanced import PRIOR_FRAME_RAD, frame_rows, prior_precision, prior_sigmas
 from stepdiag_ros.estimate.forward import ForwardModel
 from stepdiag_ros.estimate.noise import NoiseModel, whiteners
 from stepdiag_ros.estimate.parameters import parameters_of
@@ -33,7 +33,8 @@ def both(description, holes=0.0, seed=1, damping=0.0):
     scale = 1.0 / np.sqrt(np.diag(normal))
     inverse = np.linalg.inv(normal * scale[:, None] * scale) * scale[:, None] * scale
     dense = inverse @ (jacobian.T @ weighted(residual, white) - pull)
-    band = BandedNormal(table, noise, arrival, present, widths(parameters), frame_rows(parameters), WIDTH_FRAME_RAD,
+    band = BandedNormal(table, noise, arrival, present, prior_sigmas(parameters), frame_rows(parameters),
+                        PRIOR_FRAME_RAD,
                         min(parameters.setup_first.values()))
     return dense, band.solve(jacobian, residual, pull, damping), np.sqrt(np.diag(inverse)), band
 

@@ -78,7 +78,7 @@ def test_a_cycle_that_is_not_whole_has_no_closure(quiet):
 
 
 def test_drift_is_the_closure():
-    """A structure that drifts by a known course: each closure is its way along the line of sight between two times."""
+    """A structure with a known drift: each closure is its way along the line of sight between two times."""
     log = log_of({'structural_thermal_drift': {'amp': [6e-5, 4e-5, -5e-5], 'tau': 100.0}})
     found = evaluate(log).closure
     assert sum(not one.closes for one in found) > len(found) / 3

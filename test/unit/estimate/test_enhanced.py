@@ -173,7 +173,7 @@ def test_a_bent_valley_is_followed_to_its_end():
     assert least[0] == pytest.approx(least[1], abs=0.2)
 
 
-def test_a_step_to_where_nothing_can_be_foretold_is_not_taken(plan_of, draw_errors, misaligned, monkeypatch):
+def test_a_step_to_where_nothing_can_be_predicted_is_not_taken(plan_of, draw_errors, misaligned, monkeypatch):
     description = plan_of(2, 1)
     table = planned_table(description)
     seen = observe(description, table, draw_errors(description.machine, 2), misaligned(description, 3e-4))

@@ -118,9 +118,9 @@ def test_propagation_against_draws(machine, cell_sights, layout):
                             spot_m=s.spot_m + rng.normal(0, 1e-7, s.spot_m.shape))
                  for n, s in cell.setups.items()}
         values.append(evaluate(replace(cell, setups=noisy), layout).value)
-    told = evaluate(cell, layout).sigma
-    moving = told > 1e-12
-    ratio = np.std(values, axis=0)[moving] / told[moving]
+    stated = evaluate(cell, layout).sigma
+    moving = stated > 1e-12
+    ratio = np.std(values, axis=0)[moving] / stated[moving]
     assert np.mean(ratio ** 2) == pytest.approx(1.0, abs=0.15)
     # Of 50 draws a standard deviation is known to a tenth, the worst of 80 to some three of them.
     assert np.abs(ratio - 1).max() < 0.45

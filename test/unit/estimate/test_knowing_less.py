@@ -15,7 +15,7 @@ from stepdiag_ros.model.machine import Curve, GeometricErrors
 from .vacuum import cell, describing, log_of, without_topics
 
 OPEN = 1e-4
-"""[m, rad]: an error that is no better known than this is open, and what holds it is the estimator's width."""
+"""[m, rad]: an error that is no better known than this is open, and what holds it is the estimator's prior."""
 
 
 def keeping(log, mask):

@@ -1,4 +1,4 @@
-"""Lengths in metres and errors at 20 °C: what is taken out, by whom, and what is said where nobody can."""
+"""Lengths in metres and errors at 20 °C: what is taken out, by whom, and what is reported where nobody can."""
 
 from dataclasses import replace
 

@@ -83,8 +83,8 @@ def test_equation_5_as_printed_holds_while_the_diagonal_keeps_its_length():
     e_xx, e_yx, e_xy, e_yy, r_x, r_y = blocks_2d()
     printed, _ = ibaraki_2006((STEP, STEP), r_x, r_y, e_xx, e_yy, printed=True)
     assert np.abs(printed - e_yx).max() > 5e-5
-    told = 0.5 * (e_xx - e_xx[0] + e_yx - (e_xy - e_xy[0]) - (e_yy - e_yy[0]))
-    np.testing.assert_allclose(printed, told, atol=2e-6)
+    stated = 0.5 * (e_xx - e_xx[0] + e_yx - (e_xy - e_xy[0]) - (e_yy - e_yy[0]))
+    np.testing.assert_allclose(printed, stated, atol=2e-6)
 
 
 def test_space_is_right_without_misalignment(machine, draw_errors, cell_sights, deviation,

@@ -44,6 +44,12 @@ def with_rows(table, column, setup, change):
     return replace(table, **{column: values})
 
 
+def exchanged(table, one, other):
+    """The table with the names of two setups exchanged."""
+    names = {one: other, other: one}
+    return replace(table, setup_names=tuple(names.get(name, name) for name in table.setup_names))
+
+
 @pytest.mark.parametrize('size', [3e-4, 1e-3, 5e-3])
 def test_a_healthy_log_shows_no_mistake(healthy, size):
     description, table = healthy(size)
@@ -90,10 +96,7 @@ def test_a_base_unit_along_another_diagonal_is_named(healthy):
 
 def test_a_diagonal_under_anothers_name_is_named(healthy):
     description, table = healthy()
-    names = list(table.setup_names)
-    a, b = names.index('ppp'), names.index('nnp')
-    names[a], names[b] = names[b], names[a]
-    found = check_readings(description, replace(table, setup_names=tuple(names)))
+    found = check_readings(description, exchanged(table, 'ppp', 'nnp'))
     assert [f.name for f in found] == ['setup name', 'setup name']
     assert 'setup nnp' in found[0].found and 'diagonal ppp' in found[0].found
 
@@ -133,10 +136,7 @@ def test_a_volume_that_the_stops_do_not_span_is_named(healthy):
 
 def test_linear_setups_under_each_others_name_are_named(healthy):
     description, table = healthy()
-    names = list(table.setup_names)
-    a, b = names.index('lin_x'), names.index('lin_y')
-    names[a], names[b] = names[b], names[a]
-    found = check_readings(description, replace(table, setup_names=tuple(names)))
+    found = check_readings(description, exchanged(table, 'lin_x', 'lin_y'))
     assert {f.name for f in found} == {'axis'}
 
 

@@ -109,9 +109,9 @@ def test_propagation_against_draws(machine, cell_sights):
         noisy = {n: replace(s, displacement_m=s.displacement_m + rng.normal(0, 1e-6, s.displacement_m.shape))
                  for n, s in cell.setups.items()}
         values.append(evaluate(replace(cell, setups=noisy)).value)
-    drawn, told = np.std(values, axis=0), found.sigma
-    moving = told > 0
-    assert np.abs(drawn[moving] / told[moving] - 1).max() < 0.2
+    drawn, stated = np.std(values, axis=0), found.sigma
+    moving = stated > 0
+    assert np.abs(drawn[moving] / stated[moving] - 1).max() < 0.2
     assert np.abs(drawn[~moving]).max() < 1e-15
 
 

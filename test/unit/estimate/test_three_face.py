@@ -71,10 +71,10 @@ def test_propagation_against_draws(machine, tilts):
                             spot_m=s.spot_m + rng.normal(0, 1e-7, s.spot_m.shape))
                  for n, s in cell.setups.items()}
         values.append(evaluate(replace(cell, setups=noisy), linear, tilts).value)
-    told = evaluate(cell, linear, tilts).sigma
-    moving = told > 1e-12
+    stated = evaluate(cell, linear, tilts).sigma
+    moving = stated > 1e-12
     assert moving.sum() > (40 if tilts else 15)
-    ratio = np.std(values, axis=0)[moving] / told[moving]
+    ratio = np.std(values, axis=0)[moving] / stated[moving]
     assert np.mean(ratio ** 2) == pytest.approx(1.0, abs=0.12)
     assert np.abs(ratio - 1).max() < 0.35
 

@@ -17,7 +17,7 @@ KEYS = {'verdict', 'gap', 'where', 'effects', 'indistinguishable', 'next_measure
 def test_a_null_log_is_left_alone(case):
     found = case.diagnose()
     assert found.verdict == 'no_gap' and not found.effects and not found.shares
-    assert 0.8 < found.closing.after < 1.2
+    assert 0.8 < found.cross_validation.after < 1.2
 
 
 @pytest.mark.parametrize(('name', 'values', 'size'), [
@@ -32,7 +32,7 @@ def test_a_single_effect_is_named_and_its_gap_closed(case, name, values, size):
     assert [e.name for e in found.effects] == [name], found.to_json_dict()['sets'][:3]
     assert found.verdict == 'explained'
     assert found.effects[0].probability > 0.8
-    assert found.closing.after < 1.25
+    assert found.cross_validation.after < 1.25
     if size:
         parameter, value = size
         assert found.effects[0].parameters[parameter] == pytest.approx(value, rel=0.25)
@@ -67,7 +67,7 @@ def test_scatter_without_a_pattern_is_called_unknown(case):
         values[lo:hi] += rng.normal() * 6e-6
     found = diagnose(replace(log, displacement=replace(log.displacement, values=values)),
                      [kind() for kind in all_effects().values()])
-    assert found.leftover
+    assert found.unmodelled
     assert found.verdict in ('unexplained', 'partly_explained')
 
 
@@ -84,13 +84,13 @@ def test_open_field_logs(shared):
     ('stage_a_x', ['backlash'], 0.1), ('stage_a_z', ['backlash'], 0.6), ('stage_b_x_back', [], 1.0)])
 def test_measured_stages(shared, name, acts, left):
     """Two axes have lost motion; the third wanders.  No table has times, so no drift is given a cause.  The gap closes
-    on the last cycles, against the noise that the cycles show, or is said not to.  No log has a detector to warn of."""
+    on the last cycles, against the noise of the cycles, or the report denies it.  No log has a detector to warn of."""
     log = import_csv(shared / 'real_data' / f'{name}.csv').log
     with warnings.catch_warnings():
         warnings.simplefilter('error')
         found = diagnose(log, [kind() for kind in all_effects().values()])
     assert [e.name for e in found.effects] == acts
-    assert found.leftover and found.joint.noise.source == 'repeats'
-    assert found.closing.held_out == 'the last 2 of 5 repeats, foretold from those before'
-    assert found.closing.gap.left <= left
-    assert name != 'stage_b_x_back' or found.closing.gap.left > 0.9
+    assert found.unmodelled and found.joint.noise.source == 'repeats'
+    assert found.cross_validation.held_out == 'the last 2 of 5 repeats, predicted from those before'
+    assert found.cross_validation.gap.left <= left
+    assert name != 'stage_b_x_back' or found.cross_validation.gap.left > 0.9

@@ -84,7 +84,7 @@ def test_a_compensated_machine_is_evaluated_with_the_compensation_put_back(cell,
     joints = points - change.applied.taken_off(points)
     truth = without_rigid_motion(points, deviation(cell.geometry, machine, joints) + joints - points)
     assert np.linalg.norm(truth, axis=1).max() < found.off_bound_m
-    # Nothing done is not as predicted, and is said so.
+    # Nothing done is not as predicted, and is reported so.
     idle = outcome(change, first, None, evaluate(without_applied(log, change.applied.taken_off)), log)
     assert not idle.as_predicted and not idle.better
 

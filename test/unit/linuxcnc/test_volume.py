@@ -12,10 +12,11 @@ import stepdiag_ros.linuxcnc
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.linuxcnc import volume
 from stepdiag_ros.linuxcnc.matrix import matrix, matrixkins_hal
-from stepdiag_ros.model.machine import CURVES, SQUARENESS, Curve, GeometricErrors, tool_pose
+from stepdiag_ros.model.machine import Curve, GeometricErrors, tool_pose
+
+from .drawn_machine import ORIGIN, TOOL, TRAVEL, drawn_errors
 
 SOURCES = Path(stepdiag_ros.linuxcnc.__file__).parent
-TRAVEL, TOOL, ORIGIN = (0.2, 0.16, 0.12), (0.01, -0.02, -0.12), (0.05, -0.03, -0.15)
 WRAPPER = """
 #include <stdlib.h>
 #include "volume_field.h"
@@ -27,16 +28,6 @@ void forward(field_t *f, double *q, double *tool, double s, double *x) { field_f
 int inverse(field_t *f, double *x, double *tool, double s, double *q) { return field_inverse(f, x, tool, s, q); }
 """
 needs_gcc = pytest.mark.skipif(shutil.which('gcc') is None, reason='no gcc: the C of the component is not compiled')
-
-
-def drawn_errors(seed: int = 7, size: float = 8.0e-6, angle: float = 2.0e-5) -> GeometricErrors:
-    rng = np.random.default_rng(seed)
-    curves = {}
-    for name in CURVES:
-        knots = np.linspace(0.0, TRAVEL['XYZ'.index(name[2])], 5 + 'XYZ'.index(name[2]))
-        value = rng.normal(size=knots.size) * (angle if name[1] in 'ABC' else size)
-        curves[name] = Curve(knots, value - value[0])
-    return GeometricErrors(curves, {name: angle * rng.normal() for name in SQUARENESS})
 
 
 class Component:

@@ -70,7 +70,7 @@ def test_messages_come_by_stamp_and_the_description_first(bag):
 def test_what_is_missing_is_named():
     empty = LogAssembler('/cell1')
     assert empty.missing() == ['cell_description', 'sequencer/step', 'interferometer/displacement']
-    with pytest.raises(StepdiagError, match='nothing was heard on /cell1/cell_description'):
+    with pytest.raises(StepdiagError, match='nothing was received on /cell1/cell_description'):
         empty.build()
 
 

@@ -8,7 +8,7 @@ import pytest
 from stepdiag_ros.devices.base import DeviceError
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.model.log import DONE, DWELL, MOVE
-from stepdiag_ros.nodes.course import Run, Stop, once_more
+from stepdiag_ros.nodes.run_plan import Run, Stop, once_more
 from stepdiag_ros.nodes.runner import Cancelled, Interrupted, Runner
 
 

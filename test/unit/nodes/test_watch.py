@@ -1,4 +1,4 @@
-"""What must be heard before a start, and what ends a run."""
+"""What must be received before a start, and what ends a run."""
 
 import time
 
@@ -11,8 +11,8 @@ SOURCES = ('/m/interferometer/displacement', '/m/psd/spot')
 DESCRIPTION = '/m/cell_description'
 
 
-def recording(hears=(*SOURCES, DESCRIPTION), bag='/bags/a', on=True) -> Recording:
-    return Recording(time.monotonic(), on, bag, frozenset(hears))
+def recording(receives=(*SOURCES, DESCRIPTION), bag='/bags/a', on=True) -> Recording:
+    return Recording(time.monotonic(), on, bag, frozenset(receives))
 
 
 def watch(timeout_s: float = 30.0) -> Watch:
@@ -25,7 +25,7 @@ def block(one: Watch, topic: str, setup: str = 'ppp', signal: bool = True) -> No
 
 
 def test_nothing_heard_names_everything():
-    assert watch().wants() == [f'nothing was heard on {SOURCES[0]}', f'nothing was heard on {SOURCES[1]}',
+    assert watch().wants() == [f'nothing was received on {SOURCES[0]}', f'nothing was received on {SOURCES[1]}',
                                'the recorder is silent']
 
 
@@ -44,8 +44,8 @@ def test_the_recorders_word_counts():
         block(one, topic)
     one.recorder(recording(on=False))
     assert one.wants() == ['the recorder is not recording']
-    one.recorder(recording(hears=[DESCRIPTION, SOURCES[0]]))
-    assert one.wants() == [f'the recorder does not hear {SOURCES[1]}']
+    one.recorder(recording(receives=[DESCRIPTION, SOURCES[0]]))
+    assert one.wants() == [f'the recorder does not receive {SOURCES[1]}']
 
 
 def test_a_source_that_falls_silent_is_named():
@@ -60,13 +60,13 @@ def test_a_source_that_falls_silent_is_named():
 def test_a_listener_that_samples_do_not_reach_yet_would_miss_the_first_stops():
     """That it is known to the graph does not mean that its subscriptions are matched."""
     one, began = watch(), time.monotonic()
-    assert one.deaf(['solver'], began) == ['solver has not said what it hears']
+    assert one.not_receiving(['solver'], began) == ['solver has not reported what it receives']
     one.listener('solver', frozenset([DESCRIPTION, SOURCES[0]]))
-    assert one.deaf(['solver'], began) == [f'solver does not hear {SOURCES[1]}']
+    assert one.not_receiving(['solver'], began) == [f'solver does not receive {SOURCES[1]}']
     one.listener('solver', frozenset([DESCRIPTION, *SOURCES]))
-    assert one.deaf(['solver'], began) == []
-    # What it heard of the log before this one says nothing of this one.
-    assert one.deaf(['solver'], time.monotonic()) == ['solver has not said what it hears']
+    assert one.not_receiving(['solver'], began) == []
+    # What it received of the log before this one says nothing of this one.
+    assert one.not_receiving(['solver'], time.monotonic()) == ['solver has not reported what it receives']
 
 
 def test_what_came_before_the_goal_does_not_count():

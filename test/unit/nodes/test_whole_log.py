@@ -11,6 +11,6 @@ def _log(phase: int) -> SimpleNamespace:
 
 
 def test_the_end_of_the_last_dwell_is_waited_for():
-    heard = iter([_log(DWELL), _log(DWELL), whole := _log(DONE)])
-    listener = SimpleNamespace(log_so_far=lambda: next(heard))
+    received = iter([_log(DWELL), _log(DWELL), whole := _log(DONE)])
+    listener = SimpleNamespace(log_so_far=lambda: next(received))
     assert ListenerNode.whole_log(listener) is whole

@@ -41,7 +41,7 @@ def test_picture_that_cannot_be_written(evaluated, tmp_path):
 def test_page_of_an_evaluation(evaluated):
     cell, solution = evaluated
     text = evaluation_page(solution, cell.description, 'some_log')
-    # The curves, how far each run closed and what is left.
+    # The curves, how far each run closed and the residuals.
     assert text.count('<svg') == 3 and 'http://' not in re.sub(r'xmlns[^ >]*|"http://www.w3.org[^"]*"', '', text)
     for said in ('The machine misses by up to', 'Squareness', 'EA0Z', 'lin_x laser u', 'cosine error',
                  'How laser and mirror were aligned', 'Reduced χ²'):

@@ -165,10 +165,10 @@ def test_what_cannot_be_told_apart_and_next_measurement_are_shown(backlash):
     doubtful = replace(backlash, indistinguishable=(('backlash', 'count_slip'),),
                        next_measurement='Run ppp once more, backwards first.')
     text = Page(gap_page(doubtful, 'x')).text
-    assert 'cannot tell these apart' in text and 'Laser lost count' in text
+    assert 'Indistinguishable in this log' in text and 'Laser lost count' in text
     assert 'Run ppp once more, backwards first.' in text
     said = summary(doubtful, 'x')
-    assert 'Cannot be told apart' in said and 'Measure next: Run ppp' in said
+    assert 'Indistinguishable in this log' in said and 'Measure next: Run ppp' in said
     weighed = replace(doubtful, separation={'count_slip': np.log(4.0)})
     assert 'The evidence is 4 to one against “Laser lost count”; it takes 20 to one' in summary(weighed, 'x')
     assert '4 to one against' in Page(gap_page(weighed, 'x')).text
@@ -178,7 +178,7 @@ def test_what_cannot_be_told_apart_and_next_measurement_are_shown(backlash):
 def test_budget_goes_from_before_to_after(backlash):
     rows = steps(backlash)
     assert [name for name, _ in rows] == ['before', 'backlash']
-    assert rows[0][1] == backlash.closing.before_m and rows[-1][1] == backlash.closing.after_m
+    assert rows[0][1] == backlash.cross_validation.before_m and rows[-1][1] == backlash.cross_validation.after_m
     assert rows[-1][1] < rows[0][1]
     assert closed_share(backlash) > 0.9
 
@@ -189,8 +189,8 @@ def test_budget_bars_are_in_proportion():
     assert widths[0] == pytest.approx(4 * widths[1], rel=1e-2)
     line = float(re.search(r'<line x1="([\d.]+)"', drawn)[1])
     assert line == pytest.approx(420 + widths[1], abs=0.2)
-    gross = budget_svg([('before', 4e-4), ('after', 1e-6)], 1e-6)
-    assert 'logarithmic' in gross
+    large = budget_svg([('before', 4e-4), ('after', 1e-6)], 1e-6)
+    assert 'logarithmic' in large
 
 
 def test_changes_of_the_errors_are_ranked(backlash):

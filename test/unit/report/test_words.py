@@ -52,9 +52,9 @@ def test_parameters_lose_their_unit_and_keep_their_meaning():
     ('length: another unit from ppp/0/+ stop 4 on', 'the unit of length is another one from run ppp/0/+, stop 4 on'),
     ('EYX changes its shape, bow, slowing',
      'the guideway of X changes its shape in Y with time (as a bow; slowing)'),
-    ('something never heard of', 'something never heard of')])
-def test_leftovers_are_described(label, said):
-    assert words.leftover_words(label) == said
+    ('something never received of', 'something never received of')])
+def test_unmodelled_structure_is_described(label, said):
+    assert words.unmodelled_words(label) == said
 
 
 def test_setups_are_described():

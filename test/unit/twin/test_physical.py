@@ -18,7 +18,7 @@ OWN = '''
 import numpy as np
 from stepdiag_ros.effects.base import Effect, Parameter
 from stepdiag_ros.effects.patterns import follow, saturating
-from stepdiag_ros.effects.timeforms import courses
+from stepdiag_ros.effects.timeforms import time_profiles
 
 class SpindleGrowth(Effect):
     name = 'spindle_growth'
@@ -31,7 +31,7 @@ class SpindleGrowth(Effect):
 
     def appearance(self, view):
         along_z = -view.by_shift[2:]
-        return [follow(view, course, along_z, ('growth',), 1e-5) for course in courses(view.time)]
+        return [follow(view, profile, along_z, ('growth',), 1e-5) for profile in time_profiles(view.time)]
 '''
 
 
@@ -96,7 +96,7 @@ def test_the_disagreement_is_that_of_the_machine_without_its_effect(diagnosed):
 
     found = diagnosed('backlash', {'B': [4e-6, 3e-6, 5e-6]})
     written, notes = adopt(found)[:2]
-    told = float(_note(notes, 'run along').split('chi2 ')[1].rstrip(')'))
+    stated = float(_note(notes, 'run along').split('chi2 ')[1].rstrip(')'))
     cell = parse_cell(yaml.safe_dump({**written, 'effects': {}}), 'adopted')
-    assert told < 1.15 and Twin(found, cell).left([])[1] > 2.0
+    assert stated < 1.15 and Twin(found, cell).left([])[1] > 2.0
     assert np.isfinite(Twin(found, _bare(written, found.joint.fit, None)).left([])[1])

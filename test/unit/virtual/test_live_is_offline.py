@@ -5,14 +5,13 @@ from pathlib import Path
 
 import numpy as np
 
-from stepdiag_ros.devices.ids3010 import Ids3010
-from stepdiag_ros.devices.linuxcnc_rsh import LinuxCncRsh
-from stepdiag_ros.devices.modbus_psd import ModbusPsd
 from stepdiag_ros.model.log import DONE, DWELL
 from stepdiag_ros.model.path import stops
 from stepdiag_ros.virtual.cell import load_cell
 from stepdiag_ros.virtual.cell_process import CellProcess
 from stepdiag_ros.virtual.offline import simulate_log
+
+from .clients import clients
 
 DEMO = Path(__file__).resolve().parents[3] / 'cells' / 'demo.yaml'
 STOPS = 6
@@ -30,15 +29,8 @@ def offline_means(cell) -> np.ndarray:
 
 def test_the_first_stops_agree_to_the_noise(tmp_path):
     cell = load_cell(DEMO)
-    with CellProcess(DEMO, tmp_path / 'runtime') as process:
-        where = process.start()
-        cnc = LinuxCncRsh('127.0.0.1', where['cnc']['port'], setup_codes=where['cnc']['setup_codes'])
-        meter = Ids3010('127.0.0.1', where['interferometer']['port'])
-        detector = ModbusPsd('127.0.0.1', where['psd']['port'], mode='poll')
-        for client in (cnc, meter, detector):
-            client.connect()
-        cnc.make_ready()
-        cnc.select_setup('ppp')
+    with (CellProcess(DEMO, tmp_path / 'runtime') as process,
+          clients(process.start(), 'ppp') as (cnc, meter, detector)):
         live = []
         for number, place in enumerate(stops(cell.description, 'ppp').positions[:STOPS]):
             cnc.move(place, cell.motion.feed)
@@ -52,8 +44,6 @@ def test_the_first_stops_agree_to_the_noise(tmp_path):
                 spots.append(np.stack([block.x_m, block.y_m], axis=1))
                 lengths.append(meter.read_block(100, 1e-3).displacement_m)
             live.append([np.concatenate(lengths).mean(), *np.concatenate(spots).mean(axis=0)])
-        for client in (cnc, meter, detector):
-            client.close()
     difference = np.array(live) - offline_means(cell)
     # The zero is a mean of sixteen readings; each run has its own.
     difference[:, 0] -= difference[:, 0].mean()

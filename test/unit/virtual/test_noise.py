@@ -7,15 +7,14 @@ import pytest
 import yaml
 from scipy import stats
 
-from stepdiag_ros.devices.ids3010 import Ids3010
-from stepdiag_ros.devices.linuxcnc_rsh import LinuxCncRsh
-from stepdiag_ros.devices.modbus_psd import ModbusPsd
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.model.log import DWELL, MOVE
 from stepdiag_ros.virtual.cell import load_cell, parse_cell
 from stepdiag_ros.virtual.cell_process import CellProcess
 from stepdiag_ros.virtual.noise import NoiseLaw, NoiseLaws, Numbers, SensorNoise, Spread
 from stepdiag_ros.virtual.offline import simulate_log
+
+from .clients import clients
 
 DEMO = Path(__file__).resolve().parents[3] / 'cells' / 'demo.yaml'
 SIGMA = 2.0e-7
@@ -137,24 +136,14 @@ def test_over_the_wire_noise_falls_as_it_does_in_simulation(tmp_path):
     file = tmp_path / 'cell.yaml'
     file.write_text(yaml.safe_dump(yaml.safe_load(DEMO.read_text()) | yaml.safe_load(LAW)))
     cell = load_cell(file)
-    with CellProcess(file, tmp_path / 'runtime') as process:
-        where = process.start()
-        cnc = LinuxCncRsh('127.0.0.1', where['cnc']['port'], setup_codes=where['cnc']['setup_codes'])
-        meter = Ids3010('127.0.0.1', where['interferometer']['port'])
-        # By request the inputs come as floats; a stream's 16 bits would add steps of 0.2 µm.
-        detector = ModbusPsd('127.0.0.1', where['psd']['port'], mode='poll')
-        for client in (cnc, meter, detector):
-            client.connect()
-        cnc.make_ready()
-        cnc.select_setup('ppp')
+    with (CellProcess(file, tmp_path / 'runtime') as process,
+          clients(process.start(), 'ppp') as (_, meter, detector)):
         meter.reset()
         lengths, spots = [], []
         while sum(len(block.quality) for block in lengths) < 4000:
             lengths.append(meter.read_block(200, 1e-3))
         while sum(len(block.x_m) for block in spots) < 4000:
             spots.append(detector.read_block(200, 1e-3))
-        for client in (cnc, meter, detector):
-            client.close()
     length = np.concatenate([block.displacement_m[:, 0] for block in lengths])
     live = {'displacement': _summary(length, np.concatenate([block.quality for block in lengths]) == 0)}
     spot = np.concatenate([block.x_m for block in spots])

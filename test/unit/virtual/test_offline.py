@@ -146,8 +146,8 @@ class Late(Effect):
 
 
 def test_truth_holds_the_curves_at_the_plan_s_positions(cell):
-    told = truth(cell)
-    assert told['errors']['EXX']['position_m'] == pytest.approx([0.0, 0.05, 0.1, 0.15, 0.2])
-    np.testing.assert_array_equal(told['errors']['EXX']['value'], cell.geometry.curves['EXX'].value)
-    assert told['errors']['EC0Y']['value'] == cell.geometry.square['EC0Y']
-    assert told['misalignments']['npp']['laser_rad'] == list(cell.misalignments['npp'].laser)
+    stated = truth(cell)
+    assert stated['errors']['EXX']['position_m'] == pytest.approx([0.0, 0.05, 0.1, 0.15, 0.2])
+    np.testing.assert_array_equal(stated['errors']['EXX']['value'], cell.geometry.curves['EXX'].value)
+    assert stated['errors']['EC0Y']['value'] == cell.geometry.square['EC0Y']
+    assert stated['misalignments']['npp']['laser_rad'] == list(cell.misalignments['npp'].laser)

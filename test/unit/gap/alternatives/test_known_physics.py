@@ -7,11 +7,11 @@ import pytest
 
 from stepdiag_ros.effects import effect_class
 from stepdiag_ros.effects.base import Effect
-from stepdiag_ros.effects.cyclic_nonlinearity import DECOYS, WAVELENGTHS
+from stepdiag_ros.effects.cyclic_nonlinearity import CONTROLS, WAVELENGTHS
 from stepdiag_ros.gap.alternatives.known_physics import BEARINGS, beyond_families
 from stepdiag_ros.gap.alternatives.unmodelled import inconsistent_forms
 from stepdiag_ros.gap.constants import SCATTER_ALARM
-from stepdiag_ros.gap.summary.cross_validation import Closing, excess_forecast
+from stepdiag_ros.gap.summary.cross_validation import CrossValidation, excess_forecast
 
 
 class Leak(Effect):
@@ -49,7 +49,7 @@ def test_physics_of_no_name_is_not_named(case, kind, words):
     found = case.diagnose(kind())
     assert not found.effects, [(e.name, e.probability) for e in found.effects]
     assert found.verdict == 'unexplained'
-    assert words in found.leftover
+    assert words in found.unmodelled
 
 
 def test_a_fringe_keeps_its_name(case):
@@ -69,17 +69,17 @@ def test_what_lives_in_one_group_cannot_differ_between_groups(case):
 
 def test_a_bad_forecast_is_seen_beyond_its_scatter():
     def gain(ratio, count=530):
-        return excess_forecast(Closing(ratio, ratio, count, 530.0, 'repeat 1', {}))[0]
+        return excess_forecast(CrossValidation(ratio, ratio, count, 530.0, 'repeat 1', {}))[0]
     assert gain(0.8) == 0.0
     assert gain(1.0 + 3.0 * np.sqrt(2.0 / 530)) < SCATTER_ALARM < gain(1.8)
     assert gain(1.6, 20) < SCATTER_ALARM
 
 
-def test_decoys_are_of_no_laser():
+def test_negative_controls_are_of_no_laser():
     """Neither a wavelength nor its half or double: those a real swing shows at too."""
     for wavelength in WAVELENGTHS:
         for factor in (0.5, 1.0, 2.0):
-            assert min(abs(d / (factor * wavelength) - 1.0) for d in DECOYS) > 0.02
+            assert min(abs(d / (factor * wavelength) - 1.0) for d in CONTROLS) > 0.02
 
 
 def test_columns_fit_their_log(case):
@@ -139,7 +139,7 @@ class CutBeam(Effect):
 def test_a_detector_that_no_effect_describes_is_not_named(case, kind, words):
     found = case.diagnose(kind())
     assert not [e.name for e in found.effects if e.probability > 0.85], [(e.name, e.probability) for e in found.effects]
-    assert words in found.leftover or found.verdict != 'explained'
+    assert words in found.unmodelled or found.verdict != 'explained'
 
 
 def test_a_standoff_off_is_what_a_fit_of_the_wrong_description_leaves(case):

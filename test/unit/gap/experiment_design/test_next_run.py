@@ -9,8 +9,8 @@ from stepdiag_ros.effects import effect_class
 from stepdiag_ros.estimate.noise import arrivals
 from stepdiag_ros.estimate.reduce import PIECES
 from stepdiag_ros.gap.alternatives.known_physics import Beyond
-from stepdiag_ros.gap.experiment_design.discrimination import apart, distance, evidence_of, expected_evidence, foretold
-from stepdiag_ros.gap.experiment_design.extended_log import Known, Longer, Run, with_run
+from stepdiag_ros.gap.experiment_design.discrimination import apart, distance, evidence_of, expected_evidence, predicted
+from stepdiag_ros.gap.experiment_design.extended_log import ExtendedLog, Known, Run, with_run
 from stepdiag_ros.gap.experiment_design.next_run import GREY, PATIENT_S, recommend
 from stepdiag_ros.gap.inference.joint import fit_jointly
 from stepdiag_ros.gap.inference.select_effects import noise_of
@@ -58,7 +58,7 @@ def test_no_run_tells_an_effect_from_itself(small_offset):
     assert recommend(joint, [_only(first['psd_gain'])]) is None
 
 
-def test_a_drift_without_a_like_in_the_longer_log_is_not_foretold(small_offset):
+def test_a_drift_without_a_like_in_the_extended_log_is_not_predicted(small_offset):
     joint, first = small_offset
     effect, form = first['psd_zero_offset']
     strange = replace(form, label='strange', columns=np.random.default_rng(1).normal(size=form.columns.shape))
@@ -67,16 +67,16 @@ def test_a_drift_without_a_like_in_the_longer_log_is_not_foretold(small_offset):
 
 def _worth(joint, sets, run):
     """How well one run tells two sets apart."""
-    longer = Longer(joint, run, Known(joint))
-    one, other = (longer.forecast(members) for members in sets)
+    extended = ExtendedLog(joint, run, Known(joint))
+    one, other = (extended.forecast(members) for members in sets)
     return apart([(1.0, one)], [(1.0, other)])
 
 
-def _explained_by(case, effect, rivals):
+def _explained_by(case, effect, models):
     """A log with an effect, fitted with the first of some forms, and all of them as sets of one."""
     observation = observe(case.log(effect))
     sets = []
-    for name, label in rivals:
+    for name, label in models:
         one = effect_class(name)()
         sets.append([(one, next(form for form in one.appearance(observation.view) if form.label == label))])
     joint = fit_jointly(observation, sets[0], noise_of(observation))
@@ -84,7 +84,7 @@ def _explained_by(case, effect, rivals):
 
 
 @pytest.mark.parametrize('more', [
-    {'again_after': 600.0},  # how little a mount that stands still moves is foretold; the beam goes on
+    {'again_after': 600.0},  # how little a mount that stands still moves is predicted; the beam goes on
     {'watch': 120.0}])  # what relaxes is seen, while nothing moves, at the sensors' noise, not at that of arrivals
 def test_waiting_tells_creep_from_a_turning_beam(case, more):
     joint, sets = _explained_by(case, effect_class('mirror_mount_creep')(amp=[2e-5, -1e-5], tau=40.0), [
@@ -131,7 +131,7 @@ def test_evidence_is_that_of_the_whole_covariance():
     rng = np.random.default_rng(3)
 
     def drawn():
-        return foretold(rng.normal(size=9), rng.normal(size=(9, 2)))
+        return predicted(rng.normal(size=9), rng.normal(size=(9, 2)))
     a, b = drawn(), drawn()
     whole = [np.eye(9) + f.spread @ f.spread.T for f in (a, b)]
     ratio, shift = np.linalg.solve(whole[1], whole[0]), a.mean - b.mean
@@ -142,7 +142,7 @@ def test_evidence_is_that_of_the_whole_covariance():
     assert distance(a, b) == pytest.approx(0.125 * shift @ np.linalg.solve(middle, shift)
                                             + 0.5 * logs[0] - 0.25 * logs[1] - 0.25 * logs[2])
     assert apart([(0.5, a), (0.5, b)], [(0.5, b), (0.5, a)]) <= 1e-9
-    # A mixture that holds the other's forecast as well is told from it by no more than its share.
+    # A mixture that holds the other's forecast as well is distinguished from it by no more than its share.
     assert 0.0 < expected_evidence([(1.0, a)], [(0.5, a), (0.5, b)]) <= np.log(2.0) + 1e-9
 
 
@@ -153,13 +153,13 @@ def test_forms_that_come_with_less_light_do_not_shift_the_others(case):
     view, effect = joint.observation.view, sets[1][0][0]
     cycle = next(form for form in effect.appearance(view) if 'period_s' in form.shape)
     run = Run(replace(joint.observation.log.description.setups['ppp'], name='ppp.2'), light=GREY)
-    longer = Longer(joint, run, Known(joint))
-    assert len(effect.appearance(longer.view)) > len(effect.appearance(view))
-    assert longer._laid(effect, cycle).shape == cycle.shape
+    extended = ExtendedLog(joint, run, Known(joint))
+    assert len(effect.appearance(extended.view)) > len(effect.appearance(view))
+    assert extended._laid(effect, cycle).shape == cycle.shape
 
 
 def test_a_run_is_watched_as_a_log_would_show_it(small_offset):
-    """The stops foretold of a long first dwell are those that such a log is cut into."""
+    """The stops predicted of a long first dwell are those that such a log is cut into."""
     joint, _ = small_offset
     log = joint.observation.log
     setup = replace(log.description.setups['ppp'], name='ppp.2')

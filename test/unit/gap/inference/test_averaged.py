@@ -33,7 +33,7 @@ def test_the_form_that_was_chosen_is_among_the_compositions(found):
 
 
 def test_a_form_that_explains_part_of_two_effects_does_not_drive_out_the_set(case):
-    """Forms are exchanged beside the others, not gathered from none: alone a free course may explain more."""
+    """Forms are exchanged beside the others, not gathered from none: alone a free profile may explain more."""
     both = case.diagnose(effect_class('non_rigid_coupling')(motion='EYY', by='Z', amp=8e-5),
                          effect_class('backlash')(B=[1e-6, 1e-6, 2e-6]))
     assert {m.effect for m in both.raw[0].members} == {'non_rigid_coupling', 'backlash'}
@@ -47,8 +47,8 @@ def test_what_has_no_name_is_weighed_against_the_names_that_may_stand_for_it(fou
     member = best.members[0]
     same = screen.candidates[member.candidate]
     screen = screen.extended([replace(same, effect=UNKNOWN, family='like it')])
-    nameless = replace(member, effect=UNKNOWN, candidate=len(screen.candidates) - 1, doubt=0.0)
-    names = {m.effect for c in compositions(screen, replace(best, members=(nameless,))) for m in c.members}
+    unmodelled = replace(member, effect=UNKNOWN, candidate=len(screen.candidates) - 1, penalty=0.0)
+    names = {m.effect for c in compositions(screen, replace(best, members=(unmodelled,))) for m in c.members}
     assert names == {UNKNOWN, member.effect}
 
 

@@ -1,4 +1,4 @@
-"""What columns made of readings owe to the readings' noise, against the same worked out whole."""
+"""The Jacobian correction of columns made of readings, against the same worked out whole."""
 
 import numpy as np
 import pytest
@@ -25,11 +25,11 @@ def forms() -> list[Form]:
     """Two forms made of readings and one that is not."""
     rng = np.random.default_rng(5)
 
-    def form(label: str, count: int, owes: bool) -> Form:
+    def form(label: str, count: int, made: bool) -> Form:
         slopes = np.zeros((count, N, 3))
         slopes.reshape(count, -1)[:, :N] = rng.normal(size=(count, N))
         return Form(label, rng.normal(size=(count, N, 1)), tuple('abc'[:count]), np.array([0.5, 0.2, 0.3])[:count],
-                    by_reading=slopes if owes else None)
+                    by_reading=slopes if made else None)
 
     return [form('one', 2, True), form('two', 3, True), form('plain', 2, False)]
 
@@ -42,7 +42,7 @@ def _screen(forms: list[Form], data: np.ndarray, noise_dof: float) -> Screen:
 
 
 def _parts(screen: Screen, forms: list[Form], sizes: list[np.ndarray]) -> tuple[float, float, float, np.ndarray]:
-    """Log determinant, what is left of the data with the price of the coefficients, what is left of what is owed, and
+    """Log determinant, what is left of the data with the price of the coefficients, what is left of the correction, and
     the share of the data's rows that is taken."""
     space = screen.parity
     seen = [np.concatenate([space.project(form), space.own_rows(form) if form.by_reading is not None

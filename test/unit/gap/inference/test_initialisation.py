@@ -1,14 +1,14 @@
-"""Gross effects: the fit stays sane, the search begins at the right place, the name is found."""
+"""Large effects: the fit stays sane, the search begins at the right place, the name is found."""
 
 import numpy as np
 import pytest
 
 from stepdiag_ros.effects import all_effects, effect_class
-from stepdiag_ros.gap.inference.initialisation import GROSS, misfit, place_to_begin
+from stepdiag_ros.gap.inference.initialisation import LARGE, misfit, place_to_begin
 from stepdiag_ros.gap.inference.joint import fit_jointly, inverse
 from stepdiag_ros.gap.inference.select_effects import noise_of
 
-GROSS_EFFECTS = [
+LARGE_EFFECTS = [
     ('psd_zero_offset', {'x': 1e-3, 'y': -7e-4}),
     ('psd_nonlinearity', {'k3': 2e4, 'cross': 0.5}),
     ('mirror_curvature', {'radius': 40.0, 'astigmatism': 0.2}),
@@ -16,14 +16,14 @@ GROSS_EFFECTS = [
 ]
 
 
-@pytest.mark.parametrize(('name', 'values'), GROSS_EFFECTS)
+@pytest.mark.parametrize(('name', 'values'), LARGE_EFFECTS)
 def test_the_search_begins_where_the_effect_is_taken_out(case, name, values):
     observation = case.observe(effect_class(name)(**values))
     setups = observation.fit.parameters.setup_first.values()
     # Bent as the readings are, machine and mounts stay what a machine and mounts can be.
     assert np.abs(observation.fit.theta[:min(setups) + 4 * len(setups)]).max() < 0.02
     nominal = fit_jointly(observation, [], noise_of(observation))
-    assert misfit(nominal) > GROSS
+    assert misfit(nominal) > LARGE
     begun = place_to_begin(nominal, {kind.name: kind() for kind in all_effects().values()})
     assert misfit(begun) < 0.3 * misfit(nominal)
     assert name in {a.effect.name for a in begun.active}
@@ -39,7 +39,7 @@ def test_two_gross_effects_are_named(case):
     found = case.diagnose(effect_class('psd_zero_offset')(x=1e-3, y=5e-4),
                           effect_class('mirror_curvature')(radius=60.0, astigmatism=0.0))
     assert {e.name for e in found.effects} == {'psd_zero_offset', 'mirror_curvature'}
-    assert found.closing.after < 1.5
+    assert found.cross_validation.after < 1.5
 
 
 def test_inverse_of_columns_eleven_orders_apart():

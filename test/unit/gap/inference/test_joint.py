@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from stepdiag_ros.effects import effect_class
-from stepdiag_ros.gap.inference.evidence import SIZES, width_of
+from stepdiag_ros.gap.inference.evidence import SIZES, prior_sigma_of
 from stepdiag_ros.gap.inference.joint import held_to_sizes, solve, tuned
 
 
@@ -16,26 +16,26 @@ def test_a_coefficient_that_nothing_settles_is_held_to_the_size_of_the_others(ca
     loose = replace(form, held=None, columns=np.concatenate([form.columns, 0.0 * form.columns[:1]]),
                     names=(*form.names, 'never seen'), scale=np.append(form.scale, form.scale[0]))
     (effect, held), = tuned(space, [(active.effect, loose)])
-    assert width_of(held) < 0.5 * SIZES[-1]
+    assert prior_sigma_of(held) < 0.5 * SIZES[-1]
     result, = solve(space, [(effect, held)])
-    assert np.sqrt(result.covariance[-1, -1]) <= 1.001 * width_of(held) * held.scale[-1]
+    assert np.sqrt(result.covariance[-1, -1]) <= 1.001 * prior_sigma_of(held) * held.scale[-1]
     free, = solve(space, [(effect, loose)])
     settled = np.sqrt(np.diag(free.covariance))[:-1] < 0.05 * np.abs(free.coefficients[:-1])
     assert settled.any()
     assert np.allclose(result.coefficients[:-1][settled], free.coefficients[:-1][settled], rtol=0.02)
 
 
-def test_a_course_is_held_to_every_size_that_the_log_leaves_it(case):
-    """One coefficient that is seen leaves its course's size open, and how far another may go that is not seen."""
+def test_a_profile_is_held_to_every_size_that_the_log_leaves_it(case):
+    """One coefficient that is seen leaves its profile's size open, and how far another may go that is not seen."""
     found = case.diagnose(effect_class('backlash')(B=[4e-6, 0.0, 3e-6]))
     space, (active,) = found.joint.parity, found.joint.active
     unseen = replace(active.form, held=None, columns=np.concatenate([active.form.columns, 0.0 * active.form.columns]),
                      names=active.form.names * 2, scale=np.tile(active.form.scale, 2), inside=None, by_reading=None)
-    course = replace(unseen, process=True)
-    ways = held_to_sizes(space, [(active.effect, course)])
+    profile = replace(unseen, process=True)
+    ways = held_to_sizes(space, [(active.effect, profile)])
     probability, size = np.array([(p, chosen[0][1].held) for p, chosen in ways]).T
     assert 0.8 < probability.sum() <= 1.0 and len(ways) > 1
     likeliest = size[np.argmax(probability)]
     result, = solve(space, ways[int(np.argmax(probability))][1])
-    np.testing.assert_allclose(np.sqrt(result.covariance[-1, -1]), likeliest * course.scale[-1])
+    np.testing.assert_allclose(np.sqrt(result.covariance[-1, -1]), likeliest * profile.scale[-1])
     assert [p for p, _ in held_to_sizes(space, [(active.effect, unseen)])] == [1.0]

@@ -24,7 +24,7 @@ def test_what_the_fit_can_imitate_is_not_seen(case):
     n, c = observation.fit.residual.shape
     columns = observation.fit.jacobian.toarray().T.reshape(-1, n, c)
     seen = np.linalg.norm(space.stop_part(columns), axis=0)
-    # No more than the unknown would depart from its width.
+    # No more than the unknown would depart from its prior.
     assert np.all(seen < 1.01 * np.sqrt(np.diag(observation.fit.precision)))
 
 
@@ -32,7 +32,7 @@ def test_what_only_errors_beyond_all_machines_imitate_is_seen(case):
     observation = case.observe()
     space = _space(observation)
     n, c = observation.fit.residual.shape
-    # Along the direction that the readings tell least, the readings move by what a hundred widths do.
+    # Along the direction that the readings tell least, the readings move by what a hundred prior sigmas do.
     held = np.linalg.cholesky(observation.fit.precision)
     jacobian = observation.fit.jacobian.toarray()
     white = space.white_part(jacobian.T.reshape(-1, n, c))
@@ -79,12 +79,12 @@ def test_data_are_not_changed_by_an_error_of_the_machine(case):
 
 
 def test_what_columns_of_readings_owe_to_noise(case):
-    """A column that holds the noise of the readings goes with it: by as much as is taken off, in the mean."""
+    """A column that holds the noise of the readings correlates with it: by as much as is taken off, in the mean."""
     space = _space(case.observe())
     rng = np.random.default_rng(2)
     n, c = case.observe().view.reading.shape
     length, turn = rng.uniform(0.0, 0.05, n * c), 2.0 * np.pi / 1.5e-6
-    found, owed = [], []
+    found, corrections = [], []
     for _ in range(200):
         noise = np.zeros(n * c)
         for white in space._white:
@@ -93,13 +93,13 @@ def test_what_columns_of_readings_owe_to_noise(case):
         form = Form('swing', np.sin(phase).reshape(1, n, c), ('a',), np.ones(1),
                     by_reading=(turn * np.cos(phase)).reshape(1, n, c))
         found.append(float(space.stop_part(noise.reshape(1, n, c))[:, 0] @ space.project(form)[:space.stops, 0]))
-        owed.append(-float(space.own_rows(form)[:, 0] @ space.own_data) / space.level)
+        corrections.append(-float(space.own_rows(form)[:, 0] @ space.own_data) / space.level)
     error = np.std(found) / np.sqrt(len(found))
-    assert np.mean(owed) > 20.0 * error
-    assert abs(np.mean(found) - np.mean(owed)) < 5.0 * error
+    assert np.mean(corrections) > 20.0 * error
+    assert abs(np.mean(found) - np.mean(corrections)) < 5.0 * error
 
 
-def test_what_is_owed_once_is_not_owed_again(case):
+def test_what_is_corrected_once_is_not_corrected_again(case):
     """Given a form made of readings, the same form once more says nothing, as for any other form."""
     space = _space(case.observe())
     n, c = case.observe().view.reading.shape
@@ -107,7 +107,7 @@ def test_what_is_owed_once_is_not_owed_again(case):
     swing = Form('swing', np.sin(phase) * length, ('a',), np.full(1, 3e-8), by_reading=4e6 * np.cos(phase) * length)
     screen = Screen(space, [Candidate('swing', '', swing), Candidate('again', '', swing)], 1e9)
     first = screen.by_effect()['swing']
-    assert first.log_bayes > 6.0, 'what is owed alone speaks for the form'
+    assert first.log_bayes > 6.0, 'the correction alone speaks for the form'
     assert screen.by_effect((first,))['again'].log_bayes < 0.5
 
 
@@ -119,7 +119,7 @@ def test_a_fringe_owes_less_to_less_noise(case):
 
 
 def test_what_one_axis_always_leaves_keeps_its_shape(case):
-    """Gross contrasts in all dwells after moves of one axis are no outliers, though most dwells are still."""
+    """Large contrasts in all dwells after moves of one axis are no outliers, though most dwells are still."""
     observation = case.observe()
     shape = np.array([4.0, -1.0, -1.0, -1.0, -1.0])
     mine = observation.table.axis == 2

@@ -1,4 +1,4 @@
-"""What a set's members explain of the rest, and the size that an unknown course is held to."""
+"""What a set's members explain of the rest, and the size that an unknown profile is held to."""
 
 from dataclasses import replace
 
@@ -8,7 +8,7 @@ import pytest
 from stepdiag_ros.effects.base import Form
 from stepdiag_ros.effects.count_slip import CountSlip
 from stepdiag_ros.gap.alternatives.unmodelled import NAME as UNKNOWN
-from stepdiag_ros.gap.constants import IMITATION_DOUBT, LARGE_EVIDENCE, MEMBER_ALARM
+from stepdiag_ros.gap.constants import IMITATION_PENALTY, LARGE_EVIDENCE, MEMBER_ALARM
 from stepdiag_ros.gap.inference import search as search_module
 from stepdiag_ros.gap.inference.candidates import Candidate, Member, Screen
 from stepdiag_ros.gap.inference.evidence import SIZES
@@ -58,17 +58,17 @@ def test_members_explain_as_much_as_their_size_allows(wide):
                                np.linalg.inv(np.eye(N) + columns @ columns.T), atol=0.02)
 
 
-def test_an_unknown_course_does_not_swallow_another_effect(wide):
-    """The other effect lies where the course could go, but only if it were far rougher than it is."""
+def test_an_unknown_profile_does_not_swallow_another_effect(wide):
+    """The other effect lies where the profile could go, but only if it were far rougher than it is."""
     rng = np.random.default_rng(2)
     other = form('other', wide.columns[30:40, :, 0].sum(axis=0, keepdims=True), np.full(1, 3.0))
-    course = np.tensordot(wide.columns[:, :, 0].T, wide.scale * rng.normal(size=40) * 30.0, axes=1)
-    data = course + 4.0 * other.columns[0, :, 0] + rng.normal(size=N)
+    profile = np.tensordot(wide.columns[:, :, 0].T, wide.scale * rng.normal(size=40) * 30.0, axes=1)
+    data = profile + 4.0 * other.columns[0, :, 0] + rng.normal(size=N)
     screen = Screen(space(data), [Candidate('wide', '', wide), Candidate('other', '', other)], 1e9)
     first = screen.by_effect()['wide']
     assert first.size < SIZES[-1] * 1.01
     assert screen.by_effect([first])['other'].log_bayes > 20.0
-    # Were the course free, it could be all of it.
+    # Were the profile free, it could be all of it.
     free = Member('wide', 0, first.log_bayes, 1e6)
     assert screen.by_effect([free])['other'].log_bayes < 1.0
 
@@ -162,15 +162,16 @@ def test_much_leaner_forms_are_a_cause_beside_gross_evidence_too():
 
 
 @pytest.mark.parametrize('size, named', [(3.0, True), (0.0, False)])
-def test_a_name_is_held_to_what_its_decoys_show_beside_it(size, named):
+def test_a_name_is_held_to_what_its_controls_show_beside_it(size, named):
     """Of readings that scatter more than thought any rich form explains some; of a swing only its own does."""
     rng = np.random.default_rng(11)
     rich = np.linalg.qr(rng.normal(size=(N, 11 * 20)))[0].T.reshape(11, 20, N)
     data = rng.normal(size=N) * (1.0 if named else 2.0) + size * rich[0].sum(axis=0)
     candidates = [Candidate('swing', '', form('swing', rich[0], np.ones(20)))]
-    decoys = [Candidate(UNKNOWN, 'swing', form(f'decoy {k}', rich[k], np.ones(20)), decoy=True) for k in range(1, 11)]
+    controls = [Candidate(UNKNOWN, 'swing', form(f'negative control {k}', rich[k], np.ones(20)), negative_control=True)
+                for k in range(1, 11)]
     alone = Screen(space(data), candidates, 1e9).by_effect()['swing']
-    beside = Screen(space(data), [*candidates, *decoys], 1e9).by_effect()['swing']
+    beside = Screen(space(data), [*candidates, *controls], 1e9).by_effect()['swing']
     assert alone.log_bayes > MEMBER_ALARM
     assert beside.log_bayes == alone.log_bayes
     assert (not beside.refused) is named
@@ -220,7 +221,7 @@ def test_by_how_much_a_wrong_form_falls_behind_saturates():
     assert behind(4000.0, place[None]) == pytest.approx(behind(1000.0, place[None]), abs=0.5)
 
 
-def test_courses_that_share_columns_are_judged_as_if_each_were_alone(wide):
+def test_profiles_that_share_columns_are_judged_as_if_each_were_alone(wide):
     """Also where the screen is extended by them, and given a set that one of them is in."""
     rng = np.random.default_rng(4)
     smooth = replace(wide, label='smooth', scale=wide.scale**2)
@@ -261,7 +262,7 @@ def test_forms_of_two_sources_are_not_of_one_effect():
 
 
 def test_a_family_of_its_own_is_not_thinned_by_others():
-    """What it weighs is that of a name, however many shapeless families stand beside it."""
+    """What it weighs is that of a name, however many shapeless families there are in addition."""
     rng = np.random.default_rng(5)
     cause = form('cause', rng.normal(size=(1, N)), np.ones(1))
     data = cause.columns[0, :, 0] + rng.normal(size=N)
@@ -300,6 +301,6 @@ def test_a_slip_is_a_whole_number_of_counts(jump, counted):
     assert found[0].key == ({'count_slip'} if counted else {UNKNOWN})
     names, _, _ = probabilities(found, 19)
     assert names['count_slip'] > 0.9 if counted else names['count_slip'] < 0.5
-    nameless, = (s for s in found if s.key == {UNKNOWN})
-    assert log_prior(nameless, 19) == pytest.approx(log_prior(EffectSet(found[0].members, 0.0), 19) - (
-        IMITATION_DOUBT if counted else 0.0))
+    unmodelled, = (s for s in found if s.key == {UNKNOWN})
+    assert log_prior(unmodelled, 19) == pytest.approx(log_prior(EffectSet(found[0].members, 0.0), 19) - (
+        IMITATION_PENALTY if counted else 0.0))

@@ -1,4 +1,4 @@
-"""Search and fit in turns: what one linearisation foretells the fit must hold."""
+"""Search and fit in turns: what one linearisation predicts the fit must hold."""
 
 import pytest
 
@@ -23,8 +23,8 @@ def test_what_only_a_beam_that_lengthens_could_replace_stays_found(large):
     # The effect once freed, a linear step of the beams' tilts seems to do as well; their cosine cannot.
     found = large.diagnose(effect_class('non_rigid_coupling')(motion='EXX', by='Z', amp=-1e-5))
     assert found.verdict == 'unexplained'
-    assert 'bent' in found.leftover
-    assert found.closing.after < 1.1 < found.closing.before
+    assert 'bent' in found.unmodelled
+    assert found.cross_validation.after < 1.1 < found.cross_validation.before
 
 
 def test_nothing_is_found_where_a_beam_that_shortens_does_as_well(large):

@@ -1,10 +1,10 @@
-"""Lines that keep their phase from dwell to dwell: found far below the noise, told from noise, moves and air."""
+"""Lines that keep their phase from dwell to dwell: found far below the noise, not confused with noise, moves, air."""
 
 import numpy as np
 import pytest
 
-from stepdiag_ros.gap.constants import GROWS, STEADY_ALARM
-from stepdiag_ros.gap.noise.coherent_lines import steady_lines
+from stepdiag_ros.gap.constants import COHERENT_ALARM, GROWS
+from stepdiag_ros.gap.noise.coherent_lines import find_coherent_lines
 from stepdiag_ros.gap.noise.incoherent_lines import find_lines
 from stepdiag_ros.gap.preprocess.dwells import dwells_of
 
@@ -35,11 +35,11 @@ def _dwells(extra=0.0, seed=3):
 
 
 def _found(dwells):
-    return steady_lines(dwells, RUN, PATH_M, STEADY_ALARM)
+    return find_coherent_lines(dwells, RUN, PATH_M, COHERENT_ALARM)
 
 
 def test_white_noise_stays_well_below_the_alarm():
-    assert max(_found(_dwells(seed=seed)).log_bayes for seed in range(20)) < STEADY_ALARM - 4.0
+    assert max(_found(_dwells(seed=seed)).log_bayes for seed in range(20)) < COHERENT_ALARM - 4.0
 
 
 @pytest.mark.parametrize('hertz', [4.3, 11.7, 22.3])
@@ -47,7 +47,7 @@ def test_a_line_is_found_where_no_dwell_shows_it(hertz):
     dwells = _dwells(0.15 * _swing(hertz))
     assert find_lines(dwells)[0].log_bayes < 3.0
     found = _found(dwells)
-    assert found.log_bayes > STEADY_ALARM and found.log_growth < 0.0
+    assert found.log_bayes > COHERENT_ALARM and found.log_growth < 0.0
     assert found.frequency == pytest.approx(hertz, abs=0.01)
     assert found.amplitude == pytest.approx(0.15, abs=4.0 * found.sigma)
 
@@ -58,24 +58,24 @@ def test_a_frequency_above_half_the_sampling_rate_is_seen_as_its_alias():
 
 def test_a_phase_that_wanders_in_seconds_is_followed_over_a_few_dwells():
     found = _found(_dwells(0.4 * _swing(11.7, wander=0.4)))
-    assert found.log_bayes > STEADY_ALARM
+    assert found.log_bayes > COHERENT_ALARM
     assert found.frequency == pytest.approx(11.7, abs=0.1)
 
 
 def test_a_smooth_background_is_no_line():
     rng = np.random.default_rng(8)
     walk = np.cumsum(rng.standard_normal((RUNS * COUNT, SIZE)), axis=1)
-    assert max(_found(_dwells(size * walk)).log_bayes for size in (0.1, 1.0)) < STEADY_ALARM - 4.0
+    assert max(_found(_dwells(size * walk)).log_bayes for size in (0.1, 1.0)) < COHERENT_ALARM - 4.0
 
 
 def test_what_moves_leave_at_the_pace_of_the_moves_is_no_line():
     left = 3.0 * np.exp(-np.arange(SIZE) / 5.0)[None] * np.where(np.arange(RUNS * COUNT) % 6 < 3, 1.0, -0.5)[:, None]
-    assert _found(_dwells(left)).log_bayes < STEADY_ALARM - 4.0
+    assert _found(_dwells(left)).log_bayes < COHERENT_ALARM - 4.0
 
 
 def test_a_swing_that_grows_with_the_path_is_told_from_one_that_does_not():
     near, far = (_found(_dwells(0.25 * _swing(4.3) * size)) for size in (1.0, PATH_M[:, None]))
-    assert far.log_bayes > STEADY_ALARM and far.log_growth > GROWS
+    assert far.log_bayes > COHERENT_ALARM and far.log_growth > GROWS
     assert near.log_growth < -GROWS
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from stepdiag_ros.effects import effect_class
 from stepdiag_ros.estimate.reduce import reduce_log
-from stepdiag_ros.gap.noise.dwell_spectrum import unrest
+from stepdiag_ros.gap.noise.dwell_spectrum import dwell_spectrum
 from stepdiag_ros.gap.noise.incoherent_lines import find_lines
 from stepdiag_ros.gap.preprocess.dwells import dwells_of
 
@@ -33,8 +33,8 @@ def _pink(power, size, seed=7):
     rng = np.random.default_rng(seed)
     frequency = np.fft.rfftfreq(1 << 17)
     frequency[0] = frequency[1]
-    course = np.fft.irfft(frequency ** (-power / 2.0) * np.exp(2j * np.pi * rng.random(len(frequency))))
-    parts = course[:COUNT * 5 * SIZE].reshape(COUNT, -1)[:, :SIZE]
+    series = np.fft.irfft(frequency ** (-power / 2.0) * np.exp(2j * np.pi * rng.random(len(frequency))))
+    parts = series[:COUNT * 5 * SIZE].reshape(COUNT, -1)[:, :SIZE]
     parts = parts - parts.mean(axis=1, keepdims=True)
     return size * parts / parts.std()
 
@@ -92,7 +92,7 @@ def test_a_dwell_of_six_samples_tells_a_line_from_noise():
 def _seen(log):
     table = reduce_log(log)
     away = table.displacement.mean(axis=1)
-    return unrest(log, table, 0.2 + away - np.nanmin(away))
+    return dwell_spectrum(log, table, 0.2 + away - np.nanmin(away))
 
 
 def _with(samples, extra):
@@ -101,23 +101,23 @@ def _with(samples, extra):
 
 def test_shaking_is_told_from_hum_and_from_moving_air(case):
     log = case.log()
-    assert not (_seen(log).shakes or _seen(log).hums or _seen(log).boils)
+    assert not (_seen(log).shakes or _seen(log).mains_hum or _seen(log).turbulent)
     seconds = (log.displacement.time_ns - log.displacement.time_ns[0]) * 1e-9
     swing = np.sin(2.0 * np.pi * 9.0 * seconds)[:, None]
     assert _seen(replace(log, displacement=_with(log.displacement, 4e-8 * swing))).shakes
     hum = 2e-6 * np.sin(2.0 * np.pi * 9.0 * (log.spot.time_ns - log.spot.time_ns[0]) * 1e-9)
     seen = _seen(replace(log, spot=_with(log.spot, hum[:, None] * [1.0, 0.0])))
-    assert seen.hums and not seen.shakes
+    assert seen.mains_hum and not seen.shakes
     path = 0.2 + log.displacement.values - log.displacement.values.min()
     seen = _seen(replace(log, displacement=_with(log.displacement, 8e-8 * swing * path)))
-    assert seen.swells and not seen.shakes and not seen.hums
+    assert seen.grows_with_path and not seen.shakes and not seen.mains_hum
     rng = np.random.default_rng(2)
     waves = np.exp(rng.uniform(np.log(0.02), np.log(5.0), 120))
-    boil = np.sin(2.0 * np.pi * waves * seconds[:, None] + 7.0 * rng.random(120)).sum(axis=1)
-    seen = _seen(replace(log, displacement=_with(log.displacement, 3e-8 * boil[:, None] * path)))
-    assert seen.boils and not seen.shakes
+    turbulence = np.sin(2.0 * np.pi * waves * seconds[:, None] + 7.0 * rng.random(120)).sum(axis=1)
+    seen = _seen(replace(log, displacement=_with(log.displacement, 3e-8 * turbulence[:, None] * path)))
+    assert seen.turbulent and not seen.shakes
 
 
 def test_settling_is_not_taken_for_shaking(case):
     seen = _seen(case.log(effect_class('servo_settling')(amp=5e-6, tau=0.15)))
-    assert not seen.shakes and not seen.boils
+    assert not seen.shakes and not seen.turbulent

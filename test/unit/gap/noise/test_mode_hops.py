@@ -1,4 +1,4 @@
-"""Hops of the unit of length: steps inside dwells, told from slips, from what settles and from noise."""
+"""Mode hops: steps inside dwells, distinguished from slips, from what settles and from noise."""
 
 from types import SimpleNamespace
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from stepdiag_ros.effects.base import Effect, Moment
-from stepdiag_ros.gap.noise.mode_hops import hops
+from stepdiag_ros.gap.noise.mode_hops import mode_hops
 
 COUNT, SIZE, PERIOD_NS = 200, 20, 20_000_000
 DISTANCE = np.linspace(0.3, 1.2, COUNT)
@@ -14,12 +14,12 @@ NOISE = 4e-9
 
 
 def _seen(inside=0.0, seed=3):
-    """Hops found in white dwells with ``inside`` (COUNT, SIZE) [m] on top."""
+    """Mode hops found in white dwells with ``inside`` (COUNT, SIZE) [m] on top."""
     values = NOISE * np.random.default_rng(seed).standard_normal((COUNT, SIZE)) + inside
     begin = np.arange(COUNT) * 3 * SIZE * PERIOD_NS
     rows = np.arange(COUNT)[:, None] * SIZE + np.array([0, SIZE])
     table = SimpleNamespace(displacement_rows=rows, dwell_ns=begin, done_ns=begin + SIZE * PERIOD_NS)
-    return hops(SimpleNamespace(values=values.reshape(-1, 1)), table, DISTANCE)
+    return mode_hops(SimpleNamespace(values=values.reshape(-1, 1)), table, DISTANCE)
 
 
 def _steps(sizes):
@@ -60,4 +60,4 @@ class Hopping(Effect):
 def test_a_laser_that_hops_has_no_name(case):
     diagnosis = case.diagnose(Hopping())
     assert diagnosis.verdict == 'unexplained'
-    assert 'hop' in diagnosis.leftover
+    assert 'hop' in diagnosis.unmodelled

@@ -8,7 +8,7 @@ import pytest
 from stepdiag_ros.gap.inference.evidence import judge
 from stepdiag_ros.gap.inference.joint import fit_jointly
 from stepdiag_ros.gap.inference.select_effects import noise_of
-from stepdiag_ros.gap.noise.scatter import _mixture, stray_arrivals, strays
+from stepdiag_ros.gap.noise.scatter import _mixture, outliers, scattered_arrivals
 from stepdiag_ros.gap.preprocess.observe import observe
 
 
@@ -36,7 +36,7 @@ def joint(case):
 
 
 def test_short_arrivals_are_seen_in_the_data(joint):
-    evidence, _ = stray_arrivals(joint)
+    evidence, _ = scattered_arrivals(joint)
     assert evidence < 6.0
     view, space = joint.observation.view, joint.parity
     rng = np.random.default_rng(6)
@@ -47,26 +47,26 @@ def test_short_arrivals_are_seen_in_the_data(joint):
         column[0, mine] = -(view.by_shift[axis] * (view.approach[:, axis] * short)[:, None])[mine]
     rest = space.data.copy()
     rest[:space.stops] += space.stop_part(column * joint.noise.position)[:, 0]
-    evidence, words = stray_arrivals(joint, rest)
+    evidence, words = scattered_arrivals(joint, rest)
     assert evidence > 12.0 and 'random' in words
 
 
 def test_short_arrivals_compete_as_one_form(joint):
-    assert strays(joint) is None
+    assert outliers(joint) is None
     view, space = joint.observation.view, joint.parity
     off = np.flatnonzero((view.axis == 1) & (view.approach[:, 1] != 0))[3::9]
     column = view.zeros(1)
     column[0, off] = -8.0 * joint.noise.position * view.by_shift[1, off] * view.approach[off, 1, None]
     rest = space.data.copy()
     rest[:space.stops] += space.stop_part(column)[:, 0]
-    form, ways = strays(replace(joint, parity=replace(space, data=rest)))
+    form, ways = outliers(replace(joint, parity=replace(space, data=rest)))
     assert 'short' in form.label
     picked = set(np.flatnonzero(np.any(form.columns, axis=(0, 2))))
     assert set(off) <= picked and len(picked) <= len(off) + 3
     assert ways > 2.0 * len(off)
 
 
-def test_a_step_that_stays_is_no_matter_of_strays(joint):
+def test_a_step_that_stays_is_no_outlier(joint):
     view, space = joint.observation.view, joint.parity
     run = np.flatnonzero(view.run == 2)
     slip = view.zeros(1)
@@ -74,7 +74,7 @@ def test_a_step_that_stays_is_no_matter_of_strays(joint):
     slip = space.stop_part(slip)[:, 0]
     rest = space.data.copy()
     rest[:space.stops] += slip
-    found = strays(replace(joint, parity=replace(space, data=rest)))
+    found = outliers(replace(joint, parity=replace(space, data=rest)))
     explained = 0.0 if found is None else _evidence(space, rest, found[0]) - found[1]
     assert explained < 0.5 * float(slip @ slip) - 12.0
 

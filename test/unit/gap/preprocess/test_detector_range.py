@@ -64,5 +64,5 @@ def test_a_detector_that_turns_back_is_named(case):
     found = diagnose(log, [kind() for kind in all_effects().values()])
     assert {e.name for e in found.effects} == {'psd_nonlinearity'}
     assert found.verdict == 'explained'
-    assert found.closing.after < 1.5
+    assert found.cross_validation.after < 1.5
     assert words in found.warnings

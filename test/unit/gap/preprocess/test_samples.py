@@ -29,7 +29,8 @@ def test_spots_without_light_are_no_readings(case):
     assert np.array_equal(np.isnan(found.spot.values[:, 0]), dark)
     assert 'position sensor' in words[0] and 'without signal' in words[0]
     answer = diagnose(replace(log, spot=spot), [kind() for kind in all_effects().values()])
-    assert answer.verdict == 'no_gap' and answer.closing.after_m < np.sqrt(2.0) * answer.closing.floor_m
+    gap = answer.cross_validation
+    assert answer.verdict == 'no_gap' and gap.after_m < np.sqrt(2.0) * gap.floor_m
 
 
 def test_a_log_without_intensity_is_believed(case):

@@ -7,7 +7,8 @@ import pytest
 
 from stepdiag_ros.estimate.reduce import reduce_log
 from stepdiag_ros.gap.preprocess.clocks import late_clocks
-from stepdiag_ros.gap.preprocess.timing import _rest, apart, step_noise, steps, timing
+from stepdiag_ros.gap.preprocess.samples import quantum
+from stepdiag_ros.gap.preprocess.timing import _rest, apart, step_noise, timing
 from stepdiag_ros.model.log import Samples
 
 
@@ -99,10 +100,10 @@ def test_stamps_that_are_off_are_measured(case, offset):
 def test_readings_in_steps(case):
     log = case.log()
     table = reduce_log(log)
-    assert np.all(steps(log.spot, table.spot_rows) == 0.0)
+    assert np.all(quantum(log.spot, table.spot_rows, table.run) == 0.0)
     coarse = replace(log.spot, values=np.round(log.spot.values / 2e-6) * 2e-6)
     table = reduce_log(replace(log, spot=coarse))
-    assert steps(coarse, table.spot_rows) == pytest.approx([2e-6, 2e-6], rel=1e-6)
+    assert quantum(coarse, table.spot_rows, table.run) == pytest.approx([2e-6, 2e-6], rel=1e-6)
 
 
 def test_a_reading_in_coarse_steps_is_known_no_better_than_the_step(case):
@@ -110,7 +111,7 @@ def test_a_reading_in_coarse_steps_is_known_no_better_than_the_step(case):
     table = reduce_log(log)
     width = 20.0 * log.description.noise.spot
     coarse = replace(log.spot, values=np.rint(log.spot.values / width) * width)
-    found = steps(coarse, table.spot_rows)
+    found = quantum(coarse, table.spot_rows, table.run)
     assert found == pytest.approx(width, rel=1e-6)
     _, noise = _rest(coarse, table, found, 5, 0)
     assert noise > width / 4.0

@@ -1,4 +1,4 @@
-"""With what a structure without a name goes."""
+"""What an unmodelled structure correlates with."""
 
 import numpy as np
 import pytest
@@ -35,10 +35,10 @@ def test_the_signal_is_named_that_it_follows(leaking):
 
 def test_it_is_said(leaking):
     for said in (summary(leaking, 'log'), gap_page(leaking, 'log')):
-        assert 'It goes with the signal quality of the laser (length, ' in said
+        assert 'It correlates with the signal quality of the laser (length, ' in said
 
 
 def test_noise_goes_with_nothing(case):
     found = case.diagnose()
     assert correlates(found.joint) == () and found.to_json_dict()['correlates'] == []
-    assert 'It goes with' not in summary(found, 'log')
+    assert 'It correlates with' not in summary(found, 'log')

@@ -6,28 +6,33 @@ import pytest
 from stepdiag_ros.bag.import_csv import import_csv
 from stepdiag_ros.effects import all_effects, effect_class
 from stepdiag_ros.gap import diagnose
-from stepdiag_ros.gap.summary.cross_validation import Closing, Distance, closing, closing_over_setups
+from stepdiag_ros.gap.summary.cross_validation import (
+    CrossValidation,
+    Distance,
+    cross_validated,
+    cross_validated_by_setup,
+)
 from stepdiag_ros.model.description import Description
 
 
-def test_every_repeat_is_foretold_once(case):
+def test_every_repeat_is_predicted_once(case):
     joint = case.diagnose().joint
-    found = closing(joint)
+    found = cross_validated(joint)
     assert found.count == int(joint.fit.present.sum())
     assert 'each repeat' in found.held_out
     assert found.before == found.after == pytest.approx(1.0, abs=4.0 * np.sqrt(2.0 / found.count))
 
 
 def test_an_effect_found_closes_the_gap(case):
-    found = case.diagnose(effect_class('backlash')(B=[4e-6, 0.0, 3e-6])).closing
+    found = case.diagnose(effect_class('backlash')(B=[4e-6, 0.0, 3e-6])).cross_validation
     assert found.before > 1.2
     assert found.after < 1.0 + 0.1 * (found.before - 1.0) + 4.0 * np.sqrt(2.0 / found.count)
     assert found.after_m < found.before_m
 
 
-def test_each_setup_is_foretold_from_the_others(case):
+def test_each_setup_is_predicted_from_the_others(case):
     quiet, moved = case.diagnose(), case.diagnose(effect_class('backlash')(B=[4e-6, 0.0, 3e-6]))
-    found = closing_over_setups(quiet.joint)
+    found = cross_validated_by_setup(quiet.joint)
     assert found.count == int(quiet.joint.fit.present.sum()) and 'each setup' in found.held_out
     assert found.before == found.after == pytest.approx(1.0, abs=5.0 * np.sqrt(2.0 / found.count))
     found = moved.over_setups
@@ -35,7 +40,7 @@ def test_each_setup_is_foretold_from_the_others(case):
     assert moved.to_json_dict()['over_setups'] == found.to_json_dict()
 
 
-def test_the_last_cycles_of_an_only_run_are_foretold_from_those_before(tmp_path):
+def test_the_last_cycles_of_an_only_run_are_predicted_from_those_before(tmp_path):
     """A table of five cycles with 20 µm of lost motion and 1 µm of noise."""
     rng = np.random.default_rng(2)
     file = tmp_path / 'stage_x.csv'
@@ -45,31 +50,31 @@ def test_the_last_cycles_of_an_only_run_are_foretold_from_those_before(tmp_path)
         for cycle in range(1, 6) for at, sign in zip(places, [1] * 9 + [-1] * 9, strict=True)))
     found = diagnose(import_csv(file).log, [kind() for kind in all_effects().values()])
     assert [e.name for e in found.effects] == ['backlash']
-    assert found.closing.held_out == 'the last 2 of 5 repeats, foretold from those before'
-    assert found.closing.count == 36 and found.over_setups is None
-    assert found.closing.before > 50.0
-    assert found.closing.after == pytest.approx(1.0, abs=5.0 * np.sqrt(2.0 / 36))
+    assert found.cross_validation.held_out == 'the last 2 of 5 repeats, predicted from those before'
+    assert found.cross_validation.count == 36 and found.over_setups is None
+    assert found.cross_validation.before > 50.0
+    assert found.cross_validation.after == pytest.approx(1.0, abs=5.0 * np.sqrt(2.0 / 36))
 
 
 def of_distance(noise_dof, **distance):
-    return Closing(1.5, 1.3, 900, noise_dof, 'each repeat', {'displacement': Distance(**distance)})
+    return CrossValidation(1.5, 1.3, 900, noise_dof, 'each repeat', {'displacement': Distance(**distance)})
 
 
 def test_what_a_badly_known_noise_may_make_is_not_left_over():
-    sharp = {'before': 2e-6, 'after': 1.8e-6, 'floor': 1e-6, 'width': 1e-7}
+    sharp = {'before': 2e-6, 'after': 1.8e-6, 'floor': 1e-6, 'sigma': 1e-7}
     assert of_distance(1e5, **sharp).left == pytest.approx(0.6)
     assert of_distance(300.0, **sharp).left == 0.0
 
 
 def test_a_forecast_as_wide_as_the_gap_closes_nothing():
-    wide = of_distance(300.0, before=7e-5, after=6.9e-5, floor=2e-5, width=6e-5)
+    wide = of_distance(300.0, before=7e-5, after=6.9e-5, floor=2e-5, sigma=6e-5)
     assert wide.left == pytest.approx((6.9**2 - 4.0) / (49.0 - 4.0))
 
 
 def test_the_gap_is_the_error_of_held_out_readings(case):
-    """Against a second way: the misfit of lengths of one repeat, foretold by hand from the other."""
+    """Against a second way: the misfit of lengths of one repeat, predicted by hand from the other."""
     joint = case.diagnose(effect_class('backlash')(B=[4e-6, 0.0, 3e-6])).joint
-    found, fit, table = closing(joint), joint.fit, joint.observation.table
+    found, fit, table = cross_validated(joint), joint.fit, joint.observation.table
     assert found.channel == 'displacement' and found.after_m < found.before_m
     # A prediction from one other repeat has that one's noise too.
     assert found.floor_m < found.after_m < np.sqrt(2.0) * found.floor_m
@@ -95,5 +100,5 @@ def test_a_table_with_made_up_times_names_no_cause_that_times_tell(shared):
     log = import_csv(shared / 'real_data' / 'stage_b_x_back.csv').log
     assert not log.description.timed and not Description.from_yaml(log.description.to_yaml()).timed
     found = diagnose(log, [kind() for kind in all_effects().values()])
-    assert not found.effects and 'made up' in found.leftover
-    assert found.closing.after_m > 0.9 * found.closing.before_m > found.closing.floor_m
+    assert not found.effects and 'made up' in found.unmodelled
+    assert found.cross_validation.after_m > 0.9 * found.cross_validation.before_m > found.cross_validation.floor_m

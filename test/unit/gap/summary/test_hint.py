@@ -1,4 +1,4 @@
-"""Between nothing and a finding: a hint, which is said and not claimed."""
+"""Between nothing and a finding: a hint, which is reported and not claimed."""
 
 from dataclasses import replace
 
@@ -9,7 +9,7 @@ from stepdiag_ros.effects import effect_class
 from stepdiag_ros.effects.base import Effect
 from stepdiag_ros.gap.constants import ALARM, SUSPICION
 from stepdiag_ros.gap.experiment_design.advice import FOR_HINT, advise
-from stepdiag_ros.gap.experiment_design.extended_log import Known, Longer
+from stepdiag_ros.gap.experiment_design.extended_log import ExtendedLog, Known
 from stepdiag_ros.gap.experiment_design.next_run import recommend
 from stepdiag_ros.report.gap_page import gap_page
 from stepdiag_ros.report.gap_words import JOIN, headline, summary
@@ -65,12 +65,12 @@ def test_what_is_weaker_is_not_spoken_of(case):
     assert found.hint is None and 'hint' not in headline(found)
 
 
-def test_nothing_foretells_less_spread_than_what_may_act(faint):
+def test_nothing_predicts_less_spread_than_what_may_act(faint):
     backlash = effect_class('backlash')()
     form = backlash.appearance(faint.joint.observation.view)[0]
     run = recommend(faint.joint, [[(1.0, [(backlash, form)])], [(1.0, [])]]).run
-    longer = Longer(faint.joint, run, Known(faint.joint))
-    plain, acting = longer.forecast([]), longer.forecast([(backlash, form)])
+    extended = ExtendedLog(faint.joint, run, Known(faint.joint))
+    plain, acting = extended.forecast([]), extended.forecast([(backlash, form)])
     assert plain.mean.shape == acting.mean.shape
     assert np.all(np.sum(plain.spread**2, axis=1) <= np.sum(acting.spread**2, axis=1) * (1.0 + 1e-9))
     assert plain.volume < acting.volume
@@ -96,7 +96,7 @@ def test_a_hint_without_a_name_says_what_it_looks_like(case):
 
     found = case.diagnose(Bent())
     assert found.verdict == 'no_gap' and list(found.hint.forms) == ['unknown']
-    assert 'hint of something without a name (' in headline(found) and 'not in the list' not in headline(found)
+    assert 'hint of unmodelled structure (' in headline(found) and 'not in the list' not in headline(found)
 
 
 def test_a_hint_stands_beside_what_is_claimed(case):
@@ -120,4 +120,4 @@ def test_light_that_is_only_a_hint_explains_no_hum(case):
 
     found = case.diagnose(effect_class('ambient_light')(level=0.0, swing=3.57e-3, period=2000.0), Hum())
     assert found.ranking['ambient_light'] >= 0.4 and not found.effects
-    assert found.verdict == 'unexplained' and 'swings at 11.3 Hz' in found.leftover
+    assert found.verdict == 'unexplained' and 'swings at 11.3 Hz' in found.unmodelled

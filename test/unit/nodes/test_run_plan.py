@@ -6,7 +6,7 @@ import pytest
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.model.description import Description, Machine, Plan, Setup
 from stepdiag_ros.model.log import NONE
-from stepdiag_ros.nodes.course import Run, attempt, course, first_repeats, remaining, with_steps
+from stepdiag_ros.nodes.run_plan import Run, attempt, first_repeats, planned_runs, remaining, with_steps
 
 
 @pytest.fixture
@@ -18,13 +18,13 @@ def description() -> Description:
 
 
 def test_forward_then_backward_for_each_repeat(description):
-    runs = course(description)
+    runs = planned_runs(description)
     assert [run.run_id for run in runs] == [
         'npp/0/+', 'npp/0/-', 'npp/1/+', 'npp/1/-', 'lin_y/0/+', 'lin_y/0/-', 'lin_y/1/+', 'lin_y/1/-']
 
 
 def test_a_diagonal_zigzags_from_its_corner(description):
-    forward = course(description, ['npp'])[0]
+    forward = planned_runs(description, ['npp'])[0]
     assert [stop.index for stop in forward.stops] == list(range(7))
     assert [stop.axis for stop in forward.stops] == [NONE, 0, 1, 2, 0, 1, 2]
     np.testing.assert_allclose(forward.stops[0].position_m, [0.4, 0.0, 0.0])
@@ -32,7 +32,7 @@ def test_a_diagonal_zigzags_from_its_corner(description):
 
 
 def test_backward_names_the_axis_of_the_step_between_two_stops(description):
-    backward = course(description, ['npp'])[1]
+    backward = planned_runs(description, ['npp'])[1]
     assert backward.direction == -1
     assert [stop.index for stop in backward.stops] == list(range(6, -1, -1))
     assert [stop.axis for stop in backward.stops] == [NONE, 2, 1, 0, 2, 1, 0]
@@ -41,20 +41,20 @@ def test_backward_names_the_axis_of_the_step_between_two_stops(description):
 
 
 def test_repeats_count_on_in_one_bag(description):
-    runs = course(description, ['lin_y'], repeats=1, first_repeat={'lin_y': 2})
+    runs = planned_runs(description, ['lin_y'], repeats=1, first_repeat={'lin_y': 2})
     assert [run.run_id for run in runs] == ['lin_y/2/+', 'lin_y/2/-']
 
 
 def test_unknown_and_doubled_setups_are_refused(description):
     with pytest.raises(StepdiagError, match="unknown setup 'ppp'.*npp, lin_y"):
-        course(description, ['ppp'])
+        planned_runs(description, ['ppp'])
     with pytest.raises(StepdiagError, match='named twice'):
-        course(description, ['npp', 'npp'])
+        planned_runs(description, ['npp', 'npp'])
 
 
 def test_other_steps(description):
     assert with_steps(description, 0) is description
-    assert len(course(with_steps(description, 5), ['npp'])[0].stops) == 16
+    assert len(planned_runs(with_steps(description, 5), ['npp'])[0].stops) == 16
 
 
 def test_what_is_left_of_a_calibration_that_another_sequencer_began():

@@ -1,4 +1,4 @@
-"""Subscriptions that keep the sequence numbers.
+"""Raw subscriptions, which keep the sequence numbers.
 
 A thread takes raw messages straight from the middleware, in place of an executor:
 the events executor hands a callback no sequence number (decision 0031), no executor
@@ -16,11 +16,11 @@ from rclpy.node import Node
 from stepdiag_ros.nodes.base import DEPTH, overridable, reliable
 
 PERIOD_S = 0.005
-HEARS = 'hears'
+RECEIVED_TOPICS = 'received_topics'
 
 
 @dataclass(frozen=True)
-class Heard:
+class Received:
     """One message as it came: ``cdr`` bytes, times in ns since the epoch, publisher's count."""
 
     topic: str
@@ -36,20 +36,20 @@ def message_class(name: str) -> type:
     return getattr(importlib.import_module(f'{package}.{kind}'), last)
 
 
-class Ears:
-    """Hears ``topics`` (relative name -> type) below ``node``'s namespace.
+class RawSubscription:
+    """Receives ``topics`` (relative name -> type) below ``node``'s namespace.
 
-    From :meth:`start` on ``callback`` is called with each :class:`Heard`, in the thread of the ears, topics
-    as given, messages of a topic in order.  ``latched`` names the topics whose last
-    message is wanted although it was sent before.  The subscriptions belong to a
-    second node, ``<name>_ears``, which no executor sees; parameters
+    From :meth:`start` on ``callback`` is called with each :class:`Received`, in its own thread, topics as
+    given, messages of a topic in order.  ``latched`` names the topics whose last message is wanted although it
+    was sent before.  The subscriptions belong to a second node, ``<name>_subscriptions``, which no executor sees;
+    parameters
     ``qos_overrides.<topic>.subscription.…`` of that node change their quality.
     """
 
-    def __init__(self, node: Node, topics: Mapping[str, str], callback: Callable[[Heard], None],
+    def __init__(self, node: Node, topics: Mapping[str, str], callback: Callable[[Received], None],
                  latched: tuple[str, ...] = (), depth: int = DEPTH):
         self._callback = callback
-        self._node = rclpy.create_node(f'{node.get_name()}_ears', context=node.context,
+        self._node = rclpy.create_node(f'{node.get_name()}_subscriptions', context=node.context,
                                        namespace=node.get_namespace(), enable_rosout=False,
                                        start_parameter_services=False)
         self._subscriptions = []
@@ -64,21 +64,21 @@ class Ears:
         self._received = dict.fromkeys(topics, 0)
         self._lost = dict.fromkeys(topics, 0)
         self.failure: Exception | None = None
-        self._thread = threading.Thread(target=self._listen, name='ears', daemon=True)
+        self._thread = threading.Thread(target=self._listen, name='raw subscription', daemon=True)
 
     def start(self) -> None:
-        """Begin to hand on what is heard; it is kept since the ears were made."""
+        """Begin to hand on what was received, from when this object was made."""
         self._thread.start()
 
     @property
     def received(self) -> dict[str, int]:
-        """Messages heard so far by topic."""
+        """Messages received so far by topic."""
         with self._lock:
             return dict(self._received)
 
     @property
-    def heard(self) -> str:
-        """Topics of which at least one message was heard, as diagnostics say it under the key :data:`HEARS`."""
+    def received_topics(self) -> str:
+        """Topics of which a message was received, as diagnostics report them under :data:`RECEIVED_TOPICS`."""
         return ' '.join(topic for topic, number in self.received.items() if number)
 
     @property
@@ -96,7 +96,7 @@ class Ears:
         return self._node.get_publishers_info_by_topic(self.resolved(topic))
 
     def close(self, drain: bool = True) -> None:
-        """Stop hearing; with ``drain`` what has already arrived is still handed on."""
+        """Stop receiving; with ``drain`` what has already arrived is still handed on."""
         if self._stop.is_set():
             return
         self._stop.set()
@@ -124,14 +124,14 @@ class Ears:
                 cdr, info = taken
                 sequence = int(info['publication_sequence_number'] or 0)
                 self._count(topic, sequence)
-                self._callback(Heard(topic, cdr, info['received_timestamp'],
+                self._callback(Received(topic, cdr, info['received_timestamp'],
                                      info['source_timestamp'], sequence))
 
     def _count(self, topic: str, sequence: int) -> None:
         with self._lock:
             expected = self._next.get(topic, sequence)
-            # A publisher that was started anew counts from 1: what it sent before it was
-            # heard belongs to nobody's loss.
+            # A publisher that was started anew counts from 1: what it sent before its first
+            # message was received is no loss.
             if sequence > expected:
                 self._lost[topic] += sequence - expected
             self._next[topic] = sequence + 1
@@ -139,4 +139,4 @@ class Ears:
 
     @staticmethod
     def _never(_message: bytes) -> None:
-        raise AssertionError('the ears are not to be spun')
+        raise AssertionError('a raw subscription is not to be spun')

@@ -38,7 +38,7 @@ def with_steps(description: Description, steps: int) -> Description:
     return replace(description, plan=replace(description.plan, steps=steps))
 
 
-def course(description: Description, setups: Sequence[str] = (), repeats: int = 0,
+def planned_runs(description: Description, setups: Sequence[str] = (), repeats: int = 0,
            first_repeat: Mapping[str, int] | None = None) -> list[Run]:
     """The runs of a calibration: each setup, each repeat, forward then backward.
 
