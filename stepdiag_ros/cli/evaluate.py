@@ -18,7 +18,9 @@ import numpy as np
 from stepdiag_ros.bag.reader import read_log
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate.closure import said
+from stepdiag_ros.estimate.contributions import listed
 from stepdiag_ros.estimate.gauge import STRAIGHTNESS
+from stepdiag_ros.estimate.identifiability import LOOSELY
 from stepdiag_ros.estimate.methods import METHODS, run_method
 from stepdiag_ros.estimate.solution import Solution
 from stepdiag_ros.estimate.status import OK
@@ -108,15 +110,19 @@ def text(bag: str, solution: Solution) -> str:
                   for name, values in shown.items()]
     if solution.gauge:
         lines += ['', f'Counted as: {solution.gauge}.']
-    if unseen:
-        lines += ['', f'No reading of this log depends on {", ".join(unseen)}.']
+    loose = {entry.names[0].removesuffix(' slope') for entry in solution.unidentifiable if entry.why == LOOSELY}
+    nothing = [name for name in unseen if name not in loose]
+    if nothing:
+        lines += ['', f'No reading of this log depends on {", ".join(nothing)}.']
     reasons: dict[str, list[str]] = {}
     for entry in solution.unidentifiable:
-        if entry.names[0].removesuffix(' slope') not in unseen:
+        if entry.names[0].removesuffix(' slope') not in nothing:
             reasons.setdefault(entry.why, []).append(' with '.join(entry.names))
     if reasons:
         lines += ['', 'Cannot be identified from this log:']
         lines += [f'  {"; ".join(names)}: {why}' for why, names in reasons.items()]
+    if solution.parts:
+        lines += ['', 'What each part contributed (U by repeats):', *(f'  {line}' for line in listed(solution.parts))]
     closing = said(solution.closure)
     if closing:
         lines += ['', f'Closure: {closing}.']

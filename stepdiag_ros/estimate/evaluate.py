@@ -6,6 +6,7 @@ import numpy as np
 
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate.closure import closures
+from stepdiag_ros.estimate.contributions import contributions
 from stepdiag_ros.estimate.enhanced import PRIOR_LASER_RAD, Fit, fit
 from stepdiag_ros.estimate.gauge import GAUGE, reporting_matrix
 from stepdiag_ros.estimate.identifiability import unidentifiable
@@ -76,7 +77,8 @@ def evaluate_in_full(log: CalibrationLog, budget: Budget | None = None) -> Evalu
         noise = with_budget(result.noise, budget, table, log.description)
         result = fit(log.description, table, noise, linear_laser=cosine)
     solution = replace(solution_of(result, table, log.warnings + table.warnings),
-                       closure=closures(log, table, result.noise))
+                       closure=closures(log, table, result.noise),
+                       parts=contributions(log.description, table, result))
     insane = insane or check_fit(log.description, table, result)
     if insane:
         status = status_of([*(finding.found for finding in insane), *reasons(result, table)])

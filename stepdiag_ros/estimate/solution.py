@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -11,6 +11,9 @@ from stepdiag_ros.estimate.finding import Finding
 from stepdiag_ros.estimate.traceability import Traceability
 from stepdiag_ros.model.machine import CURVES, SQUARENESS, Curve, GeometricErrors
 from stepdiag_ros.model.sensor import Misalignment
+
+if TYPE_CHECKING:
+    from stepdiag_ros.estimate.contributions import Contribution
 
 
 @dataclass(frozen=True)
@@ -52,6 +55,7 @@ class Solution:
     lines of ISO 230-1 (:mod:`stepdiag_ros.estimate.gauge`).  A method that cannot give an error
     leaves its name out.  ``sanity``: mistakes of commissioning that the log shows
     (:mod:`stepdiag_ros.estimate.sanity`).  ``closure``: how each cycle came back to its first stop.
+    ``parts``: what each kind of setup contributed (:mod:`stepdiag_ros.estimate.contributions`).
 
     ``covariance`` is that of the whole budget where ``traceability`` is set, else of the repeats alone;
     ``repeatability`` (p, p) then keeps what the repeats, or the noise that the cell declares, give alone.
@@ -76,6 +80,7 @@ class Solution:
     traceability: Traceability | None = None
     sanity: tuple[Finding, ...] = ()
     closure: tuple[Closure, ...] = ()
+    parts: tuple['Contribution', ...] = ()
 
     @property
     def sigma(self) -> np.ndarray:
@@ -144,7 +149,8 @@ class Solution:
                                   for name, m in self.misalignments.items()},
                 'noise': dict(self.noise), 'warnings': list(self.warnings),
                 'sanity': [finding.to_json_dict() for finding in self.sanity],
-                'closure': [one.to_json_dict() for one in self.closure], **self.extra}
+                'closure': [one.to_json_dict() for one in self.closure],
+                'parts': [part.to_json_dict() for part in self.parts], **self.extra}
 
 
 def _list(values: np.ndarray) -> list[float]:

@@ -6,6 +6,7 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
+from stepdiag_ros.estimate.contributions import contribution_words
 from stepdiag_ros.estimate.prediction import largest_deviation
 from stepdiag_ros.estimate.solution import Solution
 from stepdiag_ros.estimate.traceability import WORDS
@@ -26,7 +27,7 @@ def evaluation_page(solution: Solution, description: Description, name: str) -> 
     """The HTML of one evaluation."""
     sections = [_head(solution, description, name), _tied(solution), _curves(solution), _squareness(solution),
                 _misalignments(solution, description), _residuals(solution), closure_section(solution.closure, 3),
-                _open(solution), _notes(solution), _small_print(solution)]
+                _parts(solution), _open(solution), _notes(solution), _small_print(solution)]
     return page(f'{name}: the 21 geometric errors', '\n'.join(s for s in sections if s))
 
 
@@ -141,6 +142,17 @@ def _draw_residuals(solution: Solution) -> Figure:
                          va='bottom')
     axes[-1].set_xlabel('stop, in the order of measuring')
     return drawing
+
+
+def _parts(solution: Solution) -> str:
+    """What each kind of setup contributed; empty where there is one kind only."""
+    if not solution.parts:
+        return ''
+    rows = [[escape(part.kind), escape(', '.join(part.setups)), str(part.readings), f'{part.rms:.2f}',
+             escape(contribution_words(part))] for part in solution.parts]
+    return ('<h2>What each part contributed</h2><p>All parts are solved together. Factors are those of the standard '
+            'uncertainty by repeats.</p>'
+            + table(['kind', 'setups', '>readings', '>residuals / noise', 'what it brought'], rows))
 
 
 def _open(solution: Solution) -> str:

@@ -23,7 +23,8 @@ motion:
 """
 
 
-@pytest.mark.parametrize('path', sorted(CELLS.glob('*.yaml')), ids=lambda p: p.stem)
+# A hall is a file about cells, and read by others.
+@pytest.mark.parametrize('path', sorted(p for p in CELLS.glob('*.yaml') if p.stem != 'hall'), ids=lambda p: p.stem)
 def test_the_cells_that_come_with_the_program_load(path):
     cell = load_cell(path)
     text = cell.description.to_yaml()
