@@ -15,7 +15,7 @@ def round_line(number: int, one: Round) -> str:
     odds = 1.0 / max(one.able.run.error, 1e-300)
     promise = f'more than {MOST_ODDS}' if odds > MOST_ODDS else f'{odds:.2g}'
     return (f'further run {number}: open: {open_words(one.open)}. '
-            f'The cell {run_words(one.able.code, one.able.run.run)}, which is expected to decide with odds of {promise} '
+            f'The cell {run_words(one.able.code, one.able.run.run)}; expected to decide with odds of {promise} '
             f'to one; takes about {span(one.able.seconds)}; log: {one.bag}')
 
 
