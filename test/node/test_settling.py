@@ -121,8 +121,8 @@ def test_the_command_says_each_round_and_the_answer(ros_domain, tmp_path):
     done = subprocess.run([sys.executable, '-m', 'stepdiag_ros.cli.main', 'calibrate', str(path), '--setups', *PLAN,
                            '--bag', str(log), '--until-settled', '--settle-time', '120'],
                           capture_output=True, text=True, timeout=500, check=False)
-    assert re.search(r"further run 1: open: .*Spot sensor's zero is off \(\d+ %\).* The cell mounts \w+ and measures it, "
-                     r'which the log does not hold; expected to decide with odds of .* to one; takes about '
+    assert re.search(r"further run 1: open: .*Spot sensor's zero is off \(\d+ %\).* The cell mounts \w+ and measures "
+                     r'it, which the log does not hold; expected to decide with odds of .* to one; takes about '
                      r'\d+ s; log: .*log_further_1', done.stderr), done.stderr
     assert re.search(r"settled after \d further runs?: .*position sensor's zero", done.stdout), done.stdout
     assert f'stepdiag gap {log} --further {log}_further_1' in done.stdout
