@@ -120,7 +120,7 @@ def test_the_command_says_each_round_and_the_answer(ros_domain, tmp_path):
     path.write_text(CELL, encoding='utf-8')
     done = subprocess.run([sys.executable, '-m', 'stepdiag_ros.cli.main', 'calibrate', str(path), '--setups', *PLAN,
                            '--bag', str(log), '--until-settled'],
-                          capture_output=True, text=True, timeout=900, check=False)
+                          capture_output=True, text=True, timeout=800, check=False)
     assert re.search(r"further run 1: open: .*Spot sensor's zero is off \(\d+ %\).* The cell mounts \w+ and measures "
                      r'it, which the log does not hold; expected to decide with odds of .* to one; takes about '
                      r'\d+ s; log: .*log_further_1', done.stderr), done.stderr
