@@ -81,6 +81,11 @@ class ScalarSeries:
     value: np.ndarray
     variance: np.ndarray
 
+    def until(self, end_ns: int) -> 'ScalarSeries':
+        """The readings not after ``end_ns``; all of them where there is none before."""
+        kept = self.time_ns <= end_ns
+        return ScalarSeries(self.time_ns[kept], self.value[kept], self.variance[kept]) if kept.any() else self
+
     def at(self, time_ns: np.ndarray) -> np.ndarray:
         """The quantity at ``time_ns`` (k,), smoothed over a few readings so that sensor noise stays out.
 

@@ -497,6 +497,16 @@ def test_nan_in_environment(tmp_path, small_log):
     assert warned(log, 'environment/humidity: left out 1 value(s)')
 
 
+def test_the_air_after_the_last_stop_changes_nothing(tmp_path, small_log, differs):
+    """An evaluation at the end of a calibration and one of the bag, which went on, are the same."""
+    end, messages = int(small_log.steps.time_ns[-1]), messages_of(small_log)
+    before = [m for m in messages if not m[0].startswith('environment') or m[2] <= end]
+    late = [(topic, encode_scalar(end + 10**9, 'air', 300.0, 1e-4), end + 10**9, 99)
+            for topic in ('environment/air_temperature', 'environment/air_pressure')]
+    cut, whole = raw_bag(tmp_path / 'cut', before), raw_bag(tmp_path / 'whole', before + late)
+    assert differs(read_log(cut), read_log(whole)) == []
+
+
 def test_scale_of_no_axis(tmp_path, small_log):
     messages = messages_of(small_log)
     t = messages[-1][2] + 1
