@@ -198,6 +198,21 @@ def test_no_answer_of_the_sequencer_is_lost(cell, live, monkeypatch):
     assert operator.calibrate(setups=['lin_x']).succeeded
 
 
+def test_a_sequencer_that_is_silent_and_answers_keeps_its_goal(cell, live, monkeypatch):
+    """On a busy computer diagnostics may stay away for as long as those of a dead node."""
+    class Silent(dict):
+        def __setitem__(self, name, health) -> None:
+            if not name.endswith('step_sequencer'):
+                super().__setitem__(name, health)
+    operator = cell.operator
+    operator.new_log(str(cell.runtime.parent / 'silent'))
+    monkeypatch.setattr('stepdiag_ros.nodes.operator.LOST_GOAL_S', 1.0)
+    monkeypatch.setattr('stepdiag_ros.nodes.operator.DENIED_GOAL_S', 0.2)
+    monkeypatch.setattr(operator, '_heard', Silent(operator._heard))
+    outcome = operator.calibrate(setups=['ppp'])
+    assert outcome.succeeded and 'was started again' not in outcome.message
+
+
 def test_the_gap_monitor_publishes_its_report_when_all_is_measured(cell, live, eventually):
     from rclpy.qos import DurabilityPolicy, QoSProfile
 
