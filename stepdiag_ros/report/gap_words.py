@@ -214,8 +214,10 @@ def how_far(diagnosis: Diagnosis) -> str:
                     'It shows in how the readings move while the machine stands still.' if still else
                     'It shows in what many stops have in common.'))
     share = closed_share(diagnosis)
-    rest = 'the residual is noise' if gap.after < NOISE_LIKE else \
-        f'the residual is still {gap.after_m / max(gap.floor_m, 1e-300):.1f} times the noise'
+    rest = f'the residual is still {gap.after_m / max(gap.floor_m, 1e-300):.1f} times the noise'
+    if gap.after < NOISE_LIKE:
+        rest = 'the residual is noise' if gap.after_m**2 < NOISE_LIKE * gap.floor_m**2 else \
+            f'the residual is noise and the {micrometres(gap.gap.sigma)} by which the prediction itself is uncertain'
     if gap.gap.sigma > gap.floor_m:
         rest = (f'the residual is {gap.after_m / max(gap.floor_m, 1e-300):.1f} times the noise; what was fitted leaves '
                 f'the forecast uncertain by {micrometres(gap.gap.sigma)}')
@@ -238,8 +240,9 @@ def over_setups_words(diagnosis: Diagnosis) -> str:
 
 
 def closes_words(found: Found) -> str:
-    """How much of the gap a cause closes."""
-    return f'closes {closed_percent(found.closes) if found.closes > 0.005 else "less than 1 %"} of the gap'
+    """How much a cause explains of what the fit leaves without it; not what it closes on held-out runs."""
+    share = closed_percent(found.closes) if found.closes > 0.005 else 'less than 1 %'
+    return f'explains {share} of what exceeds the noise'
 
 
 def steps(diagnosis: Diagnosis) -> list[tuple[str, float]]:

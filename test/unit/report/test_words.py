@@ -1,11 +1,14 @@
 """Numbers and causes in words."""
 
+from types import SimpleNamespace
+
 import pytest
 
 from stepdiag_ros.effects import VOCABULARY
 from stepdiag_ros.gap.diagnosis import Found
+from stepdiag_ros.gap.summary.cross_validation import CrossValidation, Distance
 from stepdiag_ros.report import words
-from stepdiag_ros.report.gap_words import size_words
+from stepdiag_ros.report.gap_words import how_far, size_words
 
 
 @pytest.mark.parametrize(('value', 'unit', 'sigma', 'said'), [
@@ -55,6 +58,18 @@ def test_parameters_lose_their_unit_and_keep_their_meaning():
     ('something never received of', 'something never received of')])
 def test_unmodelled_structure_is_described(label, said):
     assert words.unmodelled_words(label) == said
+
+
+@pytest.mark.parametrize(('after', 'sigma', 'said'), [
+    (2.9e-7, 5e-8, 'the residual is noise.'),
+    (3.4e-7, 1.9e-7, 'the residual is noise and the 0.190 µm by which the prediction itself is uncertain.')])
+def test_what_is_left_is_not_said_to_be_noise_beside_more_than_noise(after, sigma, said):
+    validation = CrossValidation(2.0, 1.0, 200, 100.0, 'each repeat', {'displacement': Distance(
+        4.4e-7, after, 2.8e-7, sigma)})
+    active = SimpleNamespace(effect=SimpleNamespace(name='servo_settling'))
+    found = SimpleNamespace(cross_validation=validation, verdict='explained', unmodelled='', effects=[active],
+                            joint=SimpleNamespace(active=[active]))
+    assert how_far(found).endswith(said), how_far(found)
 
 
 def test_setups_are_described():
