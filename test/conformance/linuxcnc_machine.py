@@ -61,7 +61,8 @@ class Running:
 
     def __init__(self, folder: Path, watch_port: int = 0):
         self.machine = LinuxCnc(folder)
-        self.client = LinuxCncRsh('127.0.0.1', self.machine.port, ORIGIN, watch_port=watch_port)
+        self.client = LinuxCncRsh('127.0.0.1', self.machine.port, ORIGIN, timeout_s=30.0,
+                                  watch_port=watch_port)
 
     def __enter__(self) -> 'Running':
         try:

@@ -24,6 +24,7 @@ EXECUTABLES = {
     'step_sequencer',
     'evaluation_solver',
     'recorder',
+    'multiplexer',
     'gap_monitor',
     'bringup',
 }

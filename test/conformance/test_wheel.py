@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
+CELL = ROOT / 'cells' / 'demo.yaml'
 SITE = Path(sysconfig.get_paths()['purelib'])
 #: What the wheel declares to need, and what these bring.
 NEEDED = ('numpy', 'numpy.libs', 'scipy', 'scipy.libs', 'yaml', '_yaml', 'mcap', 'zstandard', 'lz4')
@@ -82,7 +83,7 @@ def test_a_node_without_ros_says_so(place: Path, node: str) -> None:
 def test_a_node_without_the_messages_names_the_command_that_lays_the_workspace(node: str) -> None:
     """As after `colcon build` in a workspace that holds the outer package alone."""
     code = f"import sys; sys.modules['stepdiag_msgs'] = None; from stepdiag_ros.start import {node}; sys.exit({node}())"
-    done = subprocess.run([sys.executable, '-c', code, *(['x.yaml'] if node == 'bringup' else [])],
+    done = subprocess.run([sys.executable, '-c', code, *([str(CELL)] if node == 'bringup' else [])],
                           capture_output=True, text=True, timeout=120)
     assert done.returncode == 2 and 'make ros-workspace WS=' in done.stderr, done.stderr
     assert 'Traceback' not in done.stderr

@@ -15,6 +15,7 @@ NODES = {
     'psd_driver',
     'step_sequencer',
     'evaluation_solver',
+    'multiplexer',
     'recorder',
     'gap_monitor',
     'bringup',
