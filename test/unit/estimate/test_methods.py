@@ -57,7 +57,7 @@ def test_every_method_has_its_reasons(machine, draw_errors, cell_sights):
     whole = simulate(machine, 3, cell_sights(machine, 3), draw_errors(machine, 3))
     bare = simulate(machine, 3, cell_sights(machine, 3, ('ppp', 'npp')), draw_errors(machine, 3))
     never = {'face_diagonal', 'three_face', 'linear_lines', 'multilateration', 'regulated_beam', 'iso230_2',
-             'body_displacement'}
+             'body_displacement', 'face_displacement'}
     for name, method in METHODS.items():
         assert method.name == name
         assert method.title and method.source and method.needs
