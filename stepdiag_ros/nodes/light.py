@@ -5,7 +5,6 @@ a person do not, and are made without holding it.
 """
 
 import os
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -19,6 +18,7 @@ from stepdiag_msgs.action import UseSource
 from stepdiag_msgs.msg import Renewal
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.nodes.base import StepdiagNode, reliable
+from stepdiag_ros.nodes.futures import ended
 from stepdiag_ros.nodes.runner import Interrupted
 from stepdiag_ros.nodes.source_queue import Hold
 
@@ -126,11 +126,4 @@ class Light:
         """The result; ``None`` after the time."""
         if future is None:
             return None
-        ready = threading.Event()
-        future.add_done_callback(lambda _future: ready.set())
-        end = time.monotonic() + timeout_s
-        while not ready.wait(0.05):
-            alive()
-            if time.monotonic() > end:
-                return None
-        return future.result()
+        return future.result() if ended(future, timeout_s, alive, period_s=0.05) else None

@@ -21,6 +21,7 @@ from stepdiag_msgs.srv import RouteSource
 from stepdiag_ros.devices.optical_switch import PORT, OpticalSwitch, channels
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.nodes.base import ERROR, OK, Health, StepdiagNode, reliable, run_node
+from stepdiag_ros.nodes.futures import ended
 from stepdiag_ros.nodes.source_queue import Request, SourceQueue
 
 ACTION = 'use_source'
@@ -195,12 +196,11 @@ class Multiplexer(StepdiagNode):
 
     def _own_readings(self, machine: str) -> None:
         """Have the interferometer's driver publish for ``machine``; :class:`StepdiagError` if it does not say so."""
-        answered, name = threading.Event(), self.resolve_service_name(ROUTE)
+        name = self.resolve_service_name(ROUTE)
         if not self._route.wait_for_service(timeout_sec=ROUTE_S):
             raise StepdiagError(f'nobody offers {name}; is the interferometer driver active?')
         future = self._route.call_async(RouteSource.Request(machine=machine.rstrip('/')))
-        future.add_done_callback(lambda _future: answered.set())
-        if not answered.wait(ROUTE_S):
+        if not ended(future, ROUTE_S):
             raise StepdiagError(f'{name} does not answer for {ROUTE_S:g} s')
         if not future.result().success:
             raise StepdiagError(f'{name}: {future.result().message}')

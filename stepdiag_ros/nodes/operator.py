@@ -35,6 +35,7 @@ from unique_identifier_msgs.msg import UUID
 from stepdiag_msgs.action import RunStepDiagonal
 from stepdiag_msgs.msg import RecorderStatus
 from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.nodes.futures import ended
 from stepdiag_ros.nodes.step_sequencer import ACTION, LEASE, lease_qos
 
 TRANSITIONS = {'configure': Transition.TRANSITION_CONFIGURE,
@@ -432,11 +433,6 @@ class Operator:
     def wait(self, future: Future, timeout_s: float | None, complaint: str,
              meanwhile: Callable[[], object] = lambda: None) -> Any:
         """The future's result; :class:`StepdiagError` after the time."""
-        ready = threading.Event()
-        future.add_done_callback(lambda _future: ready.set())
-        end = None if timeout_s is None else time.monotonic() + timeout_s
-        while not ready.wait(0.1):
-            if end is not None and time.monotonic() > end:
-                raise StepdiagError(f'{complaint} for {timeout_s:g} s')
-            meanwhile()
+        if not ended(future, timeout_s, meanwhile):
+            raise StepdiagError(f'{complaint} for {timeout_s:g} s')
         return future.result()

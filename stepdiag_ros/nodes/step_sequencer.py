@@ -40,6 +40,7 @@ from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.model.description import Description
 from stepdiag_ros.model.log import NONE
 from stepdiag_ros.nodes.base import ERROR, OK, Health, StepdiagNode, overridable, reliable, run_node
+from stepdiag_ros.nodes.futures import ended
 from stepdiag_ros.nodes.light import Light
 from stepdiag_ros.nodes.marked import Marked
 from stepdiag_ros.nodes.ownership import SEQUENCER, Ownership
@@ -511,17 +512,16 @@ class StepSequencer(StepdiagNode):
         """Call a service from the worker's thread."""
         if not client.wait_for_service(timeout_sec=5.0):
             raise Interrupted(f'the service {name} is not there; is its driver running?')
-        answered = threading.Event()
-        future = client.call_async(request)
-        future.add_done_callback(lambda _future: answered.set())
-        end = time.monotonic() + SERVICE_TIMEOUT_S
-        while not answered.wait(0.1):
+
+        def alive() -> None:
             if self._leave.is_set():
                 raise Cancelled
             if wants := self._watch.wants():
                 raise Interrupted(f'no answer from {name}: ' + '; '.join(wants))
-            if time.monotonic() > end:
-                raise StepdiagError(f'the service {name} does not answer for {SERVICE_TIMEOUT_S:g} s')
+
+        future = client.call_async(request)
+        if not ended(future, SERVICE_TIMEOUT_S, alive):
+            raise StepdiagError(f'the service {name} does not answer for {SERVICE_TIMEOUT_S:g} s')
         if not future.result().success:
             raise Interrupted(f'{name}: {future.result().message}')
 
