@@ -27,6 +27,7 @@ from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.guard.missing import missing
 from stepdiag_ros.guard.show import escaped
 from stepdiag_ros.nodes import environment
+from stepdiag_ros.nodes.brought_up import BroughtUp
 from stepdiag_ros.nodes.graph import (
     LISTENERS,
     NODES,
@@ -91,7 +92,7 @@ class Part:
     owner: str = CELL_OWNER
 
 
-class Bringup:
+class Bringup(BroughtUp):
     """A running cell; a context manager.
 
     ``say(text)`` reports what happens.  ``runtime`` holds logs, parameters and the
@@ -132,7 +133,6 @@ class Bringup:
         self._network = cell.network
         self._owned: list[Ownership] = []
         self._children: dict[str, _Child] = {}
-        self._failed = False
         self.restarts = 0
         network = environment.prepare(cell.network)
         if network:
@@ -140,19 +140,6 @@ class Bringup:
         if domain is not None:
             os.environ['ROS_DOMAIN_ID'] = str(domain)
         self._operators: dict = {}
-
-    def __enter__(self) -> 'Bringup':
-        try:
-            self.start()
-        except BaseException:
-            self._failed = True
-            self.stop()
-            raise
-        return self
-
-    def __exit__(self, kind, *_exception) -> None:
-        self._failed = self._failed or kind is not None
-        self.stop()
 
     @property
     def operator(self):
@@ -349,7 +336,7 @@ class Bringup:
         for owned in self._owned:
             owned.release()
         self._owned.clear()
-        if self._own_runtime and not self._failed:
+        if self._own_runtime and not self.failed:
             shutil.rmtree(self.runtime, ignore_errors=True)
 
     def _end(self, children: list[_Child]) -> None:

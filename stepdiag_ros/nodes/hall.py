@@ -11,6 +11,7 @@ from pathlib import Path
 
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.nodes.bringup import Bringup, Part
+from stepdiag_ros.nodes.brought_up import BroughtUp
 from stepdiag_ros.nodes.graph import NODES, SOURCE_NODES, namespace_of
 from stepdiag_ros.nodes.ownership import SOURCE
 from stepdiag_ros.virtual.hall import load_hall, write_cells
@@ -18,7 +19,7 @@ from stepdiag_ros.virtual.hall import load_hall, write_cells
 MACHINE_NODES = tuple(name for name in NODES if name not in SOURCE_NODES)
 
 
-class Hall:
+class Hall(BroughtUp):
     """A running hall; a context manager.
 
     ``say(text)`` is told what happens; ``runtime`` holds a folder for each machine with logs and parameters; without it
@@ -29,7 +30,7 @@ class Hall:
                  runtime: Path | None = None, domain: int | None = None, nodes: tuple[str, ...] = MACHINE_NODES,
                  say: Callable[[str], None] = lambda text: None):
         self.file, self._say = load_hall(path), say
-        self._own_runtime, self._failed = runtime is None, False
+        self._own_runtime = runtime is None
         self.runtime = Path(tempfile.mkdtemp(prefix='stepdiag-hall-')) if runtime is None else runtime
         self.runtime.mkdir(parents=True, exist_ok=True)
         self.namespace = namespace_of(self.file.name)
@@ -51,19 +52,6 @@ class Hall:
 
     def _as(self, name: str) -> Callable[[str], None]:
         return lambda text: self._say(text if text.startswith('/') else f'{name}: {text}')
-
-    def __enter__(self) -> 'Hall':
-        try:
-            self.start()
-        except BaseException:
-            self._failed = True
-            self.stop()
-            raise
-        return self
-
-    def __exit__(self, kind, *_exception) -> None:
-        self._failed = self._failed or kind is not None or bool(self.lost)
-        self.stop()
 
     def start(self) -> None:
         """Every machine up, then the source."""
@@ -93,5 +81,5 @@ class Hall:
         """End everything: the machines, then the source."""
         for part in (*self.machines.values(), self.source):
             part.stop()
-        if self._own_runtime and not self._failed:
+        if self._own_runtime and not self.failed and not self.lost:
             shutil.rmtree(self.runtime, ignore_errors=True)
