@@ -106,7 +106,7 @@ def run(args: argparse.Namespace) -> int:
             print(answer_words(settled, args.settle_time))
             further = ''.join(f' --further {one.bag}' for one in settled.rounds)
             print(f'details: stepdiag gap {recorded}{further}')
-    if settled is not None and settled.how != 'settled':
+    if settled is not None and not settled.sure:
         return 130 if settled.outcome is not None and settled.outcome.how == 'canceled' else 1
     if outcome.how == 'succeeded' and document is not None and document['status'] != 'ok':
         return 1
@@ -178,10 +178,17 @@ def _target(args: argparse.Namespace, bag: Path | None, bar: Bar) -> Iterator[tu
         yield operator, lambda: None
 
 
+def fit_words(document: dict[str, Any]) -> str:
+    """How well an evaluation fits; without degrees of freedom there is no reduced chi2 to say."""
+    reduced, dof = document['reduced_chi2'], document['dof']
+    if reduced is None:
+        return f'status {document["status"]}, {dof} degrees of freedom'
+    return f'status {document["status"]}, reduced chi2 {reduced:.3g} with {dof} degrees of freedom'
+
+
 def summary(document: dict[str, Any]) -> str:
     """An evaluation in a few lines, µm and µrad."""
-    lines = [f'status {document["status"]}, reduced chi2 {document["reduced_chi2"]:.3g} '
-             f'with {document["dof"]} degrees of freedom',
+    lines = [fit_words(document),
              f'{"":6}{"range":>10}{"± (k=2)":>10}']
     lines[1:1] = [f'not sane: {finding["found"]}: {finding["change"]}' for finding in document.get('sanity', ())]
     for name, error in document['errors'].items():

@@ -35,10 +35,7 @@ class Bar:
         if not self._terminal and now - self._last_s < PLAIN_PERIOD_S and done < total:
             return
         self._last_s = now
-        share = done / total if total else 0.0
-        left = '' if left_s is None else f'  {_minutes(left_s)} left'
-        full = round(WIDTH * share)
-        line = f'{self._title} [{"█" * full}{"·" * (WIDTH - full)}] {done}/{total}{left}  {text}'
+        line = f'{self._title} {drawn(done, total)}{_left(left_s)}  {text}'
         if self._terminal:
             self._clear()
             self._stream.write(escaped(line))
@@ -87,11 +84,8 @@ class Lines:
         """``name`` has ``done`` of ``total`` and does what ``text`` says; ``final``: it is the last word."""
         if self._quiet:
             return
-        full = round(WIDTH * done / total) if total else 0
-        left = '' if left_s is None else f'  {_minutes(left_s)} left'
         with self._lock:
-            self._texts[name] = (f'{name:{self._width}} [{"█" * full}{"·" * (WIDTH - full)}] {done}/{total}{left}  '
-                                 f'{text}')
+            self._texts[name] = f'{name:{self._width}} {drawn(done, total)}{_left(left_s)}  {text}'
             now = time.monotonic()
             if not final and now - self._last_s[name] < (0.1 if self._terminal else PLAIN_PERIOD_S):
                 return
@@ -119,6 +113,14 @@ class Lines:
                 self._stream.flush()
 
 
-def _minutes(seconds: float) -> str:
+def drawn(done: float, total: float, width: int = WIDTH) -> str:
+    """``done`` of ``total`` as a bar and as numbers."""
+    full = round(width * done / total) if total else 0
+    return f'[{"█" * full}{"·" * (width - full)}] {done:.0f}/{total:.0f}'
+
+
+def _left(seconds: float | None) -> str:
+    if seconds is None:
+        return ''
     seconds = max(0, round(seconds))
-    return f'{seconds // 60}:{seconds % 60:02d}'
+    return f'  {seconds // 60}:{seconds % 60:02d} left'

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 
 from stepdiag_ros.gap.experiment_design.extended_log import Run
-from stepdiag_ros.nodes.settling import NOTHING_HELPS, SETTLED, TIME_IS_UP, Round, Settled
+from stepdiag_ros.nodes.settling import NOTHING_HELPS, TIME_IS_UP, Round, Settled
 from stepdiag_ros.report.gap_words import headline
 from stepdiag_ros.report.words import percent, title
 
@@ -40,7 +40,7 @@ def answer_words(settled: Settled, time_s: float) -> str:
     """The final answer in one line or two."""
     runs = len(settled.rounds)
     after = f'after {runs} further run{"s" if runs > 1 else ""}' if runs else 'without a further run'
-    if settled.how == SETTLED:
+    if settled.sure:
         return f'settled {after}: {headline(settled.diagnosis)}'
     left = f'left open {after}: {open_words(settled.open)}. '
     if settled.how == TIME_IS_UP and settled.wanted is not None:

@@ -7,6 +7,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+from stepdiag_ros.cli.calibrate import fit_words
 from stepdiag_ros.cli.progress import Lines
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.guard.jsontext import to_json
@@ -91,8 +92,7 @@ def _say(results: dict[str, dict[str, Any]], as_json: bool) -> int:
         evaluation = result['evaluation']
         print(escaped(f'{namespace}: {result["outcome"]}: {result["message"]}'))
         if evaluation is not None:
-            print(f'  status {evaluation["status"]}, reduced chi2 {evaluation["reduced_chi2"]:.3g} with '
-                  f'{evaluation["dof"]} degrees of freedom')
+            print(f'  {fit_words(evaluation)}')
             print(escaped(f'  details: stepdiag evaluate {Path(result["bag"])}'))
     sys.stdout.flush()
     outcomes = [result['outcome'] for result in results.values()]

@@ -13,12 +13,13 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from stepdiag_ros.cli.progress import drawn
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.guard.show import escaped
 
 NAME = 'watch'
-HELP = "show who has the laser's light and how far each machine is"
 WIDTH = 20
+HELP = "show who has the laser's light and how far each machine is"
 #: A node that has said nothing for so long is silent, and one that has for so long is not shown any more.
 SILENT_S, GONE_S = 5.0, 60.0
 FIRST_LOOK_S = 3.0
@@ -108,8 +109,7 @@ def _machine(space: str, word: Said) -> str:
     done, total = _number(word.values, 'stop'), _number(word.values, 'stops')
     if word.values.get('goal') != 'under way' or not total:
         return f'{space}: {word.message}'
-    full = round(WIDTH * done / total)
-    return (f'{space}: [{"█" * full}{"·" * (WIDTH - full)}] {done:.0f}/{total:.0f} stops, about '
+    return (f'{space}: {drawn(done, total, WIDTH)} stops, about '
             f'{_number(word.values, "time_left_s"):.0f} s of measuring left: {word.message}')
 
 

@@ -22,7 +22,6 @@ from stepdiag_ros.model.joined import joined
 from stepdiag_ros.nodes.operator import Calibration, Operator
 
 SETTLED, NOTHING_HELPS, TIME_IS_UP, BROKEN_OFF = 'settled', 'nothing helps', 'time is up', 'broken off'
-TIME_S = 3600.0
 """So long a cell tries to settle what is open, unless told otherwise [s]."""
 MEANWHILE_S = 0.1
 
@@ -55,13 +54,17 @@ class Settled:
     outcome: Calibration | None = None
     wanted: Able | None = None
 
+    @property
+    def sure(self) -> bool:
+        return self.how == SETTLED
+
     def to_json_dict(self) -> dict[str, Any]:
         return {'how': self.how, 'open': dict(self.open), 'rounds': [one.to_json_dict() for one in self.rounds],
                 'seconds_wanted': self.wanted.seconds if self.wanted else None,
                 'message': self.outcome.message if self.outcome else '', 'gap': self.diagnosis.to_json_dict()}
 
 
-def settle(operator: Operator, bag: Path, effects: Sequence[Effect], *, time_s: float = TIME_S, steps: int = 0,
+def settle(operator: Operator, bag: Path, effects: Sequence[Effect], *, time_s: float, steps: int = 0,
            repeats: int = 0, dwell_s: float = 0.0, say: Callable[[Round], None] = lambda _round: None,
            feedback: Callable[[Any], None] | None = None, meanwhile: Callable[[], object] = lambda: None) -> Settled:
     """Diagnose the closed ``bag``; make further runs, each mounted by code, until the answer is sure, no run that the

@@ -90,3 +90,32 @@ def eventually(condition: Callable[[], object], timeout_s: float = 60.0,
 @pytest.fixture(name='eventually')
 def _eventually():
     return eventually
+
+def restart_sequencer(cell, *options: str) -> None:
+    """Start the sequencer again with other parameters: those that move a machine are read-only."""
+    child = cell._children['step_sequencer']
+    child.command = [*child.command[:child.command.index('--params-file') + 2], *options]
+    child.process.kill()
+    child.process.wait()
+    assert cell.watch() == ['step_sequencer']
+
+
+@pytest.fixture(name='restart_sequencer')
+def _restart_sequencer():
+    return restart_sequencer
+
+
+def measured(operator, bag: Path) -> tuple:
+    """The plan's calibration into ``bag``, which is closed: outcome, feedback, live document, bag."""
+    feedback: list = []
+    operator.new_log(str(bag))
+    outcome = operator.calibrate(feedback=feedback.append)
+    assert outcome.succeeded, outcome.message
+    document = operator.evaluate()
+    operator.bring('recorder', 'inactive')
+    return outcome, feedback, document, bag
+
+
+@pytest.fixture(name='measured', scope='session')
+def _measured():
+    return measured

@@ -16,16 +16,9 @@ from stepdiag_ros.nodes.replaying import assemble
 
 
 @pytest.fixture(scope='module')
-def live(cell):
+def live(cell, measured):
     """One calibration of the tiny cell: outcome, feedback, live document, bag."""
-    operator, feedback = cell.operator, []
-    bag = cell.runtime.parent / 'whole'
-    operator.new_log(str(bag))
-    outcome = operator.calibrate(feedback=feedback.append)
-    assert outcome.succeeded, outcome.message
-    document = operator.evaluate()
-    operator.bring('recorder', 'inactive')
-    return outcome, feedback, document, bag
+    return measured(cell.operator, cell.runtime.parent / 'whole')
 
 
 def test_all_runs_are_done_forward_and_backward(live):
@@ -235,16 +228,7 @@ def test_the_gap_monitor_publishes_its_report_when_all_is_measured(cell, live, e
     assert errors.squareness[0] == json.loads(errors.json)['errors']['EC0Y']['value']
 
 
-def restart_sequencer(cell, *options: str) -> None:
-    """Start the sequencer again with other parameters: those that move a machine are read-only."""
-    child = cell._children['step_sequencer']
-    child.command = [*child.command[:child.command.index('--params-file') + 2], *options]
-    child.process.kill()
-    child.process.wait()
-    assert cell.watch() == ['step_sequencer']
-
-
-def test_a_setup_without_a_code_waits_for_a_person(cell, live):
+def test_a_setup_without_a_code_waits_for_a_person(cell, live, restart_sequencer):
     from stepdiag_ros.nodes.step_sequencer import ASK
     operator, asked = cell.operator, []
     operator.new_log(str(cell.runtime.parent / 'by_hand'))

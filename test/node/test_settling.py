@@ -61,15 +61,6 @@ def effects():
     return [kind() for kind in all_effects([]).values()]
 
 
-def restart_sequencer(cell, *options: str) -> None:
-    """Start the sequencer again with other parameters: those that move a machine are read-only."""
-    child = cell._children['step_sequencer']
-    child.command = [*child.command[:child.command.index('--params-file') + 2], *options]
-    child.process.kill()
-    child.process.wait()
-    assert cell.watch() == ['step_sequencer']
-
-
 def bags(bag):
     return sorted(path.name for path in bag.parent.glob(f'{bag.name}*'))
 
@@ -83,11 +74,11 @@ def test_time_is_up_when_the_next_run_is_longer(cell, bag):
     assert bags(bag) == ['plan']
 
 
-def test_what_hands_alone_could_do_is_left_to_them(cell, bag):
+def test_what_hands_alone_could_do_is_left_to_them(cell, bag, restart_sequencer):
     # The control mounts by code what the plan has measured: once more as it stands that tells nothing new.
     restart_sequencer(cell, '-p', "setup_codes:=['ppp=M101','lin_x=M105']")
     try:
-        found = settle(cell.operator, bag, effects())
+        found = settle(cell.operator, bag, effects(), time_s=3600.0)
     finally:
         restart_sequencer(cell)
     assert found.how == NOTHING_HELPS and len(found.open) > 1 and not found.rounds
@@ -97,7 +88,7 @@ def test_what_hands_alone_could_do_is_left_to_them(cell, bag):
 
 def test_the_cell_makes_the_run_that_separates(cell, bag):
     said = []
-    found = settle(cell.operator, bag, effects(), say=said.append)
+    found = settle(cell.operator, bag, effects(), time_s=3600.0, say=said.append)
     assert found.how == SETTLED and not found.open
     assert 1 <= len(found.rounds) <= 3 and said == list(found.rounds)
     first = found.rounds[0]

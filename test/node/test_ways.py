@@ -18,7 +18,7 @@ SETUPS = """setups:
 
 
 @pytest.fixture(scope='module')
-def live(module_domain, tmp_path_factory, write_cell):
+def live(module_domain, tmp_path_factory, write_cell, measured):
     """Outcome, feedback, live document and bag of one calibration."""
     from stepdiag_ros.nodes.bringup import Bringup
     folder = tmp_path_factory.mktemp('ways')
@@ -27,13 +27,7 @@ def live(module_domain, tmp_path_factory, write_cell):
     begin, end = text.index('setups:'), text.index('geometry:')
     path.write_text(text[:begin] + SETUPS + text[end:], encoding='utf-8')
     with Bringup(path, bag_folder=folder, runtime=folder / 'run') as running:
-        operator, feedback, bag = running.operator, [], folder / 'whole'
-        operator.new_log(str(bag))
-        outcome = operator.calibrate(feedback=feedback.append)
-        assert outcome.succeeded, outcome.message
-        document = operator.evaluate()
-        operator.bring('recorder', 'inactive')
-        yield outcome, feedback, document, bag
+        yield measured(running.operator, folder / 'whole')
 
 
 def test_the_machine_goes_the_ways_of_the_cell_file(live):
