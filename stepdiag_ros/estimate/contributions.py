@@ -1,7 +1,7 @@
 """What each part of a log contributed to a joint estimate: what would be less known, or open, without it.
 
 A part is all setups of one kind.  Runs are weighed independently, so that the information of a part adds to that of
-the others, ``C⁻¹ = P + Σ N_part``; without it the covariance is that of the other parts and the widths P, at the
+the others, ``C⁻¹ = P + Σ N_part``; without it the covariance is that of the other parts and the priors P, at the
 solution found with it.
 """
 

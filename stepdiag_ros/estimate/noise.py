@@ -86,10 +86,6 @@ class NoiseModel:
         """Derivatives ``arrival`` (5, n, c) by arrival errors, each times what it is wider by."""
         return arrival if self.spread is None else arrival * self.spread[:, :, None]
 
-    def of_any_stops(self) -> 'NoiseModel':
-        """The same without what single stops are wider by."""
-        return replace(self, spread=None)
-
     def scaled(self, factor: float) -> 'NoiseModel':
         """All of it ``factor`` times as large."""
         return replace(self, position=self.position * factor, angle=self.angle * factor, sensor=self.sensor * factor)

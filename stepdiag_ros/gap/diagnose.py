@@ -59,7 +59,8 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
     log, observation, clocks, late = set_clocks(log, observe(log))
     observation, beyond_range = within_range(observation)
     observation, disturbances = disturbed(log, observation)
-    alone, joint, sets, screen = settle_in_noise(observation, effects)
+    found = settle_in_noise(observation, effects)
+    alone, joint, sets, screen = found.alone, found.joint, found.sets, found.screen
     best = sets[0] if sets[0].log_bayes > ALARM else EffectSet((), 0.0)
     names, nothing, weights = probabilities(sets, len(effects) + 1)
     if not best.members:

@@ -9,7 +9,8 @@ effects' freedom paid; the largest decides.
 
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -26,7 +27,20 @@ from stepdiag_ros.gap.preprocess.observe import Observation, sane_fit
 
 FAR = 1.5
 """Times the evidence by which tails are suspected that one effect must explain, to be no matter of tails."""
-Settled = tuple[Joint, Joint, list[EffectSet], Screen]
+
+
+@dataclass(frozen=True)
+class Settled:
+    """What a log holds where its noise is taken for one law: the fit without effects and that with those found."""
+
+    alone: Joint
+    joint: Joint
+    sets: list[EffectSet]
+    screen: Screen
+
+    @cached_property
+    def evidence(self) -> float:
+        return total_evidence(self.joint, self.sets, self.screen)
 
 
 def settle_in_noise(observation: Observation, effects: Mapping[str, Effect]) -> Settled:
@@ -34,7 +48,7 @@ def settle_in_noise(observation: Observation, effects: Mapping[str, Effect]) -> 
     evidence of the sets is that against nothing in whatever noise explains the log best without any effect."""
     tidy = noise_of(observation)
     alone = fit_jointly(observation, [], tidy)
-    plain: Settled = alone, *settle(alone, effects)
+    plain = Settled(alone, *settle(alone, effects))
     hint = suspicion(observation, tidy, observation.table)
     if not hint or _settles(plain, hint):
         return plain
@@ -42,33 +56,32 @@ def settle_in_noise(observation: Observation, effects: Mapping[str, Effect]) -> 
     if gain < SUSPICION:
         return plain
     found = [plain, _settled_in(noise, observation, effects)]
-    if plain[1].active:
-        joint = _without_outliers(plain[1])
+    if plain.joint.active:
+        joint = _without_outliers(plain.joint)
         noise, gain = as_it_is(joint.observation, tidy, freed(observation.table, joint.active))
         if gain >= SUSPICION:
             found.append(_settled_in(noise, observation, effects))
     # Of these noises only that of the machine alone is settled at what it leaves without an effect.
-    alone, _, _, screen = nothing = found[1]
-    least = total_evidence(alone, [EffectSet((), 0.0)], screen)
-    acting = [(total_evidence(*f[1:]), f) for f in found if f[1].active]
-    return _against((least, nothing), max(acting, key=lambda pair: pair[0])) if acting else nothing
+    nothing = found[1]
+    acting = [one for one in found if one.joint.active]
+    return _against(nothing, max(acting, key=lambda one: one.evidence)) if acting else nothing
 
 
-def _against(nothing: tuple[float, Settled], acting: tuple[float, Settled]) -> Settled:
+def _against(nothing: Settled, acting: Settled) -> Settled:
     """Effects against nothing, each in the noise that suits it, after their total log evidence.
 
     Of an outlier that a law of tails takes nearly as well as a slip the data do not decide, however many standard
     deviations of a normal noise it is large.
     """
-    (plain, (alone, _, _, screen)), (total, (own, joint, sets, forms)) = nothing, acting
-    among = len({candidate.effect for candidate in screen.candidates})
-    ahead = total - log_prior(sets[0], among) - plain + log_prior(EffectSet((), 0.0), among)
+    among, sets = len({candidate.effect for candidate in nothing.screen.candidates}), acting.sets
+    plain = total_evidence(nothing.alone, [EffectSet((), 0.0)], nothing.screen)
+    ahead = acting.evidence - log_prior(sets[0], among) - plain + log_prior(EffectSet((), 0.0), among)
     if ahead < SUSPICION:
-        return nothing[1]
+        return nothing
     behind = max(sets[0].log_bayes - ahead, 0.0)
     sets = sorted((replace(s, log_bayes=s.log_bayes - behind) if s.members else s for s in sets),
                   key=lambda s: (bool(s.refused), -(s.log_bayes + log_prior(s, among))))
-    return own if sets[0].log_bayes > ALARM else alone, joint, sets, forms
+    return replace(acting, alone=acting.alone if sets[0].log_bayes > ALARM else nothing.alone, sets=sets)
 
 
 def _without_outliers(joint: Joint) -> Joint:
@@ -83,13 +96,13 @@ def _settled_in(noise: NoiseModel, observation: Observation, effects: Mapping[st
     """The fit of the machine alone, and what is found from there, in one noise."""
     fit = sane_fit(observation.log, observation.table, observation.fit.theta, noise)
     alone = fit_jointly(refitted(observation, fit), [], noise)
-    return alone, *settle(alone, effects)
+    return Settled(alone, *settle(alone, effects))
 
 
 def _settles(plain: Settled, hint: float) -> bool:
     """Whether a single effect explains far more than tails could, ``hint``, and leaves none."""
-    _, joint, sets, _ = plain
-    return len(sets[0].key) == 1 and bool(joint.active) and sets[0].log_bayes > FAR * hint \
+    joint, best = plain.joint, plain.sets[0]
+    return len(best.key) == 1 and bool(joint.active) and best.log_bayes > FAR * hint \
         and not suspicion(joint.observation, joint.noise, freed(joint.observation.table, joint.active))
 
 

@@ -32,8 +32,9 @@ def test_the_uncertainty_without_a_part_is_that_of_an_estimate_without_it(log):
         mine = np.isin(table.setup, [table.setup_names.index(name) for name in part.setups])
         left = table.select(~mine)
         # The same knots: without the lines there would be others.
-        alone = solution_of(fit(log.description, left, result.noise.of_any_stops() if result.noise.spread is not None
-                                else replace(result.noise, sensor=result.noise.sensor[~mine]),
+        noise = replace(result.noise, spread=None) if result.noise.spread is not None \
+            else replace(result.noise, sensor=result.noise.sensor[~mine])
+        alone = solution_of(fit(log.description, left, noise,
                                 theta=result.theta, parameters=result.parameters), left)
         for name, factor in part.narrowed.items():
             rows = [i for i, (n, _) in enumerate(whole.names) if n == name]
