@@ -3,8 +3,9 @@
 Three sources act (contract, section Topics).  An axis errs at each arrival by
 ``position`` [m] and keeps that error until it moves again, so that errors at
 neighbouring stops are correlated.  The mirror's attitude errs by ``angle`` [rad],
-anew at each arrival.  The sensors add white noise, whose size at a stop is the
-scatter inside the dwell divided by the root of the number of samples.
+anew at each arrival.  The sensors add noise, whose size at a stop is the scatter
+inside the dwell divided by the root of the number of samples; by more where
+neighbouring samples are alike.
 
 ``position`` and ``angle`` are estimated from contrasts between repeats of the same
 run: what repeats cancels, errors of the machine and backlash included.  Of each
@@ -39,6 +40,10 @@ FASTEST = 3.0
 """Times over a dwell's length up to which frequencies count: a mean over the dwell leaves nothing of faster ones."""
 WAVES = 120
 """Frequencies for which those of noise as 1/f stand."""
+LOUDEST, MEDIAN_SQUARE = 16.0, 0.4549
+"""Squares are held to so many times the quiet majority's; the median of χ² of one degree of freedom."""
+LEAST_ALIKE = 4
+"""Fewest dwells after moves of one kind from which what these leave can be told from noise."""
 LEAST_SHARE = 0.02
 """Share of the variance below which a source's size is only felt for with short steps."""
 
@@ -108,14 +113,16 @@ def sensor_noise(table: StopTable, belief: Noise) -> np.ndarray:
     """Standard deviation of a dwell's mean by sensor noise (n, beams + 2) [m].
 
     The scatter is pooled by channel and setup (median of the variances): one dwell's own is too
-    uncertain to weigh with.  What disturbs the means besides is added stop by stop.
+    uncertain to weigh with.  Neighbouring samples may be alike: a mean over the dwell is then less certain than the
+    root of their number says, by as much as means over parts of the dwells scatter more.  What disturbs the means
+    besides is added stop by stop.
     """
     beams = table.displacement.shape[1]
     result = np.empty((len(table), beams + 2))
-    for scatter, count, columns, believed in (
-            (table.displacement_scatter, table.displacement_count, slice(0, beams),
+    for scatter, count, parts, columns, believed in (
+            (table.displacement_scatter, table.displacement_count, table.displacement_parts, slice(0, beams),
              belief.displacement),
-            (table.spot_scatter, table.spot_count, slice(beams, None), belief.spot)):
+            (table.spot_scatter, table.spot_count, table.spot_parts, slice(beams, None), belief.spot)):
         pooled = np.full(scatter.shape, believed)
         for setup in np.unique(table.setup):
             rows = table.setup == setup
@@ -124,10 +131,34 @@ def sensor_noise(table: StopTable, belief: Noise) -> np.ndarray:
                 own = own[np.isfinite(own)]
                 if len(own) > 2:
                     pooled[rows, k] = np.median(own)
+        if parts is not None:
+            pooled *= _slow(parts / np.maximum(pooled, FLOOR_M)[:, :, None], table)
         result[:, columns] = pooled / np.sqrt(np.maximum(count, 1))[:, None]
     if table.disturbed is not None:
         result = np.sqrt(result**2 + table.disturbed)
     return np.maximum(result, FLOOR_M)
+
+
+def _slow(parts: np.ndarray, table: StopTable) -> np.ndarray:
+    """Factor (c,), at least one, by which ``parts`` (n, c, p), in units of a sample's noise, scatter more than those of
+    independent samples; what moves of one kind leave in all their dwells is no noise."""
+    kind = np.unique(np.stack([table.setup, table.axis, table.direction]), axis=1, return_inverse=True)[1].ravel()
+    rest = np.full(parts.shape, np.nan)
+    for number in np.unique(kind):
+        rows = np.flatnonzero((kind == number) & np.isfinite(parts).all(axis=(1, 2)))
+        if len(rows) >= LEAST_ALIKE:
+            rest[rows] = (parts[rows] - parts[rows].mean(axis=0)) * np.sqrt(len(rows) / (len(rows) - 1.0))
+    return np.array([loudness(rest[:, c]) for c in range(parts.shape[1])])
+
+
+def loudness(values: np.ndarray) -> float:
+    """Factor, at least one, by which ``values``, NaN where there is none, are larger than normal ones of size one;
+    squares are held to ``LOUDEST`` times the quiet majority's."""
+    square = values[np.isfinite(values)]**2
+    if not len(square):
+        return 1.0
+    quiet = float(np.median(square)) / MEDIAN_SQUARE
+    return max(1.0, float(np.sqrt(np.mean(np.minimum(square, LOUDEST * quiet)))))
 
 
 def arrivals(table: StopTable) -> np.ndarray:

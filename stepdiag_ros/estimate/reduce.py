@@ -19,6 +19,10 @@ LONG = 8.0
 PIECES = 40
 """A dwell of more than so many usual ones is cut, where that is asked for, into at most so many stops."""
 
+FIFTHS = 5
+CONTRASTS = np.array([[-1.0, 2.0, 0.0, -2.0, 1.0] / np.sqrt(10.0), [1.0, -4.0, 6.0, -4.0, 1.0] / np.sqrt(70.0)])
+"""Of the means over the fifths of a dwell, what neither a drift nor a bend has a part in."""
+
 
 @dataclass(frozen=True)
 class StopTable:
@@ -30,6 +34,9 @@ class StopTable:
     ``displacement`` (n, beams), ``spot`` (n, 2) [m]: means over the dwell, NaN where there is none;
     ``displacement_scatter``, ``spot_scatter`` [m]: standard deviation of one sample against its neighbours;
     ``displacement_count``, ``spot_count`` (n,): samples used.
+    ``displacement_parts``, ``spot_parts`` (n, beams or 2, 2) [m]: third and fourth contrast of the means over the
+    fifths of a dwell, times the root of the samples in a fifth: they scatter as single samples do where these are
+    independent; None where no samples are known.
     ``displacement_rows``, ``spot_rows`` (n, 2): the dwell's samples are ``[first, last)`` of the log.
     ``intensity`` (n,) [V] and ``refractive_index`` (n,): means over the dwell.
     ``disturbed`` (n, beams + 2) [m²]: variance of the means by what is known to disturb them besides; None: nothing is.
@@ -64,6 +71,8 @@ class StopTable:
     wander: np.ndarray | None = None
     hop: np.ndarray | None = None
     hops_per_s: float = 0.0
+    displacement_parts: np.ndarray | None = None
+    spot_parts: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.run)
@@ -123,7 +132,8 @@ def reduce_log(log: CalibrationLog, cut: bool = False) -> StopTable:
         move_ns, dwell_ns, done_ns,
         lengths.mean, lengths.scatter, lengths.count, lengths.rows,
         spots.mean, spots.scatter, spots.count, spots.rows,
-        spots.health, lengths.refractive_index, tuple(warnings))
+        spots.health, lengths.refractive_index, tuple(warnings),
+        displacement_parts=lengths.parts, spot_parts=spots.parts)
     if not np.isfinite(table.displacement).any() and not np.isfinite(table.spot).any():
         raise StepdiagError(f'{log.source}: no dwell of sequencer/step holds a sample of '
                             'interferometer/displacement or psd/spot; check the stamps of both')
@@ -190,6 +200,7 @@ def _visits(log: CalibrationLog) -> tuple[np.ndarray, list[str]]:
 class _Averages:
     mean: np.ndarray
     scatter: np.ndarray
+    parts: np.ndarray
     count: np.ndarray
     rows: np.ndarray
     health: np.ndarray
@@ -202,6 +213,7 @@ def _average(samples: Samples, start_ns: np.ndarray, end_ns: np.ndarray, setup: 
     """Means and scatters of the samples in each window that carry the window's setup."""
     n, columns = len(start_ns), samples.values.shape[1]
     mean, scatter = np.full((n, columns), np.nan), np.full((n, columns), np.nan)
+    parts = np.full((n, columns, len(CONTRASTS)), np.nan)
     health, index = np.full(n, np.nan), np.ones(n)
     count = np.zeros(n, np.intp)
     rows = np.stack([np.searchsorted(samples.time_ns, start_ns),
@@ -223,6 +235,9 @@ def _average(samples: Samples, start_ns: np.ndarray, end_ns: np.ndarray, setup: 
         if count[i] > 1:
             # From neighbours in time: what creeps or drifts inside a dwell is not sensor noise.
             scatter[i] = np.sqrt(np.mean(np.diff(values, axis=0)**2, axis=0) / 2.0)
+        if each := count[i] // FIFTHS:
+            fifths = (values[:each * FIFTHS] - values[0]).reshape(FIFTHS, each, columns).mean(axis=1)
+            parts[i] = (CONTRASTS @ fifths).T * np.sqrt(each)
         health[i] = samples.health[lo:hi][good].mean()
         index[i] = samples.refractive_index[lo:hi][good].mean()
-    return _Averages(mean, scatter, count, rows, health, index, left_out)
+    return _Averages(mean, scatter, parts, count, rows, health, index, left_out)

@@ -8,12 +8,15 @@ from scipy import stats
 
 from stepdiag_ros.effects import all_effects, effect_class
 from stepdiag_ros.estimate.enhanced import readings_of
-from stepdiag_ros.estimate.noise import Law, arrivals, run_covariance
+from stepdiag_ros.estimate.noise import Law, arrivals, run_covariance, sensor_noise
 from stepdiag_ros.estimate.noise_law import Errors, Latent, weighed
+from stepdiag_ros.estimate.reduce import reduce_log
 from stepdiag_ros.gap import diagnose
 from stepdiag_ros.gap.inference.select_effects import noise_of
 from stepdiag_ros.gap.noise.arrival_law import as_it_is
 from stepdiag_ros.gap.preprocess.observe import observe
+from stepdiag_ros.virtual.cell import parse_cell
+from stepdiag_ros.virtual.offline import simulate_log
 
 T3 = '{position: {dof: 3}, angle: {dof: 3}}'
 ALIKE = '{position: {correlation: 0.6}, angle: {correlation: 0.6}}'
@@ -119,3 +122,15 @@ def test_spread_widens_only_what_it_says(case):
     wider = replace(noise, spread=2.0 * spread).spread_of(observation.fit.arrival)
     assert np.array_equal(wider, 2.0 * observation.fit.arrival)
     assert readings_of(observation.table).shape == wider.shape[1:]
+
+
+@pytest.mark.parametrize('correlation', [0.0, 0.3, 0.6])
+def test_a_dwells_mean_is_as_uncertain_as_samples_that_are_alike_leave_it(case, correlation):
+    """Against what the means truly err by: the same cell once with silent sensors."""
+    alike = f'{{correlation: {correlation}}}'
+    loud = reduce_log(case.untidy(f'{{displacement: {alike}, spot: {alike}}}'))
+    silent = reduce_log(simulate_log(parse_cell(
+        case.text.replace('displacement: 5.0e-9', 'displacement: 0.0').replace('spot: 2.0e-7', 'spot: 0.0'))))
+    truly = np.concatenate([loud.displacement - silent.displacement, loud.spot - silent.spot], axis=1).std(axis=0)
+    said = sensor_noise(loud, case.cell.description.noise).mean(axis=0)
+    np.testing.assert_allclose(said, truly, rtol=0.25)
