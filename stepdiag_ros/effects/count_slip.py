@@ -10,7 +10,8 @@ import numpy as np
 
 from stepdiag_ros.effects.adoption import Fitted
 from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
-from stepdiag_ros.effects.patterns import Drawn, on_lengths
+from stepdiag_ros.effects.made import Made
+from stepdiag_ros.effects.patterns import Drawn
 
 QUARTER = 3.825e-7
 """λ/4 at 1.53 µm [m]."""
@@ -35,6 +36,13 @@ def whole_fringes(jump: float, sigma: float) -> float:
         terms = -0.5 * ((jump - teeth[teeth != 0.0]) / sigma) ** 2
         logs.append(np.log(unit / (sigma * np.sqrt(2.0 * np.pi))) + np.logaddexp.reduce(terms))
     return float(np.logaddexp.reduce(logs) - np.log(len(logs)))
+
+
+def _slipped(shape: tuple[int, int], after: np.ndarray, beams: slice) -> np.ndarray:
+    """One on the lengths of ``beams`` at the stops ``after``, else nothing: (1, n, c) of ``shape`` (n, c)."""
+    column = np.zeros((1, *shape))
+    column[0, after[:, None], np.arange(shape[1] - 2)[beams]] = 1.0
+    return column
 
 
 class CountSlip(Effect):
@@ -74,15 +82,12 @@ class CountSlip(Effect):
             rows = np.flatnonzero(view.run == run)
             rows = rows[np.argsort(view.time[rows], kind='stable')]
             for place in range(1, len(rows)):
-                after = np.zeros(len(view.run))
-                after[rows[place:]] = 1.0
                 stop = int(view.index[rows[place]])
                 for beams in which:
-                    one = np.zeros((len(after), view.beams))
-                    one[:, beams] = after[:, None]
                     beam = '' if beams == slice(None) else f', beam {beams.start}'
+                    column = Made((1, *view.reading.shape), _slipped, view.reading.shape, rows[place:], beams)
                     forms.append(Form(
-                        f'{view.run_ids[run]} from stop {stop} on{beam}', on_lengths(view, one)[None],
+                        f'{view.run_ids[run]} from stop {stop} on{beam}', column,
                         ('jump',), np.full(1, 1e-6), shape={'run': int(run), 'index': stop}))
         return forms
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from stepdiag_ros.effects.adoption import Fitted
 from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
+from stepdiag_ros.effects.made import joined
 from stepdiag_ros.effects.patterns import Drawn, drawn_size, each_alone, follow, recorded, saturating
 from stepdiag_ros.effects.timeforms import ROUGHNESS, drift_form, time_profiles
 
@@ -94,18 +95,18 @@ class ScaleThermalExpansion(Effect):
                      units: str) -> Form:
             parts = [drift_form(view, profile[k % 3], signature[[k]], (names[k],), scale[[k]])
                      for k in range(len(signature)) if k % 3 in use]
-            return Form(label, np.concatenate([part.columns for part in parts]),
+            return Form(label, joined([part.columns for part in parts]),
                         tuple(part.names[0] for part in parts),
                         np.concatenate([part.scale for part in parts]), units,
-                        np.concatenate([part.inside for part in parts]))
+                        joined([part.inside for part in parts]))
 
         axes = ('X', 'Y', 'Z')
         each = together('logged temperatures', growth, axes, np.full(3, 1e-5), '1/K')
         forms = [each, together('logged temperatures, held elsewhere than at zero', both,
                                 axes + tuple(f'{axis} shift' for axis in axes), size, '1/K, m/K')]
         if len(use) > 1:
-            forms.append(Form('logged temperatures, one material', each.columns.sum(axis=0, keepdims=True),
-                              ('all',), np.full(1, 1e-5), '1/K', each.inside.sum(axis=0, keepdims=True)))
+            forms.append(Form('logged temperatures, one material', np.sum(each.columns, axis=0, keepdims=True),
+                              ('all',), np.full(1, 1e-5), '1/K', np.sum(each.inside, axis=0, keepdims=True)))
         return forms
 
     def guess(self, fitted: Fitted) -> Mapping[str, object]:

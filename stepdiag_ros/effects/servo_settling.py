@@ -11,6 +11,7 @@ import numpy as np
 
 from stepdiag_ros.effects.adoption import Fitted
 from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
+from stepdiag_ros.effects.made import joined
 from stepdiag_ros.effects.patterns import Drawn
 from stepdiag_ros.model.log import NONE
 
@@ -72,10 +73,10 @@ class ServoSettling(Effect):
     @staticmethod
     def _sum(forms: list[Form]) -> Form:
         """Several time constants at once, each with its own size."""
-        return Form(' and '.join(form.label for form in forms), np.concatenate([f.columns for f in forms]),
+        return Form(' and '.join(form.label for form in forms), joined([f.columns for f in forms]),
                     tuple(f'{name}, τ = {f.shape["tau_s"]:g} s' for f in forms for name in f.names),
                     np.concatenate([f.scale for f in forms]),
-                    inside=np.concatenate([f.inside for f in forms]))
+                    inside=joined([f.inside for f in forms]))
 
     @staticmethod
     def _directions(view: StopView) -> dict[str, tuple[np.ndarray, np.ndarray]]:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stepdiag_ros.effects.base import Form, StopView
+from stepdiag_ros.effects.made import Made
 
 MOST_WAVES = 40
 STOPS_A_WAVE = 8
@@ -130,6 +131,17 @@ def with_constant(profile: TimeProfile) -> TimeProfile:
                   profile.shape, retune, None if profile.sizes is None else np.concatenate([[1.0], profile.sizes]))
 
 
+def _following(profile: np.ndarray, signature: np.ndarray) -> np.ndarray:
+    """A signature (m, n, c) times each function (p, n) of a profile: (p·m, n, c)."""
+    return np.einsum('tn,anc->tanc', profile, signature).reshape(-1, *signature.shape[1:])
+
+
+def _following_inside(rates: np.ndarray, signature: np.ndarray, bin_time: np.ndarray) -> np.ndarray:
+    """The same inside the dwells (p·m, n, b, c), at the profile's ``rates`` (p, n) [1/s] from the dwell's middle."""
+    away = bin_time - bin_time.mean(axis=1, keepdims=True)
+    return _following(rates, signature)[:, :, None, :] * away[None, :, :, None]
+
+
 def drift_form(view: StopView, profile: TimeProfile, signature: np.ndarray, names: tuple[str, ...],
                scale: np.ndarray, label: str = '', units: str = 'm') -> Form:
     """A signature (m, n, c) that follows a profile: columns at the stops and the slope inside the dwells.
@@ -138,12 +150,10 @@ def drift_form(view: StopView, profile: TimeProfile, signature: np.ndarray, name
     of the profile.
     """
     count = len(profile.values)
-    columns = np.einsum('tn,anc->tanc', profile.values, signature)
-    rates = np.einsum('tn,anc->tanc', profile.rates, signature)
-    columns = columns.reshape(-1, *view.reading.shape)
-    rates = rates.reshape(-1, *view.reading.shape)
-    away = view.bin_time - view.bin_time.mean(axis=1, keepdims=True)
-    inside = rates[:, :, None, :] * away[None, :, :, None]
+    n, c = view.reading.shape
+    columns = Made((count * len(signature), n, c), _following, profile.values, signature)
+    inside = Made((count * len(signature), n, view.bin_time.shape[1], c), _following_inside,
+                  profile.rates, signature, view.bin_time)
     return Form(f'{label}{", " if label else ""}{profile.label}', columns,
                 tuple(f'{name}{i or ""}' for i in range(count) for name in names),
                 (np.tile(scale, count) if profile.sizes is None else np.outer(profile.sizes, scale).ravel()),

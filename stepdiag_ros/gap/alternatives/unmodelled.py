@@ -10,6 +10,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from stepdiag_ros.effects.base import Form, StopView
+from stepdiag_ros.effects.made import Made
 from stepdiag_ros.gap.preprocess.observe import channels
 
 NAME = 'unknown'
@@ -34,30 +35,55 @@ def _channels(view: StopView) -> list[tuple[str, slice, float]]:
 
 def pattern_form(view: StopView, label: str, patterns: np.ndarray, columns: slice, scale: float) -> Form:
     """Patterns (k, n), or (k, n, c) of their own in each, put into c channels."""
-    full = view.zeros(len(patterns))
-    full[:, :, columns] = patterns if patterns.ndim == 3 else patterns[:, :, None]
+    full = Made((len(patterns), *view.reading.shape), _put, view.reading.shape, patterns, columns)
     return Form(label, full, tuple(str(i) for i in range(len(patterns))),
                 np.full(len(patterns), scale))
 
 
+def _put(shape: tuple[int, int], patterns: np.ndarray, columns: slice) -> np.ndarray:
+    full = np.zeros((len(patterns), *shape))
+    full[:, :, columns] = patterns if patterns.ndim == 3 else np.asarray(patterns)[:, :, None]
+    return full
+
+
+def _at_places(place: np.ndarray, keys: np.ndarray, sign: np.ndarray) -> np.ndarray:
+    """One pattern (k, n) for each of the places ``keys`` (k,), ``sign`` (n,) there and nothing elsewhere."""
+    return (place == keys[:, None]) * sign
+
+
+def _standing(stops: int, at: np.ndarray) -> np.ndarray:
+    """One at the stops ``at``, else nothing: (1, n)."""
+    pattern = np.zeros((1, stops))
+    pattern[0, at] = 1.0
+    return pattern
+
+
+def _times(derivative: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Derivatives (k, n, c) at the stops ``at``, else nothing."""
+    columns = np.zeros(derivative.shape)
+    columns[:, at] = derivative[:, at]
+    return columns
+
+
 def _static(view: StopView) -> Iterator[Form]:
     """Errors that belong to a place: to a stop of a setup, alike or opposite in the two directions."""
-    place = view.setup * 100000 + view.index
+    place, alike = view.setup * 100000 + view.index, np.ones(len(view.setup))
+
+    def patterns(keys: np.ndarray, sign: np.ndarray) -> Made:
+        return Made((len(keys), len(place)), _at_places, place, keys, sign)
+
     for name, columns, scale in _channels(view):
         for setup in range(len(view.setup_names)):
             mine = view.setup == setup
             if mine.sum() < 8:
                 continue
-            keys = np.unique(place[mine])
-            patterns = (place[None] == keys[:, None]).astype(float)
-            setup_name = view.setup_names[setup]
-            yield pattern_form(view, f'{name}: places in {setup_name}', patterns, columns, scale)
+            keys, setup_name = np.unique(place[mine]), view.setup_names[setup]
+            yield pattern_form(view, f'{name}: places in {setup_name}', patterns(keys, alike), columns, scale)
             yield pattern_form(view, f'{name}: places by direction in {setup_name}',
-                               patterns * view.direction, columns, scale)
+                               patterns(keys, view.direction), columns, scale)
         keys = np.unique(place)
-        patterns = (place[None] == keys[:, None]).astype(float)
-        yield pattern_form(view, f'{name}: places', patterns, columns, scale)
-        yield pattern_form(view, f'{name}: places by direction', patterns * view.direction, columns, scale)
+        yield pattern_form(view, f'{name}: places', patterns(keys, alike), columns, scale)
+        yield pattern_form(view, f'{name}: places by direction', patterns(keys, view.direction), columns, scale)
     # Few-parameter shapes along the travel, the same in all setups, by direction.
     share = view.commanded.T / np.array(view.description.machine.volume)[:, None]
     waves = np.concatenate([np.cos(np.pi * k * share) for k in (1, 2, 3)])
@@ -115,33 +141,46 @@ def _beginnings(view: StopView) -> np.ndarray:
     return order[::max(1, -(-len(order) // MOST_JUMPS))]
 
 
+def _after(view: StopView, stop: int) -> np.ndarray:
+    """The stops of a setup from one of them on."""
+    return np.flatnonzero((view.setup == view.setup[stop]) & (view.time >= view.time[stop]))
+
+
 def _jumps(view: StopView) -> Iterator[Form]:
     """One stop off, or a spot that jumps and stays for the rest of the setup."""
     order = _beginnings(view)
+
+    def standing(at: np.ndarray) -> Made:
+        return Made((1, len(view.time)), _standing, len(view.time), at)
+
     for name, columns, scale in _channels(view):
         for i in order:
-            single = np.zeros((1, len(view.time)))
-            single[0, i] = 1.0
             yield pattern_form(view, f'{name}: one stop, {view.run_ids[view.run[i]]} stop {view.index[i]}',
-                               single, columns, scale)
+                               standing(np.array([i])), columns, scale)
         if name == 'displacement':
             continue
         for i in order:
-            after = (view.setup == view.setup[i]) & (view.time >= view.time[i])
             yield pattern_form(view, f'{name}: jump at {view.run_ids[view.run[i]]} stop {view.index[i]}',
-                               after[None].astype(float), columns, scale)
+                               standing(_after(view, i)), columns, scale)
 
 
 def _mirror_jumps(view: StopView) -> Iterator[Form]:
     """The mirror, the beam or the tool point jumps and stays for the rest of the setup."""
     for i in _beginnings(view):
-        after = (view.setup == view.setup[i]) & (view.time >= view.time[i])
+        after = _after(view, i)
         where = f'{view.run_ids[view.run[i]]} stop {view.index[i]}'
         for label, derivative, scale in (('mirror', view.by_mirror, 1e-5),
                                          ('tool point', view.by_shift, 1e-6)):
-            columns = derivative * after[None, :, None]
+            columns = Made(derivative.shape, _times, derivative, after)
             yield Form(f'{label}: jump at {where}', columns,
                        tuple(str(k) for k in range(len(columns))), np.full(len(columns), scale))
+
+
+def _stretched(distance: np.ndarray, shape: tuple[int, int], at: np.ndarray) -> np.ndarray:
+    """The distance (n, beams) on the lengths at the stops ``at``, else nothing: (1, n, c) of ``shape`` (n, c)."""
+    column = np.zeros((1, *shape))
+    column[0, at, :distance.shape[1]] = distance[at]
+    return column
 
 
 def _lengths(view: StopView) -> Iterator[Form]:
@@ -152,10 +191,9 @@ def _lengths(view: StopView) -> Iterator[Form]:
         i, before = ordered[place], ordered[place - 1]
         if view.run[i] == view.run[before] and place % 4:
             continue
-        columns = view.zeros(1)
-        columns[0, :, :b] = np.where((view.time >= view.time[i])[:, None], view.distance, 0.0)
         yield Form(f'length: another unit from {view.run_ids[view.run[i]]} stop {view.index[i]} on',
-                   columns, ('0',), np.full(1, 1e-6))
+                   Made((1, *view.reading.shape), _stretched, view.distance, view.reading.shape, ordered[place:]),
+                   ('0',), np.full(1, 1e-6))
     runs = np.unique(view.run)
     columns = view.zeros(len(runs))
     for k, run in enumerate(runs):

@@ -10,8 +10,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from stepdiag_ros.effects.base import Effect, Form
+from stepdiag_ros.effects.made import Made
 from stepdiag_ros.estimate.eigen import eigen
 from stepdiag_ros.gap.constants import CONFUSED, CONTROL_SHARE, DISCREPANCY_SHARE, MEMBER_ALARM
+from stepdiag_ros.gap.inference.brought import Block, Brought
 from stepdiag_ros.gap.inference.discrepancy import LEAST, held
 from stepdiag_ros.gap.inference.discrepancy import columns as discrepancy_of
 from stepdiag_ros.gap.inference.evidence import SIZES, Judged, judge, log_evidence, log_mean, log_sum
@@ -75,9 +77,7 @@ class Screen:
     modulations: np.ndarray | None = None
     effects: Mapping[str, Effect] = field(default_factory=dict)
     data: np.ndarray = field(init=False)
-    _white: np.ndarray = field(init=False)
-    _below: list = field(init=False)
-    _along: np.ndarray = field(init=False)
+    _brought: Brought = field(init=False)
     _slices: list = field(init=False)
     _ratios: list = field(init=False)
     _alike: list = field(init=False)
@@ -85,65 +85,38 @@ class Screen:
     _discrepancies: dict = field(init=False, default_factory=dict)
 
     def __post_init__(self):
-        stops, data, forms = self.parity.stops, self.parity.data, [c.form for c in self.candidates]
+        forms = [c.form for c in self.candidates]
         first = _first_alike(forms)
         owns = [number for number, other in enumerate(first) if other == number]
-        edges = np.concatenate([[0], np.cumsum([len(forms[i].columns) for i in owns])]).astype(int)
-        parts = {i: slice(a, b) for i, a, b in zip(owns, edges[:-1], edges[1:], strict=True)}
-        self._slices = [parts[i] for i in first]
+        self.data = np.concatenate([self.parity.data, self.parity.own_data])
+        self._brought = Brought.into(self.parity, [forms[i] for i in owns], self.data)
+        place = {number: k for k, number in enumerate(owns)}
+        self._slices = [self._brought.slices[place[i]] for i in first]
         self._ratios = [form.scale / forms[i].scale for form, i in zip(forms, first, strict=True)]
-        stacked = np.empty((edges[-1], *forms[0].columns.shape[1:]))
-        for i, part in parts.items():
-            np.multiply(forms[i].columns, forms[i].scale[:, None, None], out=stacked[part])
-        # The data are projected, so are products with them: the columns need not be, which would
-        # be the dearest step.  Their own products are put right by what the fit absorbs.
-        self._white = self.parity.white_part(stacked)
-        absorbed = self.parity.absorbed(self._white)
-        self._along = self._white.T @ data[:stops]
-        inside = {i: self.parity.bin_part(forms[i].inside) * forms[i].scale
-                  for i in owns if forms[i].inside is not None}
-        own = {i: self.parity.own_rows(forms[i]) for i in owns if forms[i].by_reading is not None}
-        self.data = np.concatenate([data, self.parity.own_data])
-        size, self._below = self.parity.size, []
-        for rows, blocks in ((slice(stops, size), inside), (slice(size, len(self.data)), own)):
-            below = _Below(rows, _indices([parts[i] for i in blocks]),
-                           np.concatenate([np.zeros((rows.stop - rows.start, 0)), *blocks.values()], axis=1))
-            self._along[below.places] += below.columns.T @ self.data[rows]
-            self._below.append(below)
-        grams = {}
-        for i, part in parts.items():
-            columns, lost = self._white[:, part], absorbed[:, part]
-            grams[i] = columns.T @ columns - lost.T @ lost
-            if i in inside:
-                grams[i] += inside[i].T @ inside[i]
-        correction = {i: block.T @ block for i, block in own.items()}
+        grams, corrections = self._brought.grams, self._brought.corrections
         by_width: dict[int, list[int]] = {}
         for number, part in enumerate(self._slices):
             by_width.setdefault(part.stop - part.start, []).append(number)
         self._alike = []
         for numbers in by_width.values():
-            places = np.stack([_indices([self._slices[n]]) for n in numbers])
+            places = np.stack([np.arange(self._slices[n].start, self._slices[n].stop) for n in numbers])
             ratios = np.stack([self._ratios[n] for n in numbers])
             both = ratios[:, :, None] * ratios[:, None, :]
-            gram = np.stack([grams[first[n]] for n in numbers]) * both
-            along = self._along[places] * ratios
+            gram = np.stack([grams[place[first[n]]] for n in numbers]) * both
+            along = self._brought.along[places] * ratios
             mine = None
-            if any(first[n] in correction for n in numbers):
+            if any(place[first[n]] in corrections for n in numbers):
                 none = np.zeros(gram.shape[1:])
-                mine = np.stack([correction.get(first[n], none) for n in numbers]) * both
+                mine = np.stack([corrections.get(place[first[n]], none) for n in numbers]) * both
                 gram += mine
             self._alike.append(_Alike(np.array(numbers), places, ratios, gram, along, mine))
 
     def extended(self, more: Sequence[Candidate]) -> 'Screen':
         """The screen with further candidates; what is known of those it has is not worked out again."""
         other = Screen(self.parity, more, self.noise_dof, self.repeatable, self.modulations, self.effects)
-        count, width = len(self.candidates), self._white.shape[1]
+        count, width = len(self.candidates), self._brought.width
         self.candidates = [*self.candidates, *more]
-        self._white = np.concatenate([self._white.T, other._white.T]).T
-        self._below = [replace(mine, places=np.concatenate([mine.places, theirs.places + width]),
-                               columns=np.concatenate([mine.columns, theirs.columns], axis=1))
-                       for mine, theirs in zip(self._below, other._below, strict=True)]
-        self._along = np.concatenate([self._along, other._along])
+        self._brought = self._brought.and_then(other._brought)
         self._ratios += other._ratios
         self._slices += [slice(s.start + width, s.stop + width) for s in other._slices]
         self._alike += [replace(alike, numbers=alike.numbers + count, places=alike.places + width)
@@ -152,14 +125,9 @@ class Screen:
 
     def columns_of(self, number: int) -> np.ndarray:
         """Columns (M, k) of one candidate, per unit of its scale."""
-        part = self._slices[number]
-        full = np.zeros((len(self.data), part.stop - part.start))
-        white = self._white[:, part]
-        full[:self.parity.stops] = white - self.parity._basis @ self.parity.absorbed(white)
-        for below in self._below:
-            mine = np.flatnonzero((below.places >= part.start) & (below.places < part.stop))
-            if len(mine):
-                full[below.rows] = below.columns[:, mine]
+        full = self._brought.columns(self._slices[number], len(self.data))
+        white = full[:self.parity.stops]
+        white -= self.parity._basis @ self.parity.absorbed(white)
         return full * self._ratios[number]
 
     def basis(self, members: Sequence[Member]) -> np.ndarray:
@@ -237,12 +205,10 @@ class Screen:
             return known
         basis = self.basis(members)
         taken = basis.T @ self.data
-        correction = _Correction.by(self._below[-1], basis, self.data, taken, self._white.shape[1])
+        correction = _Correction.by(self._brought.own, basis, self.data, taken, self._brought.width)
         total = float(self.data @ self.data - taken @ taken) - correction.total
         dof = sum(self.parity.dof) - float(np.sum(basis[:self.parity.size]**2))
-        overlap = basis[:self.parity.stops].T @ self._white
-        for below in self._below:
-            overlap[:, below.places] += basis[below.rows].T @ below.columns
+        overlap = self._brought.times(basis)
         for alike in self._alike:
             chosen = open_[alike.numbers]
             cross = (overlap[:, alike.places[chosen]] * alike.ratios[chosen]).transpose(1, 2, 0)
@@ -330,15 +296,6 @@ class Screen:
 
 
 @dataclass(frozen=True)
-class _Below:
-    """``rows`` of the data that only some columns reach: ``places`` (k,) of these among all, and ``columns`` there."""
-
-    rows: slice
-    places: np.ndarray
-    columns: np.ndarray
-
-
-@dataclass(frozen=True)
 class _Alike:
     """Candidates with k columns each: ``numbers`` (F,), ``places`` (F, k) of their columns among all and
     ``ratios`` (F, k) of their scales to those of the columns there, products ``grams`` (F, k, k) with
@@ -366,12 +323,20 @@ class _Correction:
     with_left: np.ndarray
 
     @classmethod
-    def by(cls, rows: '_Below', basis: np.ndarray, data: np.ndarray, taken: np.ndarray, columns: int) -> '_Correction':
-        mine = basis[rows.rows]
-        left = data[rows.rows] - mine @ taken
-        with_basis, with_left = np.zeros((columns, mine.shape[1])), np.zeros(columns)
-        with_basis[rows.places], with_left[rows.places] = rows.columns.T @ mine, rows.columns.T @ left
-        return cls(float(left @ left), mine.T @ mine, mine.T @ left, with_basis, with_left)
+    def by(cls, own: Sequence[Block], basis: np.ndarray, data: np.ndarray, taken: np.ndarray,
+           columns: int) -> '_Correction':
+        total, size = 0.0, basis.shape[1]
+        among, among_left = np.zeros((size, size)), np.zeros(size)
+        with_basis, with_left = np.zeros((columns, size)), np.zeros(columns)
+        for block in own:
+            mine = basis[block.rows]
+            left = data[block.rows] - mine @ taken
+            total += float(left @ left)
+            among += mine.T @ mine
+            among_left += mine.T @ left
+            with_basis[block.places] += block.columns.T @ mine
+            with_left[block.places] += block.columns.T @ left
+        return cls(total, among, among_left, with_basis, with_left)
 
     def of(self, alike: _Alike, chosen: np.ndarray, cross: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
         """Products of the ``chosen`` candidates with themselves and with what is left, ``cross`` (F, k, r) of what the
@@ -406,10 +371,7 @@ def _first_alike(forms: Sequence[Form]) -> list[int]:
     return first
 
 
-def _same(one: np.ndarray | None, other: np.ndarray | None) -> bool:
+def _same(one: np.ndarray | Made | None, other: np.ndarray | Made | None) -> bool:
+    if isinstance(one, Made):
+        return one.same(other)
     return one is other or (one is not None and other is not None and np.array_equal(one, other))
-
-
-def _indices(parts: Sequence[slice]) -> np.ndarray:
-    """All indices (k,) of some slices."""
-    return np.concatenate([np.arange(0), *(np.arange(p.start, p.stop) for p in parts)])

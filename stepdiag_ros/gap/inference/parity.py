@@ -7,6 +7,7 @@ mistaken for what the fit made of it.
 The bins of the dwells, which the rigid-body model does not touch, are appended as contrasts.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -15,7 +16,7 @@ from scipy import linalg
 
 from stepdiag_ros.effects.base import Form
 from stepdiag_ros.estimate.enhanced import Fit
-from stepdiag_ros.estimate.noise import NoiseModel, Whitener, whiteners
+from stepdiag_ros.estimate.noise import NoiseModel, Whitener, loudness, whiteners
 from stepdiag_ros.gap.preprocess.observe import Observation
 from stepdiag_ros.model.log import STOOD
 
@@ -29,8 +30,6 @@ ALONE = 10.0
 BY_FAR = 3.0
 CALM = 2
 """The first contrasts, slope and bend, are of what creeps; from this one on they tell the noise."""
-LOUDEST, MEDIAN_SQUARE = 16.0, 0.4549
-"""Squares are held to so many times the quiet majority's; the median of χ² of one degree of freedom."""
 LEAST_ALIKE = 3
 """Fewest dwells of one kind from which their typical size is estimated: the median of three stands one that errs."""
 
@@ -68,21 +67,31 @@ class Parity:
 
     def white_part(self, columns: np.ndarray) -> np.ndarray:
         """White columns, not yet projected: (k, n, c) → (stops, k); nothing at the unknowns' own rows."""
-        flat, start = columns.reshape(len(columns), -1), 0
         # Laid out column by column, as they come and as the triangular solver takes them.
-        result = np.zeros((self.stops, len(flat)), order='F')
-        for white in self._white:
-            # A run's rows lie side by side in every column: gathered so, they are read in order.
-            part = flat[:, white.rows].T
-            there = part.any(axis=0)
-            result[start:start + len(part), there] = linalg.solve_triangular(
-                white.factor, part[:, there], lower=True, overwrite_b=True, check_finite=False)
-            start += len(part)
+        result = np.zeros((self.stops, len(columns)), order='F')
+        for rows, there, part in self.white_runs(columns):
+            result[rows, there] = part
         return result
 
-    def absorbed(self, white: np.ndarray) -> np.ndarray:
-        """Coordinates (r, k) of white columns in what the fit can imitate."""
-        return self._basis.T @ white
+    @property
+    def runs(self) -> list[slice]:
+        """Where the white rows of each run lie."""
+        ends = np.cumsum([len(white.rows) for white in self._white]).tolist()
+        return [slice(begin, end) for begin, end in zip([0, *ends], ends, strict=False)]
+
+    def white_runs(self, columns: np.ndarray) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
+        """Run by run, what of :meth:`white_part` is not zero: its rows, the numbers (m,) of its columns, the values."""
+        flat = columns.reshape(len(columns), -1)
+        for rows, white in zip(self.runs, self._white, strict=True):
+            # A run's rows lie side by side in every column: gathered so, they are read in order.
+            part = flat[:, white.rows].T
+            there = np.flatnonzero(part.any(axis=0))
+            yield rows, there, linalg.solve_triangular(
+                white.factor, part[:, there], lower=True, overwrite_b=True, check_finite=False)
+
+    def absorbed(self, white: np.ndarray, rows: slice = slice(None)) -> np.ndarray:
+        """Coordinates (r, k) of white columns, zero but in ``rows``, in what the fit can imitate."""
+        return self._basis[rows].T @ white
 
     def stop_part(self, columns: np.ndarray) -> np.ndarray:
         """White, projected columns: (k, n, c) → (stops, k)."""
@@ -98,6 +107,11 @@ class Parity:
     def _bin_places(self) -> np.ndarray:
         """Flat places of the contrasts (n, h, c) that are there."""
         return np.flatnonzero(self._bin_present)
+
+    @cached_property
+    def bends(self) -> np.ndarray:
+        """Which contrasts (N − stops,) are of higher degree than a slope."""
+        return np.unravel_index(self._bin_places, self._bin_present.shape)[1] > 0
 
     @cached_property
     def _bin_weight(self) -> np.ndarray:
@@ -142,6 +156,11 @@ class Parity:
         """Readings (m,) of all n·c that are there, and the root of what their own noise counts (m,)."""
         reading = np.flatnonzero(self.own_share > 0.0)
         return reading, np.sqrt(self.level * self.own_share[reading])
+
+    @property
+    def own_runs(self) -> list[np.ndarray]:
+        """Those of :meth:`own_rows` that belong to each run."""
+        return [np.flatnonzero(np.isin(self._own[0], white.rows)) for white in self._white]
 
     @cached_property
     def level(self) -> float:
@@ -191,7 +210,7 @@ def parity(observation: Observation, result: Fit, noise: NoiseModel,
     own = len(data) - len(result.precision)
 
     channels = observation.bins.shape[2]
-    contrast = _contrasts(observation.bins.shape[1])
+    contrast = contrasts(observation.view.bin_time)
     values, rough, limit = _inside(observation, observation.bins, contrast)
     calm, size, most = (values, rough, limit) if freed is None else _inside(observation, freed, contrast)
     scale = _loudness(np.clip(calm, -most, most))
@@ -215,7 +234,7 @@ def _inside(observation: Observation, bins: np.ndarray,
             contrast: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Contrasts (n, h, c) of ``bins``, white but for a common factor; what they were divided by beside the samples'
     noise; and what they are held to."""
-    values = np.einsum('hb,nbc->nhc', contrast, bins) / observation.bin_sigma[:, None, :]
+    values = contrast @ bins / observation.bin_sigma[:, None, :]
     rough = np.ones(values.shape[1:])
     rough[0] = _roughness(values[:, 0], observation)
     typical = _typical(values, observation)
@@ -227,16 +246,9 @@ def _loudness(values: np.ndarray) -> np.ndarray:
     """Factor (c,), at least one, by which contrasts (n, h, c) are larger than white samples of the log would make them.
 
     Neighbouring samples may be alike, and their tails heavy.  What creeps shows in the first contrasts, so the level
-    is taken from the others; squares are held to ``LOUDEST`` times the quiet majority's.
+    is taken from the others.
     """
-    result = np.ones(values.shape[2])
-    for c in range(len(result)):
-        square = values[:, CALM:, c]**2
-        square = square[np.isfinite(square)]
-        if len(square):
-            quiet = float(np.median(square)) / MEDIAN_SQUARE
-            result[c] = max(1.0, float(np.sqrt(np.mean(np.minimum(square, LOUDEST * quiet)))))
-    return result
+    return np.array([loudness(values[:, CALM:, c]) for c in range(values.shape[2])])
 
 
 def _typical(values: np.ndarray, observation: Observation) -> np.ndarray:
@@ -276,11 +288,14 @@ def _median(values: np.ndarray) -> np.ndarray:
     return np.where(absent, 0.0, np.nanmedian(np.where(absent, 0.0, values), axis=0))
 
 
-def _contrasts(bins: int) -> np.ndarray:
-    """Orthonormal contrasts (b − 1, b) of a dwell's bins by rising degree: slope, bend, …"""
-    place = np.linspace(-1.0, 1.0, bins)
-    basis, _ = np.linalg.qr(np.vander(place, increasing=True))
-    return basis[:, 1:].T
+def contrasts(time: np.ndarray) -> np.ndarray:
+    """Orthonormal contrasts (n, b − 1, b) of the dwells' bins at their ``time`` (n, b) [s] by rising degree: slope,
+    bend, …; what goes on evenly in a dwell has a slope and nothing else."""
+    middle, span = time.mean(axis=1, keepdims=True), np.ptp(time, axis=1, keepdims=True)
+    powers = ((time - middle) / np.maximum(span, 1e-12))[:, :, None] ** np.arange(time.shape[1])
+    basis, _ = np.linalg.qr(powers)
+    basis = basis * np.where(basis[:, -1:, :] < 0.0, -1.0, 1.0)   # all dwells count to the same side
+    return basis[:, :, 1:].transpose(0, 2, 1)
 
 
 def _roughness(slope: np.ndarray, observation: Observation) -> np.ndarray:

@@ -8,7 +8,7 @@ import pytest
 from stepdiag_ros.effects.base import Form
 from stepdiag_ros.estimate.enhanced import readings_of
 from stepdiag_ros.gap.inference.candidates import Candidate, Screen
-from stepdiag_ros.gap.inference.parity import parity
+from stepdiag_ros.gap.inference.parity import contrasts, parity
 from stepdiag_ros.gap.inference.select_effects import noise_of
 from stepdiag_ros.gap.preprocess.observe import observe
 from stepdiag_ros.virtual.offline import Visit, simulate_log
@@ -170,3 +170,14 @@ def test_the_first_piece_of_a_watch_shows_as_much_of_a_drift_as_the_next(case):
     own = (np.arange(len(space.data)) >= space.stops) & (space.channel == 0)
     slopes = [np.abs(space.data[own & (space.row == stop)]).max() for stop in watch]
     np.testing.assert_allclose(slopes, np.mean(slopes), rtol=0.2)
+
+
+def test_what_goes_on_evenly_has_a_slope_and_nothing_else():
+    rng = np.random.default_rng(3)
+    time = np.sort(rng.uniform(0.0, 0.6, (7, 5)), axis=1)
+    found = contrasts(time)
+    np.testing.assert_allclose(found @ found.transpose(0, 2, 1), np.broadcast_to(np.eye(4), (7, 4, 4)), atol=1e-9)
+    np.testing.assert_allclose(found @ np.ones(5), 0.0, atol=1e-9)
+    seen = (found @ (3.0 * time - 1.0)[:, :, None])[:, :, 0]
+    assert np.all(seen[:, 0] > 0.0)
+    np.testing.assert_allclose(seen[:, 1:], 0.0, atol=1e-9)

@@ -1,0 +1,49 @@
+"""Arrays that are made anew each time they are looked at.
+
+A log of n stops has thousands of forms, most of them products of a few functions of time and place.  Kept as factors
+they take next to nothing; written out, (k, n, c) each, they would take more memory than all else together.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.lib.mixins import NDArrayOperatorsMixin
+
+
+class Made(NDArrayOperatorsMixin):
+    """``build(*parts)`` as an array of a known ``shape``, which NumPy takes wherever it takes an array; nothing but the
+    parts is kept."""
+
+    def __init__(self, shape: tuple[int, ...], build: Callable[..., np.ndarray], *parts: Any):
+        self.shape, self._build, self._parts = shape, build, parts
+
+    @property
+    def ndim(self) -> int:
+        return len(self.shape)
+
+    def __len__(self) -> int:
+        return self.shape[0]
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
+        return np.asarray(self._build(*self._parts), dtype)
+
+    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **options: Any) -> Any:
+        return getattr(ufunc, method)(*(np.asarray(x) if isinstance(x, Made) else x for x in inputs), **options)
+
+    def __getitem__(self, key: Any) -> np.ndarray:
+        return np.asarray(self)[key]
+
+    def reshape(self, *shape: Any) -> np.ndarray:
+        return np.asarray(self).reshape(*shape)
+
+    def same(self, other: object) -> bool:
+        """Whether ``other`` is made in the same way of the same parts."""
+        return isinstance(other, Made) and self.shape == other.shape and self._build is other._build and all(
+            a is b or (isinstance(a, np.ndarray) and isinstance(b, np.ndarray) and np.array_equal(a, b))
+            for a, b in zip(self._parts, other._parts, strict=True))
+
+
+def joined(parts: Sequence[Any]) -> Made:
+    """Arrays, one behind the other along their first axis."""
+    return Made((sum(len(part) for part in parts), *parts[0].shape[1:]), lambda *given: np.concatenate(given), *parts)

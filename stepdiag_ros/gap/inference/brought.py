@@ -1,0 +1,170 @@
+"""Forms brought into parity space, in blocks: what is zero is not kept.
+
+A log of n stops has ten thousand columns.  Many live in one run or one setup, most do nothing inside the dwells but
+tilt them; written out they would take a hundred times the memory of the log.  So forms are brought over some at a time,
+and of their columns only the runs, and the degrees of contrast inside the dwells, are kept in which they do something.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from stepdiag_ros.effects.base import Form
+from stepdiag_ros.gap.inference.parity import Parity
+
+ROUNDING = 1e-9
+"""Share of a column's largest value below which its bends are rounding."""
+AT_A_TIME = 4_000_000
+"""Numbers that are written out at a time."""
+
+
+@dataclass(frozen=True)
+class Block:
+    """``rows`` (m,) of the data that only some columns reach: ``places`` (k,) of these among all, rising, and
+    ``columns`` (m, k) there."""
+
+    rows: np.ndarray
+    places: np.ndarray
+    columns: np.ndarray
+
+    def and_then(self, other: 'Block', width: int) -> 'Block':
+        """With the columns of ``other`` behind ``width`` of these."""
+        return replace(self, places=np.concatenate([self.places, other.places + width]),
+                       columns=np.concatenate([self.columns, other.columns], axis=1))
+
+
+@dataclass(frozen=True)
+class Brought:
+    """The columns of some forms, in units of their scales: white, not yet projected, at the stops; contrasts inside the
+    dwells; rows of the Jacobian correction (``own``).
+
+    ``slices``: where each form's columns lie among all ``width``.  Projected: products ``grams`` (k, k) of each form's
+    columns with each other and ``along`` (K,) of all with the data, those of the correction in the latter alone and, by
+    form, in ``corrections`` (k, k).
+    """
+
+    blocks: tuple[Block, ...]
+    own: tuple[Block, ...]
+    slices: Sequence[slice]
+    grams: Sequence[np.ndarray]
+    along: np.ndarray
+    corrections: Mapping[int, np.ndarray]
+
+    @classmethod
+    def into(cls, space: Parity, forms: Sequence[Form], data: np.ndarray) -> 'Brought':
+        """Bring ``forms`` over; ``data`` (M,): those of the space, and below them those of the correction."""
+        edges = np.cumsum([0, *(len(form.columns) for form in forms)]).tolist()
+        slices = [slice(begin, end) for begin, end in pairwise(edges)]
+        stops = [_Gathering(np.arange(rows.start, rows.stop)) for rows in space.runs]
+        inside = [_Gathering(space.stops + np.flatnonzero(degree)) for degree in (~space.bends, space.bends)]
+        own = [_Gathering(space.size + rows) for rows in space.own_runs]
+        along, grams, corrections = np.zeros(edges[-1]), [], {}
+        for some in _some_at_a_time(slices, len(data)):
+            first = slices[some[0]].start
+            white, absorbed = _at_the_stops(space, [forms[i] for i in some], stops, first)
+            along[first:first + white.shape[1]] = white.T @ data[:space.stops]
+            for i in some:
+                mine, form = slices[i], forms[i]
+                at = slice(mine.start - first, mine.stop - first)
+                gram = white[:, at].T @ white[:, at] - absorbed[:, at].T @ absorbed[:, at]
+                if form.inside is not None:
+                    bins = space.bin_part(np.asarray(form.inside)) * form.scale
+                    gram += bins.T @ bins
+                    along[mine] += bins.T @ data[space.stops:space.size]
+                    least = ROUNDING * np.abs(bins).max(axis=0, initial=0.0)
+                    for gathering in inside:
+                        gathering.add(bins[gathering.rows - space.stops], mine.start, least)
+                if form.by_reading is not None:
+                    slopes = space.own_rows(form)
+                    corrections[i] = slopes.T @ slopes
+                    along[mine] += slopes.T @ data[space.size:]
+                    for gathering in own:
+                        gathering.add(slopes[gathering.rows - space.size], mine.start)
+                grams.append(gram)
+        return cls(tuple(g.block() for g in (*stops, *inside)), tuple(g.block() for g in own), slices, grams, along,
+                   corrections)
+
+    @property
+    def width(self) -> int:
+        return len(self.along)
+
+    def and_then(self, other: 'Brought') -> 'Brought':
+        """With the columns of ``other`` behind."""
+        def both(mine: Sequence[Block], theirs: Sequence[Block]) -> tuple[Block, ...]:
+            return tuple(a.and_then(b, self.width) for a, b in zip(mine, theirs, strict=True))
+
+        return replace(self, blocks=both(self.blocks, other.blocks), own=both(self.own, other.own),
+                       along=np.concatenate([self.along, other.along]))
+
+    def columns(self, part: slice, size: int) -> np.ndarray:
+        """Some columns (size, k), written out."""
+        full = np.zeros((size, part.stop - part.start))
+        for block in (*self.blocks, *self.own):
+            begin, end = np.searchsorted(block.places, [part.start, part.stop])
+            if end > begin:
+                full[np.ix_(block.rows, block.places[begin:end] - part.start)] = block.columns[:, begin:end]
+        return full
+
+    def times(self, directions: np.ndarray) -> np.ndarray:
+        """Products (r, K) of ``directions`` (M, r) with all columns."""
+        result = np.zeros((directions.shape[1], self.width))
+        for block in (*self.blocks, *self.own):
+            result[:, block.places] += directions[block.rows].T @ block.columns
+        return result
+
+
+class _Gathering:
+    """A block in the making."""
+
+    def __init__(self, rows: np.ndarray):
+        self.rows = rows
+        self._places: list[np.ndarray] = []
+        self._columns: list[np.ndarray] = []
+
+    def put(self, columns: np.ndarray, places: np.ndarray) -> None:
+        """Columns (m, k) at ``places`` (k,)."""
+        if len(places):
+            self._places.append(places)
+            self._columns.append(columns)
+
+    def add(self, columns: np.ndarray, begin: int, least: np.ndarray | float = 0.0) -> None:
+        """Of columns (m, k) that begin at ``begin`` those that exceed ``least`` (k,) somewhere."""
+        there = np.flatnonzero((np.abs(columns) > least).any(axis=0))
+        self.put(columns[:, there], there + begin)
+
+    def block(self) -> Block:
+        block = Block(self.rows, np.concatenate([np.zeros(0, np.intp), *self._places]),
+                      np.concatenate([np.zeros((len(self.rows), 0)), *self._columns], axis=1))
+        self._places, self._columns = [], []
+        return block
+
+
+def _at_the_stops(space: Parity, forms: Sequence[Form], stops: Sequence[_Gathering],
+                  begin: int) -> tuple[np.ndarray, np.ndarray]:
+    """White columns (stops, k) of forms and what of them the fit absorbs (r, k); the first are gathered too.
+
+    The data are projected, so are products with them: the columns need not be, which would be the dearest step.
+    Their own products are put right by what the fit absorbs.
+    """
+    columns = np.concatenate([np.asarray(form.columns) * form.scale[:, None, None] for form in forms])
+    white = np.zeros((space.stops, len(columns)), order='F')
+    absorbed = np.zeros((space.absorbed(white[:, :0]).shape[0], len(columns)))
+    for gathering, (rows, there, part) in zip(stops, space.white_runs(columns), strict=True):
+        white[rows, there] = part
+        absorbed[:, there] += space.absorbed(part, rows)
+        gathering.put(part, there + begin)
+    return white, absorbed
+
+
+def _some_at_a_time(slices: Sequence[slice], size: int) -> Iterator[list[int]]:
+    """Numbers of neighbouring forms, together with no more columns of ``size`` than are written out at a time."""
+    some: list[int] = []
+    for number, part in enumerate(slices):
+        if some and (part.stop - slices[some[0]].start) * size > AT_A_TIME:
+            yield some
+            some = []
+        some.append(number)
+    if some:
+        yield some

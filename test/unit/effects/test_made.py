@@ -1,0 +1,36 @@
+"""An array that is made when it is looked at is an array to NumPy."""
+
+import numpy as np
+
+from stepdiag_ros.effects.made import Made, joined
+
+
+def outer(a, b):
+    return a[:, None] * b
+
+
+def test_it_is_taken_wherever_an_array_is():
+    a, b = np.arange(3.0), np.arange(1.0, 5.0)
+    made, written = Made((3, 4), outer, a, b), outer(a, b)
+    assert made.shape == written.shape and len(made) == 3 and made.ndim == 2
+    np.testing.assert_array_equal(made, written)
+    np.testing.assert_array_equal(made * 2.0 + made, 3.0 * written)
+    np.testing.assert_array_equal(made[:, [0, 2]], written[:, [0, 2]])
+    np.testing.assert_array_equal(np.concatenate([made, written]), np.concatenate([written, written]))
+    np.testing.assert_array_equal(np.tensordot(a, made, axes=1), a @ written)
+    np.testing.assert_array_equal(made.reshape(3, -1), written)
+    np.testing.assert_array_equal(joined([made, written]), np.concatenate([written, written]))
+
+
+def test_what_is_made_alike_of_the_same_is_the_same():
+    a, b = np.arange(3.0), np.arange(1.0, 5.0)
+    made = Made((3, 4), outer, a, b)
+    assert made.same(Made((3, 4), outer, a.copy(), b))
+    assert not made.same(Made((3, 4), outer, a + 1.0, b))
+    assert not made.same(Made((3, 4), np.outer, a, b)) and not made.same(outer(a, b))
+
+
+def test_nothing_is_kept():
+    made, calls = Made((1,), lambda: calls.append(1) or np.zeros(1)), []
+    np.asarray(made), np.asarray(made)
+    assert len(calls) == 2

@@ -1,0 +1,51 @@
+"""Forms in blocks are what each form is, brought over alone and written out."""
+
+import numpy as np
+import pytest
+
+from stepdiag_ros.effects import all_effects
+from stepdiag_ros.gap.alternatives.unmodelled import unknown_families
+from stepdiag_ros.gap.inference import brought
+from stepdiag_ros.gap.inference.brought import Brought
+from stepdiag_ros.gap.inference.joint import fit_jointly
+from stepdiag_ros.gap.inference.select_effects import noise_of
+
+#: Of each stop, with three quarters of the memory that was the limit: 300 kB a stop in all.
+MOST_BYTES_A_STOP = 225e3
+
+
+@pytest.fixture(scope='module')
+def space_and_forms(case):
+    observation = case.observe()
+    joint = fit_jointly(observation, [], noise_of(observation))
+    forms = [form for kind in all_effects().values() for form in kind().appearance(observation.view)]
+    families = unknown_families(observation.view)
+    return joint.parity, forms + [form for family in families.values() for form in family]
+
+
+@pytest.mark.parametrize('at_a_time', [1, 4_000_000])
+def test_columns_products_and_data_are_those_of_each_form_alone(space_and_forms, monkeypatch, at_a_time):
+    space, forms = space_and_forms
+    monkeypatch.setattr(brought, 'AT_A_TIME', at_a_time)
+    forms = forms[::37] + [form for form in forms if form.by_reading is not None][:2]
+    data = np.concatenate([space.data, space.own_data])
+    found = Brought.into(space, forms, data)
+    directions = np.random.default_rng(1).standard_normal((len(data), 3))
+    directions[:space.stops] -= space._basis @ space.absorbed(directions[:space.stops])
+    times = found.times(directions)
+    for form, part, gram in zip(forms, found.slices, found.grams, strict=True):
+        whole = space.project(form)
+        full = found.columns(part, len(data))
+        full[:space.stops] -= space._basis @ space.absorbed(full[:space.stops])
+        size = max(np.abs(whole).max(), 1e-12)
+        np.testing.assert_allclose(full[:space.size], whole, atol=1e-7 * size)
+        np.testing.assert_allclose(gram, whole.T @ whole, atol=1e-7 * size**2 * len(whole))
+        np.testing.assert_allclose(found.along[part], full.T @ data, atol=1e-7 * size * np.abs(data).sum())
+        np.testing.assert_allclose(times[:, part], directions.T @ full, atol=1e-7 * size * len(data))
+
+
+def test_a_stop_takes_little_memory(space_and_forms):
+    space, forms = space_and_forms
+    found = Brought.into(space, forms, np.concatenate([space.data, space.own_data]))
+    kept = sum(block.columns.nbytes for block in (*found.blocks, *found.own))
+    assert kept / (space.row.max() + 1) < MOST_BYTES_A_STOP
