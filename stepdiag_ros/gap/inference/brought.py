@@ -16,7 +16,7 @@ from stepdiag_ros.gap.inference.parity import Parity
 
 ROUNDING = 1e-9
 """Share of a column's largest value below which its bends are rounding."""
-AT_A_TIME = 4_000_000
+AT_A_TIME = 1_000_000
 """Numbers that are written out at a time."""
 
 
@@ -58,7 +58,9 @@ class Brought:
         edges = np.cumsum([0, *(len(form.columns) for form in forms)]).tolist()
         slices = [slice(begin, end) for begin, end in pairwise(edges)]
         stops = [_Gathering(np.arange(rows.start, rows.stop)) for rows in space.runs]
-        inside = [_Gathering(space.stops + np.flatnonzero(degree)) for degree in (~space.bends, space.bends)]
+        moving = sum(len(form.columns) for form in forms if form.inside is not None)
+        inside = [_Gathering(space.stops + np.flatnonzero(~space.bends), moving),
+                  _Gathering(space.stops + np.flatnonzero(space.bends))]
         own = [_Gathering(space.size + rows) for rows in space.own_runs]
         along, grams, corrections = np.zeros(edges[-1]), [], {}
         for some in _some_at_a_time(slices, len(data)):
@@ -116,18 +118,21 @@ class Brought:
 
 
 class _Gathering:
-    """A block in the making."""
+    """A block in the making, with room for ``width`` columns at first."""
 
-    def __init__(self, rows: np.ndarray):
-        self.rows = rows
-        self._places: list[np.ndarray] = []
-        self._columns: list[np.ndarray] = []
+    def __init__(self, rows: np.ndarray, width: int = 64):
+        self.rows, self._count = rows, 0
+        self._places, self._columns = np.empty(width, np.intp), np.empty((len(rows), width), order='F')
 
     def put(self, columns: np.ndarray, places: np.ndarray) -> None:
         """Columns (m, k) at ``places`` (k,)."""
-        if len(places):
-            self._places.append(places)
-            self._columns.append(columns)
+        begin, self._count = self._count, self._count + len(places)
+        if self._count > len(self._places):
+            room = max(self._count, len(self._places) * 3 // 2)
+            self._places, places_before = np.empty(room, np.intp), self._places[:begin]
+            self._columns, before = np.empty((len(self.rows), room), order='F'), self._columns[:, :begin]
+            self._places[:begin], self._columns[:, :begin] = places_before, before
+        self._places[begin:self._count], self._columns[:, begin:self._count] = places, columns
 
     def add(self, columns: np.ndarray, begin: int, least: np.ndarray | float = 0.0) -> None:
         """Of columns (m, k) that begin at ``begin`` those that exceed ``least`` (k,) somewhere."""
@@ -135,10 +140,7 @@ class _Gathering:
         self.put(columns[:, there], there + begin)
 
     def block(self) -> Block:
-        block = Block(self.rows, np.concatenate([np.zeros(0, np.intp), *self._places]),
-                      np.concatenate([np.zeros((len(self.rows), 0)), *self._columns], axis=1))
-        self._places, self._columns = [], []
-        return block
+        return Block(self.rows, self._places[:self._count], self._columns[:, :self._count])
 
 
 def _at_the_stops(space: Parity, forms: Sequence[Form], stops: Sequence[_Gathering],

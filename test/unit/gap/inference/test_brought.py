@@ -23,7 +23,7 @@ def space_and_forms(case):
     return joint.parity, forms + [form for family in families.values() for form in family]
 
 
-@pytest.mark.parametrize('at_a_time', [1, 4_000_000])
+@pytest.mark.parametrize('at_a_time', [1, brought.AT_A_TIME])
 def test_columns_products_and_data_are_those_of_each_form_alone(space_and_forms, monkeypatch, at_a_time):
     space, forms = space_and_forms
     monkeypatch.setattr(brought, 'AT_A_TIME', at_a_time)
