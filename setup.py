@@ -55,6 +55,7 @@ setup(
         (f'share/{NAME}', ['package.xml']),
         (f'share/{NAME}/launch', sorted(glob('launch/*.launch.py'))),
         (f'share/{NAME}/cells', sorted(glob('cells/*.yaml'))),
+        (f'share/{NAME}/layouts', sorted(glob('layouts/*'))),
     ],
     entry_points={
         'console_scripts': [

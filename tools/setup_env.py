@@ -185,6 +185,7 @@ class Environment:
             ('stepdiag_ros/package.xml', 'package.xml'),
             ('stepdiag_ros/launch', 'launch'),
             ('stepdiag_ros/cells', 'cells'),
+            ('stepdiag_ros/layouts', 'layouts'),
         ):
             link = share / target
             link.parent.mkdir(parents=True, exist_ok=True)

@@ -46,7 +46,7 @@ class Seen:
     """What is known of one machine; read it under the observer's ``lock``.
 
     ``lengths``: (number, time [s], mean [m], scatter [m]); ``spots``: (number, time [s], x [m], y [m]); numbers rise.
-    ``bags``: those that were closed, in order.
+    ``bags``: those with runs that were closed, in order.
     """
 
     namespace: str
@@ -191,8 +191,8 @@ def _keep_gap(seen: Seen, message: GapReport) -> None:
 
 def _keep_recorder(seen: Seen, message: RecorderStatus) -> None:
     seen.recording = message.bag if message.recording else ''
-    if message.bag and not message.recording and message.bag not in seen.bags \
-            and any(message.received) and Path(message.bag).is_absolute():
+    steps = dict(zip(message.topics, message.received, strict=False)).get(f'{seen.namespace}/{STEP}', 0)
+    if steps and not message.recording and message.bag not in seen.bags and Path(message.bag).is_absolute():
         seen.bags[message.bag] = None
         while len(seen.bags) > BAGS:
             del seen.bags[next(iter(seen.bags))]

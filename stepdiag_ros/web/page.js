@@ -4,6 +4,7 @@
 const SVG = 'http://www.w3.org/2000/svg';
 const NARROW = '\u202f';
 const KEPT_S = 60;
+const OPEN = 1e-4;    // m or rad: an error whose standard uncertainty exceeds it is open, as in every answer
 const byId = id => document.getElementById(id);
 const chosen = () => decodeURIComponent(location.hash.slice(1));
 let scene = null, now = null, shown = null, lengths = [], spots = [], socket = null, attempt = 0;
@@ -21,13 +22,18 @@ function drawn(tag, attributes) {
   return node;
 }
 
+// A number with so many digits as a difference of `step` needs, and a true minus.
+function digits(value, step) {
+  const places = Math.min(9, Math.max(0, -Math.floor(Math.log10(step || 1))));
+  return (Math.abs(value) < step / 2 ? 0 : value).toFixed(places).replace('-', '\u2212');
+}
+
 // A value with its expanded uncertainty (k = 2) in a unit that people read: two digits of the uncertainty.
 function quantity(value, U, unit) {
-  if (value === null || !isFinite(value)) return 'open';
+  if (value === null || !isFinite(value) || U > 2 * OPEN) return 'open';
   const name = unit === 'm' ? 'µm' : 'µrad', v = value * 1e6, u = U === null ? NaN : U * 1e6;
-  if (!isFinite(u) || u <= 0) return `${v.toPrecision(3)}${NARROW}${name}`;
-  const digits = Math.min(6, Math.max(0, 1 - Math.floor(Math.log10(u))));
-  return `${v.toFixed(digits)} ± ${u.toFixed(digits)}${NARROW}${name}`;
+  if (!isFinite(u) || u <= 0) return `${digits(v, Math.abs(v) / 100)}${NARROW}${name}, U unknown`;
+  return `${digits(v, u / 10)} ± ${digits(u, u / 10)}${NARROW}${name}`;
 }
 
 // --- the connection -----------------------------------------------------------------------------
@@ -105,7 +111,7 @@ function showMachine(told) {
   if (told.scene) { scene = told.scene; shown = null; }
   if (told.now) {
     now = told.now;
-    byId('where').textContent = `${now.doing} stop ${now.stop} of run ${now.run} (${now.position.map(c => (1e3 * c).toFixed(1)).join(', ')}) mm commanded`
+    byId('where').textContent = `${now.doing} stop ${now.stop} of run ${now.run} (${now.position.map(c => digits(1e3 * c, 0.1)).join(', ')}) mm commanded`
       + (told.recording ? `; recorded in ${told.recording}` : '');
   } else if (scene) byId('where').textContent = `setup ${scene.setup}; not measured yet`;
   lengths.push(...told.lengths); spots.push(...told.spots);
@@ -148,14 +154,15 @@ function drawScene() {
   const unit = [back, scene.origin].map(at => [[-1, -1], [1, -1], [1, 1], [-1, 1]].map(([a, b]) => plus(plus(at, u, a * size), v, b * size)));
   const all = [...boxed, ...unit.flat(), ...scene.path.flatMap(mirror)].map(flat);
   const low = [0, 1].map(i => Math.min(...all.map(p => p[i]))), high = [0, 1].map(i => Math.max(...all.map(p => p[i])));
-  const width = 580, height = 400, scale = Math.min((width - 50) / (high[0] - low[0]), (height - 50) / (high[1] - low[1]));
+  const width = 580, height = 400, svg = byId('scene'), letters = Math.max(11, 11 * width / (svg.clientWidth || width));
+  const side = 2 * 5.5 * letters, scale = Math.min((width - side) / (high[0] - low[0]), (height - 4 * letters) / (high[1] - low[1]));
   const at = point => { const p = flat(point); return [(width - scale * (low[0] + high[0])) / 2 + scale * p[0], (height - scale * (low[1] + high[1])) / 2 + scale * p[1]]; };
   const line = points => points.map(p => at(p).map(c => c.toFixed(1)).join(',')).join(' ');
   const parts = [];
   for (let a = 0; a < 8; a++) for (let axis = 0; axis < 3; axis++) if (!(a >> axis & 1))
     parts.push(drawn('polyline', {points: line([boxed[a], boxed[a | 1 << axis]]), fill: 'none', stroke: '#b9c3cc', 'stroke-width': 1}));
   for (let axis = 0; axis < 3; axis++) {
-    const end = at(boxed[1 << axis]), label = drawn('text', {x: end[0] + 5, y: end[1] + 12});
+    const end = at(boxed[1 << axis]), label = drawn('text', {x: end[0] + 5, y: end[1] + letters + 1, style: `font-size:${letters.toFixed(1)}px`});
     label.textContent = `${'XYZ'[axis]} ${(1e3 * scene.volume[axis]).toFixed(0)} mm`;
     parts.push(label);
   }
@@ -166,7 +173,6 @@ function drawScene() {
   parts.push(drawn('polyline', {points: line([scene.psd_start, strike(scene.psd_start)]), fill: 'none', stroke: '#c97a05', 'stroke-width': 1.5}));
   for (const start of scene.starts) parts.push(drawn('polyline', {points: line([start, strike(start)]), fill: 'none', stroke: '#d1304b', 'stroke-width': 2, class: 'ray'}));
   parts.push(drawn('polygon', {points: line(mirror(shown)), fill: '#2f7fb5', 'fill-opacity': 0.4, stroke: '#2f7fb5', 'stroke-width': 1.4, class: 'mirror'}));
-  const svg = byId('scene');
   svg.setAttribute('viewBox', `0 0 ${width} ${height}`);
   svg.replaceChildren(...parts);
   if (rest >= 1e-5) requestAnimationFrame(drawScene);
@@ -176,8 +182,8 @@ function drawScene() {
 
 function drawStreams() {
   const last = lengths[lengths.length - 1], spot = spots[spots.length - 1];
-  const words = row => row && row[2] !== null ? `${(1e3 * row[2]).toFixed(5)} mm, scatter of a sample ${(1e9 * row[3]).toFixed(0)} nm` : 'no signal';
-  const place = (row, column) => row && row[column] !== null ? `${(1e6 * row[column]).toFixed(2)} µm` : 'no light';
+  const words = row => row && row[2] !== null ? `${digits(1e3 * row[2], 1e-5)} mm, scatter of a sample ${(1e9 * row[3]).toPrecision(2)} nm` : 'no signal';
+  const place = (row, column) => row && row[column] !== null ? `${digits(1e6 * row[column], 0.01)} µm` : 'no light';
   byId('streams').replaceChildren(
     stream('displacement, as read', words(last), lengths, 2, 1e3, 'mm', 'var(--beam)'),
     stream('spot x, as read', place(spot, 2), spots, 2, 1e6, 'µm', 'var(--spot)'),
@@ -188,7 +194,7 @@ function stream(title, value, rows, column, factor, unit, colour) {
   const width = 560, height = 118, svg = drawn('svg', {viewBox: `0 0 ${width} ${height}`, preserveAspectRatio: 'none'});
   const there = rows.filter(row => row[column] !== null);
   if (there.length > 1) {
-    const end = rows[rows.length - 1][1], values = there.map(row => factor * row[column]);
+    const end = rows[rows.length - 1][1], span = Math.min(KEPT_S, Math.max(10, end - rows[0][1])), values = there.map(row => factor * row[column]);
     let low = Math.min(...values), high = Math.max(...values);
     const least = unit === 'mm' ? 1e-5 : 0.1;
     if (high - low < least) { const middle = (low + high) / 2; low = middle - least / 2; high = middle + least / 2; }
@@ -196,12 +202,13 @@ function stream(title, value, rows, column, factor, unit, colour) {
     let open = false;
     for (const row of rows) {    // a reading without signal is a hole, not a line across it
       if (row[column] === null) { open = false; continue; }
-      const x = width * (1 + (row[1] - end) / KEPT_S), y = height - 8 - (height - 16) * (factor * row[column] - low) / (high - low);
+      const x = width * (1 + (row[1] - end) / span), y = height - 8 - (height - 16) * (factor * row[column] - low) / (high - low);
       pieces.push(`${open ? 'L' : 'M'}${x.toFixed(1)} ${y.toFixed(1)}`);
       open = true;
     }
     svg.append(drawn('path', {d: pieces.join(''), fill: 'none', stroke: colour, 'stroke-width': 1.3, 'vector-effect': 'non-scaling-stroke'}));
-    value += `; shown ${low.toPrecision(4)} to ${high.toPrecision(4)} ${unit}, last minute`;
+    const step = (high - low) / 100;
+    value += `; ${digits(low, step)} to ${digits(high, step)} ${unit} in the last ${span.toFixed(0)} s`;
   }
   return made('figure', {class: 'stream'}, made('figcaption', {}, made('b', {}, title), made('span', {}, value)), svg);
 }
@@ -211,12 +218,13 @@ function stream(title, value, rows, column, factor, unit, colour) {
 function showErrors(errors) {
   badge(byId('state'), errors.complete ? (errors.status === 'ok' ? 'good' : 'bad') : 'warn', errors.complete ? `complete: ${errors.status}` : 'so far');
   const largest = {m: 0, rad: 0};
-  for (const curve of errors.curves) curve.value.forEach((value, i) => {
-    if (value !== null) largest[curve.unit] = Math.max(largest[curve.unit], Math.abs(value) + 2 * Math.min(curve.sigma[i] ?? 0, Math.abs(value) + 1e-6));
+  for (const curve of errors.curves) known(curve).forEach(([, value, U]) => {
+    largest[curve.unit] = Math.max(largest[curve.unit], Math.abs(value) + Math.min(U, Math.abs(value) + 1e-6));
   });
-  const chi2 = errors.reduced_chi2 === null ? 'no degrees of freedom yet' : `reduced χ² ${errors.reduced_chi2.toFixed(2)} over ${errors.dof} degrees of freedom`;
+  const drawnTo = unit => `±${(1e6 * (largest[unit] || 1e-6)).toPrecision(2)} µ${unit}`;
+  const chi2 = errors.reduced_chi2 === null || !errors.dof ? 'no degrees of freedom yet' : `reduced χ² ${errors.reduced_chi2.toFixed(2)} over ${errors.dof} degrees of freedom`;
   byId('fit').textContent = `${chi2}. Line: value at the plan's positions; band: ± U (k = 2); written: from lowest to highest ± the largest U (k = 2). `
-    + `Translations are drawn to ±${(1e6 * largest.m).toPrecision(2)} µm, rotations to ±${(1e6 * largest.rad).toPrecision(2)} µrad. `
+    + `Translations are drawn to ${drawnTo('m')}, rotations to ${drawnTo('rad')}. `
     + (errors.reference_temperature === null ? 'Lengths are at the temperature of the measurement' : `Lengths are referred to ${errors.reference_temperature} °C`)
     + (errors.traceable ? '.' : '; the index of air was not taken into account.');
   byId('curves').replaceChildren(...errors.curves.map(curve => small(curve, largest[curve.unit] || 1e-6)));
@@ -226,18 +234,24 @@ function showErrors(errors) {
   byId('remarks').replaceChildren(...(said.length ? [made('details', {}, made('summary', {}, `${said.length} remarks: what the log leaves open, and warnings`), made('ul', {}, ...said.map(text => made('li', {}, text))))] : []));
 }
 
+// Positions, values and U (k = 2) of what the log says something about.
+function known(curve) {
+  return curve.position.map((position, i) => [position, curve.value[i], 2 * (curve.sigma[i] ?? Infinity)])
+    .filter(([, value, U]) => value !== null && U <= 2 * OPEN);
+}
+
 function small(curve, size) {
   const width = 160, height = 100, svg = drawn('svg', {viewBox: `0 0 ${width} ${height}`, preserveAspectRatio: 'none'});
   const length = curve.position[curve.position.length - 1] || 1;
   const x = position => 4 + (width - 8) * position / length;
   const y = value => height / 2 - (height / 2 - 4) * Math.max(-1.3, Math.min(1.3, value / size));
-  const there = curve.position.map((position, i) => [position, curve.value[i], 2 * (curve.sigma[i] ?? Infinity)]).filter(row => row[1] !== null);
+  const there = known(curve);
   const line = rows => rows.map(([position, value]) => `${x(position).toFixed(1)},${y(value).toFixed(1)}`).join(' ');
   svg.append(drawn('line', {x1: 0, x2: width, y1: height / 2, y2: height / 2, stroke: '#d5dbe0', 'stroke-width': 1}));
   svg.append(drawn('polygon', {points: line([...there.map(([p, v, U]) => [p, v + U]), ...there.map(([p, v, U]) => [p, v - U]).reverse()]), fill: '#cfe2ea'}));
   svg.append(drawn('polyline', {points: line(there), fill: 'none', stroke: '#17688a', 'stroke-width': 1.7, 'vector-effect': 'non-scaling-stroke'}));
   const values = there.map(row => row[1]);
-  const range = values.length ? quantity(Math.max(...values) - Math.min(...values), Math.max(...there.map(row => row[2])), curve.unit) : 'open';
+  const range = values.length > 1 ? quantity(Math.max(...values) - Math.min(...values), Math.max(...there.map(row => row[2])), curve.unit) : 'open';
   return made('figure', {class: 'curve'}, svg, made('figcaption', {}, made('b', {}, curve.name), range));
 }
 
