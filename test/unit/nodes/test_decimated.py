@@ -26,6 +26,12 @@ def test_about_twenty_a_second_and_every_sample_once(rate, block):
         assert time == pytest.approx(samples.mean() / rate * SECOND, abs=2)
 
 
+def test_a_block_that_is_a_sample_short_is_a_mean_all_the_same():
+    decimator = Decimator()
+    means = [decimator.add(i * SECOND // 20, 0.001, np.full((49 if i % 2 else 50, 1), float(i))) for i in range(40)]
+    assert [enough[1].mean() for enough in means] == list(range(40))
+
+
 def test_what_comes_after_a_hole_is_no_mean_with_what_was_before_it():
     decimator = Decimator()
     assert decimator.add(0, 0.001, np.zeros((20, 1))) is None
