@@ -182,7 +182,7 @@ function drawScene() {
 
 function drawStreams() {
   const last = lengths[lengths.length - 1], spot = spots[spots.length - 1];
-  const words = row => row && row[2] !== null ? `${digits(1e3 * row[2], 1e-5)} mm, scatter of a sample ${(1e9 * row[3]).toPrecision(2)} nm` : 'no signal';
+  const words = row => row && row[2] !== null ? `${digits(1e3 * row[2], 1e-5)} mm, ${row[3] < 1e-6 ? `scatter of a sample ${digits(1e9 * row[3], 0.1)} nm` : 'moving'}` : 'no signal';
   const place = (row, column) => row && row[column] !== null ? `${digits(1e6 * row[column], 0.01)} µm` : 'no light';
   byId('streams').replaceChildren(
     stream('displacement, as read', words(last), lengths, 2, 1e3, 'mm', 'var(--beam)'),
@@ -221,10 +221,10 @@ function showErrors(errors) {
   for (const curve of errors.curves) known(curve).forEach(([, value, U]) => {
     largest[curve.unit] = Math.max(largest[curve.unit], Math.abs(value) + Math.min(U, Math.abs(value) + 1e-6));
   });
-  const drawnTo = unit => `±${(1e6 * (largest[unit] || 1e-6)).toPrecision(2)} µ${unit}`;
+  const drawnTo = (what, unit) => largest[unit] ? `${what} are drawn to ±${digits(1e6 * largest[unit], 0.1)}${NARROW}µ${unit}. ` : '';
   const chi2 = errors.reduced_chi2 === null || !errors.dof ? 'no degrees of freedom yet' : `reduced χ² ${errors.reduced_chi2.toFixed(2)} over ${errors.dof} degrees of freedom`;
   byId('fit').textContent = `${chi2}. Line: value at the plan's positions; band: ± U (k = 2); written: from lowest to highest ± the largest U (k = 2). `
-    + `Translations are drawn to ${drawnTo('m')}, rotations to ${drawnTo('rad')}. `
+    + drawnTo('Translations', 'm') + drawnTo('Rotations', 'rad') + 'Open: the log does not tell yet. '
     + (errors.reference_temperature === null ? 'Lengths are at the temperature of the measurement' : `Lengths are referred to ${errors.reference_temperature} °C`)
     + (errors.traceable ? '.' : '; the index of air was not taken into account.');
   byId('curves').replaceChildren(...errors.curves.map(curve => small(curve, largest[curve.unit] || 1e-6)));

@@ -90,6 +90,9 @@ def test_a_run_is_seen_as_it_is_measured(live, tmp_path):
         browser.until(f'{OPEN_CURVES} < {at_first}')
         assert run.is_alive() and browser.value("document.getElementById('state').textContent") == 'so far'
 
+        browser.until(f'{OPEN_CURVES} <= 9', 600.0)
+        fits(browser, 'desk', tmp_path / 'desk_half.png')
+
         # A stranger's name is a text.
         for level in (b'\x00', b'\x02'):
             stranger.publish(DiagnosticArray(status=[DiagnosticStatus(name=f'demo/{EVIL}', message=EVIL, level=level)]))
@@ -99,7 +102,7 @@ def test_a_run_is_seen_as_it_is_measured(live, tmp_path):
 
         run.join()
         assert outcome[0].succeeded, outcome[0].message
-        browser.until("document.getElementById('state').textContent === 'complete: ok'")
+        browser.until("document.getElementById('state').textContent === 'complete: ok'", 300.0)
         assert browser.value(OPEN_CURVES) == 0
         # What is written is what the solver found, with its uncertainty.
         found = cell.operator.evaluate()['errors']
@@ -112,7 +115,7 @@ def test_a_run_is_seen_as_it_is_measured(live, tmp_path):
         browser.until("document.querySelector('#gap h2') !== null", 300.0)
         assert browser.value("document.querySelectorAll('#reports a').length") == 0    # the bag is still open
         cell.operator.bring('recorder', 'inactive')
-        browser.until("document.querySelector('#reports a').textContent === 'today'")
+        browser.until("document.querySelector('#reports a')?.textContent === 'today'")
         fits(browser, 'desk', tmp_path / 'desk_done.png')
         fits(browser, 'telephone', tmp_path / 'telephone_done.png')
         browser.open(browser.value("document.querySelector('#reports a').href"))
