@@ -162,7 +162,8 @@ function drawScene() {
   for (let a = 0; a < 8; a++) for (let axis = 0; axis < 3; axis++) if (!(a >> axis & 1))
     parts.push(drawn('polyline', {points: line([boxed[a], boxed[a | 1 << axis]]), fill: 'none', stroke: '#b9c3cc', 'stroke-width': 1}));
   for (let axis = 0; axis < 3; axis++) {
-    const end = at(boxed[1 << axis]), label = drawn('text', {x: end[0] + 5, y: end[1] + letters + 1, style: `font-size:${letters.toFixed(1)}px`});
+    const end = at(boxed[1 << axis]), label = drawn('text', {x: end[0] + 5, y: end[1] + letters + 1});
+    label.style.fontSize = `${letters.toFixed(1)}px`;
     label.textContent = `${'XYZ'[axis]} ${(1e3 * scene.volume[axis]).toFixed(0)} mm`;
     parts.push(label);
   }
