@@ -155,7 +155,7 @@ function drawScene() {
   const all = [...boxed, ...unit.flat(), ...scene.path.flatMap(mirror)].map(flat);
   const low = [0, 1].map(i => Math.min(...all.map(p => p[i]))), high = [0, 1].map(i => Math.max(...all.map(p => p[i])));
   const width = 580, height = 400, svg = byId('scene'), letters = Math.max(11, 11 * width / (svg.clientWidth || width));
-  const side = 2 * 5.5 * letters, scale = Math.min((width - side) / (high[0] - low[0]), (height - 4 * letters) / (high[1] - low[1]));
+  const side = 4 * letters, scale = Math.min((width - side) / (high[0] - low[0]), (height - 4 * letters) / (high[1] - low[1]));
   const at = point => { const p = flat(point); return [(width - scale * (low[0] + high[0])) / 2 + scale * p[0], (height - scale * (low[1] + high[1])) / 2 + scale * p[1]]; };
   const line = points => points.map(p => at(p).map(c => c.toFixed(1)).join(',')).join(' ');
   const parts = [];
@@ -163,6 +163,7 @@ function drawScene() {
     parts.push(drawn('polyline', {points: line([boxed[a], boxed[a | 1 << axis]]), fill: 'none', stroke: '#b9c3cc', 'stroke-width': 1}));
   for (let axis = 0; axis < 3; axis++) {
     const end = at(boxed[1 << axis]), label = drawn('text', {x: end[0] + 5, y: end[1] + letters + 1});
+    if (end[0] + 5 * letters > width) label.setAttribute('text-anchor', 'end');
     label.style.fontSize = `${letters.toFixed(1)}px`;
     label.textContent = `${'XYZ'[axis]} ${(1e3 * scene.volume[axis]).toFixed(0)} mm`;
     parts.push(label);
