@@ -15,7 +15,6 @@ import threading
 import time
 
 from stepdiag_ros.errors import StepdiagError
-from stepdiag_ros.guard.missing import missing
 from stepdiag_ros.guard.show import escaped
 
 NAME = 'web'
@@ -42,12 +41,9 @@ def _port(text: str) -> int:
 
 
 def run(args: argparse.Namespace) -> int:
-    try:
-        import starlette  # noqa: F401 - what is not installed is said before anything is begun
-        import uvicorn
-        import wsproto  # noqa: F401
-    except ModuleNotFoundError as error:
-        raise StepdiagError(f'web needs {missing(error.name or "")}') from None
+    import uvicorn
+    import wsproto  # noqa: F401 - uvicorn would miss it later, in its own words
+
     from stepdiag_ros.nodes.observer import Observer
     from stepdiag_ros.web.app import application
     from stepdiag_ros.web.reports import Reports
