@@ -112,7 +112,7 @@ function showMachine(told) {
   if (told.now) {
     now = told.now;
     byId('where').textContent = `${now.doing} stop ${now.stop} of run ${now.run} (${now.position.map(c => digits(1e3 * c, 0.1)).join(', ')}) mm commanded`
-      + (told.recording ? `; recorded in ${told.recording}` : '');
+      + (told.recording ? `; recorded as ${told.recording}` : '');
   } else if (scene) byId('where').textContent = `setup ${scene.setup}; not measured yet`;
   lengths.push(...told.lengths); spots.push(...told.spots);
   trim(lengths); trim(spots);
@@ -254,7 +254,8 @@ function small(curve, size) {
   svg.append(drawn('polyline', {points: line(there), fill: 'none', stroke: '#17688a', 'stroke-width': 1.7, 'vector-effect': 'non-scaling-stroke'}));
   const values = there.map(row => row[1]);
   const range = values.length > 1 ? quantity(Math.max(...values) - Math.min(...values), Math.max(...there.map(row => row[2])), curve.unit) : 'open';
-  return made('figure', {class: 'curve'}, svg, made('figcaption', {}, made('b', {}, curve.name), range));
+  const rest = values.length > 1 && there.length < curve.position.length ? '; the rest is open' : '';
+  return made('figure', {class: 'curve'}, svg, made('figcaption', {}, made('b', {}, curve.name), range + rest));
 }
 
 function showGap(gap) {

@@ -1,6 +1,7 @@
 """What goes to the browser: plain values of what an observer knows, and nothing twice."""
 
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
 from stepdiag_msgs.msg import GapReport, GeometricErrors, Step
@@ -36,7 +37,7 @@ class Story:
         return told
 
     def _of(self, seen: Seen) -> dict[str, Any]:
-        told: dict[str, Any] = {'name': seen.namespace, 'recording': seen.recording, 'trouble': seen.trouble,
+        told: dict[str, Any] = {'name': seen.namespace, 'recording': Path(seen.recording).name, 'trouble': seen.trouble,
                                 'lengths': [row for row in seen.lengths if row[0] > self._number],
                                 'spots': [row for row in seen.spots if row[0] > self._number]}
         self._number = seen.count

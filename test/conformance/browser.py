@@ -81,7 +81,10 @@ class Browser:
                   mobile=width < 500)
 
     def open(self, address: str) -> None:
+        """Go to a page and wait until it is there."""
+        self._ask('Page.navigate', url='about:blank')    # else a page with another fragment would not be loaded anew
         self._ask('Page.navigate', url=address)
+        self.until("location.href !== 'about:blank' && document.readyState === 'complete'")
 
     def value(self, expression: str) -> Any:
         """What a JavaScript expression is on the page."""
