@@ -30,7 +30,8 @@ REQUIRES = (
     'mcap>=1.5.0,<2',
 )
 EXTRAS = {'pictures': ['matplotlib>=3.6.3,<4'], 'compression': ['zstandard>=0.22.0,<1', 'lz4>=4.0.2,<5'],
-          'instruments': ['pymodbus>=3.6.3,<3.17']}
+          'instruments': ['pymodbus>=3.6.3,<3.17'],
+          'web': ['starlette>=0.31.1,<2', 'uvicorn>=0.27.1,<1', 'wsproto>=1.2.0,<2']}
 
 manifest = ElementTree.parse(Path(__file__).with_name('package.xml')).getroot()
 
@@ -54,6 +55,7 @@ setup(
         (f'share/{NAME}', ['package.xml']),
         (f'share/{NAME}/launch', sorted(glob('launch/*.launch.py'))),
         (f'share/{NAME}/cells', sorted(glob('cells/*.yaml'))),
+        (f'share/{NAME}/layouts', sorted(glob('layouts/*'))),
     ],
     entry_points={
         'console_scripts': [

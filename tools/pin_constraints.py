@@ -22,7 +22,7 @@ def named() -> set[str]:
     """Packages that the other requirement files name themselves."""
     names = set()
     for file in REQUIREMENTS.glob('*.txt'):
-        if file.name == 'constraints.txt':
+        if file.name in ('constraints.txt', 'locked.txt'):   # they name what was pulled in, too
             continue
         for line in file.read_text().splitlines():
             requirement = line.split('#')[0].strip()

@@ -5,7 +5,8 @@ so that a second run does nothing and a change redoes only what it touches:
 
 1. `venv`: the virtual environment itself (its Python and its place),
 2. `pip`: the pinned packages, ROS 2's wheels among them,
-3. `msgs`: `stepdiag_msgs`, built from msg_defs/ and installed into the environment's prefix,
+3. `msgs`: `stepdiag_msgs`, built from msg_defs/ and installed into the environment's prefix, and before it
+   `tf2_msgs` from requirements/tf2_msgs/, of which there is no wheel,
 4. `package`: stepdiag_ros itself, editable.
 
 With `--floor` the oldest libraries that work (requirements/floor.txt) then replace the pinned ones.
@@ -29,6 +30,8 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 REQUIREMENTS = ROOT / 'requirements'
 TOOLS = ('g++',)
+# Message packages that are built here, in this order.
+MESSAGES = {'tf2_msgs': REQUIREMENTS / 'tf2_msgs', 'stepdiag_msgs': ROOT / 'msg_defs'}
 
 # Where the wheels' exported targets say that Python's and NumPy's headers are: the
 # machine that built the wheels had them there.
@@ -135,8 +138,13 @@ class Environment:
         run([*command, '-r', str(REQUIREMENTS / 'floor.txt')], 'installing the oldest versions')
 
     def build_messages(self) -> None:
-        """stepdiag_msgs, into the environment's own prefix, so that it needs no further paths."""
+        """The message packages, into the environment's own prefix, so that they need no further paths."""
         self.point_targets_home()
+        for name, sources in MESSAGES.items():
+            self.build_package(name, sources)
+
+    def build_package(self, name: str, sources: Path) -> None:
+        """One message package, by CMake."""
         prefix = str(self.place)
         environment = {
             **os.environ,
@@ -146,13 +154,13 @@ class Environment:
         }
         cmake = str(self.place / 'bin' / 'cmake')
         with tempfile.TemporaryDirectory(prefix='stepdiag-msgs-') as build:
-            configure = [cmake, '-G', 'Ninja', '-S', str(ROOT / 'msg_defs'), '-B', build]
+            configure = [cmake, '-G', 'Ninja', '-S', str(sources), '-B', build]
             configure += [f'-DCMAKE_INSTALL_PREFIX={prefix}', f'-DCMAKE_PREFIX_PATH={prefix}']
             configure += ['-DCMAKE_INSTALL_LIBDIR=lib', '-DBUILD_TESTING=OFF', '-Wno-dev']
             configure += [f'-DPython3_EXECUTABLE={self.python}', '-DPython3_FIND_VIRTUALENV=ONLY']
-            run(configure, 'configuring stepdiag_msgs', environment)
-            run([cmake, '--build', build], 'compiling stepdiag_msgs', environment)
-            run([cmake, '--install', build], 'installing stepdiag_msgs', environment)
+            run(configure, f'configuring {name}', environment)
+            run([cmake, '--build', build], f'compiling {name}', environment)
+            run([cmake, '--install', build], f'installing {name}', environment)
 
     def point_targets_home(self) -> None:
         """Replaces include folders of the wheels' build machine by this environment's own."""
@@ -177,6 +185,7 @@ class Environment:
             ('stepdiag_ros/package.xml', 'package.xml'),
             ('stepdiag_ros/launch', 'launch'),
             ('stepdiag_ros/cells', 'cells'),
+            ('stepdiag_ros/layouts', 'layouts'),
         ):
             link = share / target
             link.parent.mkdir(parents=True, exist_ok=True)
@@ -205,9 +214,9 @@ class Environment:
             )
 
         ros_wheels = [line for line in files['run'].read_text().splitlines() if line.startswith('ros-')]
-        sources = sorted(path for path in (ROOT / 'msg_defs').rglob('*') if path.is_file())
+        sources = sorted(path for place in MESSAGES.values() for path in place.rglob('*') if path.is_file())
         msgs_key = digest([files['build'], *sources], venv_key, *ros_wheels)
-        done |= self.stage('msgs', msgs_key, 'building stepdiag_msgs', self.build_messages)
+        done |= self.stage('msgs', msgs_key, 'building the messages', self.build_messages)
 
         package = [ROOT / 'package.xml', ROOT / 'setup.py', ROOT / 'setup.cfg', Path(__file__).resolve()]
         package_key = digest(package, msgs_key, str(ROOT))

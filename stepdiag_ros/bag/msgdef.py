@@ -126,7 +126,7 @@ def dependencies(name: str) -> list[str]:
         for member in _members(DEFINITIONS[outer]):
             if member.type in SIZES or member.type == 'string':
                 continue
-            inner = long_name(member.type)
+            inner = long_name(member.type if '/' in member.type else f'{outer.split("/")[0]}/{member.type}')
             if inner not in found:
                 found.append(inner)
                 walk(inner)

@@ -6,6 +6,8 @@
 ``common_interfaces`` in ROS 2 Jazzy.
 """
 
+from stepdiag_ros.bag.shown import SHOWN_DEFINITIONS
+
 DEFINITIONS = {
     'builtin_interfaces/msg/Time': 'int32 sec\nuint32 nanosec\n',
     'std_msgs/msg/Header': 'builtin_interfaces/Time stamp\nstring frame_id\n',
@@ -30,7 +32,7 @@ DEFINITIONS = {
         'uint8 MOVE=0\nuint8 DWELL=1\nuint8 DONE=2\nuint8 NONE=255\nstd_msgs/Header header\n'
         'string run_id\nstring setup\nuint16 repeat\nint8 direction\nuint16 index\nuint8 axis\n'
         'geometry_msgs/Point commanded\nuint8 phase\n',
-}
+} | SHOWN_DEFINITIONS
 
 DESCRIPTION = 'cell_description'
 STEP = 'sequencer/step'

@@ -29,6 +29,7 @@ COMMANDS: tuple[tuple[str, str, str], ...] = (
     ('parameters', 'parameters', "write the parameter file of a cell's nodes, for ros2 launch"),
     ('calibrate', 'calibrate', 'run the calibration on a cell and evaluate it'),
     ('watch', 'watch', "show who has the laser's light and how far each machine is"),
+    ('web', 'web', 'serve a page that shows what runs, live'),
     ('simulate', 'simulate', 'write the log of a virtual cell without running the graph'),
     ('evaluate', 'evaluate', 'evaluate a log: the 21 errors with their uncertainties'),
     ('compare', 'compare', 'evaluate a log with every method that fits it, side by side'),

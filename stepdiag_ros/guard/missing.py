@@ -4,9 +4,11 @@ from importlib.util import find_spec
 
 #: Modules that come with ROS 2.
 ROS = ('rclpy', 'rcl_interfaces', 'diagnostic_msgs', 'lifecycle_msgs', 'action_msgs', 'std_msgs', 'std_srvs',
-       'sensor_msgs', 'geometry_msgs', 'rosgraph_msgs', 'builtin_interfaces', 'ament_index_python')
+       'sensor_msgs', 'geometry_msgs', 'rosgraph_msgs', 'builtin_interfaces', 'ament_index_python',
+       'tf2_msgs', 'visualization_msgs')
 #: Module -> the extra of the wheel that brings it (setup.py).
-EXTRAS = {'matplotlib': 'pictures', 'zstandard': 'compression', 'lz4': 'compression', 'pymodbus': 'instruments'}
+EXTRAS = {'matplotlib': 'pictures', 'zstandard': 'compression', 'lz4': 'compression', 'pymodbus': 'instruments',
+          'starlette': 'web', 'uvicorn': 'web', 'wsproto': 'web'}
 
 
 def missing(module: str) -> str:

@@ -12,33 +12,17 @@ import time
 import traceback
 from dataclasses import replace
 
-from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
 from stepdiag_msgs.msg import GeometricErrors
+from stepdiag_ros.bag.shown import ERRORS
 from stepdiag_ros.errors import StepdiagError
-from stepdiag_ros.estimate import Solution, evaluate
+from stepdiag_ros.estimate import evaluate
 from stepdiag_ros.estimate.status import OK as GOOD
 from stepdiag_ros.guard.jsontext import to_json
-from stepdiag_ros.model.machine import SQUARENESS
+from stepdiag_ros.nodes.answers import errors_message
 from stepdiag_ros.nodes.base import ERROR, OK, Health, overridable, reliable, run_node
 from stepdiag_ros.nodes.listener import ListenerNode
-from stepdiag_ros.nodes.stamps import stamp_of
-
-TOPIC = 'geometric_errors'
-
-
-def errors_message(solution: Solution, time_ns: int) -> GeometricErrors:
-    """A solution as a message."""
-    squareness = {name: solution.squareness(name) if solution.has(name) else (float('nan'),) * 2
-                  for name in SQUARENESS}
-    return GeometricErrors(
-        header=Header(stamp=stamp_of(time_ns)), status=solution.status,
-        reduced_chi2=float('nan') if solution.reduced_chi2 is None else float(solution.reduced_chi2),
-        dof=int(solution.dof or 0),
-        squareness=[squareness[name][0] for name in ('EC0Y', 'EB0Z', 'EA0Z')],
-        squareness_sigma=[squareness[name][1] for name in ('EC0Y', 'EB0Z', 'EA0Z')],
-        json=to_json(solution.to_json_dict(), indent=None))
 
 
 class EvaluationSolver(ListenerNode):
@@ -48,7 +32,7 @@ class EvaluationSolver(ListenerNode):
         super().__init__('evaluation_solver')
         self.text('evaluate_when_done', True, 'evaluate by itself when a calibration has succeeded')
         self._publisher = self.create_lifecycle_publisher(
-            GeometricErrors, TOPIC, reliable(1, latched=True), qos_overriding_options=overridable())
+            GeometricErrors, ERRORS, reliable(1, latched=True), qos_overriding_options=overridable())
         self.create_service(Trigger, 'evaluate', self._on_evaluate)
         self._working = threading.Lock()
         self._last = 'nothing evaluated yet'
@@ -76,12 +60,11 @@ class EvaluationSolver(ListenerNode):
                 # The solver lives on, and keeps what it receives, whatever a log does to the evaluation.
                 self.get_logger().error(traceback.format_exc())
                 return self._refuse(f'the evaluation failed: {type(error).__name__}: {error}')
-            message = errors_message(solution, time.time_ns())
-            self._publisher.publish(message)
+            self._publisher.publish(errors_message(solution, time.time_ns()))
             self._last, self._failed = f'{solution.status}, reduced chi2 {solution.reduced_chi2}', False
             if solution.status != GOOD:
                 self.get_logger().warning('; '.join([solution.status, *map(str, solution.sanity)]))
-            return True, message.json
+            return True, to_json(solution.to_json_dict(), indent=None)
 
     def _refuse(self, why: str) -> tuple[bool, str]:
         self._last, self._failed = why, True

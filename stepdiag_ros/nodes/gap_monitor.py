@@ -1,7 +1,7 @@
 """The gap monitor's node: does the rigid-body model explain what is being measured?
 
-After each traverse it fits what has been measured so far.  When the residuals leave the
-noise floor, which the log itself gives, it warns on ``/diagnostics`` and says where.  When
+After each traverse it fits what has been measured so far, and publishes the errors of it.  When the residuals leave
+the noise floor, which the log itself gives, it warns on ``/diagnostics`` and says where.  When
 a calibration has ended, or on the service ``diagnose``, it runs the whole diagnosis and
 publishes ``gap_report``.
 """
@@ -17,21 +17,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from rclpy.utilities import remove_ros_args
-from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
-from stepdiag_msgs.msg import GapReport
+from stepdiag_msgs.msg import GapReport, GeometricErrors
+from stepdiag_ros.bag.shown import ERRORS_SO_FAR, GAP
 from stepdiag_ros.effects import all_effects
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate import Solution, evaluate
 from stepdiag_ros.gap.diagnose import diagnose
-from stepdiag_ros.gap.diagnosis import Diagnosis
 from stepdiag_ros.guard.jsontext import to_json
+from stepdiag_ros.nodes.answers import errors_message, report_message
 from stepdiag_ros.nodes.base import ERROR, OK, WARN, Health, overridable, reliable, run_node
 from stepdiag_ros.nodes.listener import ListenerNode
-from stepdiag_ros.nodes.stamps import stamp_of
 
-TOPIC = 'gap_report'
 #: With fewer degrees of freedom a fit says nothing about its residuals.
 LEAST_DOF = 20
 #: The watching takes at most this share of a processor.
@@ -74,7 +72,9 @@ class GapMonitor(ListenerNode):
         self.number('period', 5.0, 'between two looks at the residuals', 0.5, 3600.0, 's')
         self.text('diagnose_when_done', True, 'diagnose by itself when a calibration has succeeded')
         self._publisher = self.create_lifecycle_publisher(
-            GapReport, TOPIC, reliable(1, latched=True), qos_overriding_options=overridable())
+            GapReport, GAP, reliable(1, latched=True), qos_overriding_options=overridable())
+        self._so_far = self.create_lifecycle_publisher(
+            GeometricErrors, ERRORS_SO_FAR, reliable(1, latched=True), qos_overriding_options=overridable())
         self.create_service(Trigger, 'diagnose', self._on_diagnose)
         self._working = threading.Lock()
         self._stop = threading.Event()
@@ -111,7 +111,9 @@ class GapMonitor(ListenerNode):
             seen, began = received, time.process_time()
             with self._working:
                 try:
-                    self._leaving = leaving(evaluate(self.log_so_far()))
+                    solution = evaluate(self.log_so_far())
+                    self._leaving = leaving(solution)
+                    self._so_far.publish(errors_message(solution, time.time_ns(), complete=False))
                 except StepdiagError:
                     continue   # not enough has been measured yet
                 except Exception as error:
@@ -141,10 +143,9 @@ class GapMonitor(ListenerNode):
                 # The measuring goes on whatever the diagnosis stumbles over; say it and keep it.
                 self.get_logger().error(traceback.format_exc())
                 return self._failed(f'the diagnosis failed: {type(error).__name__}: {error}')
-            report = report_message(diagnosis, time.time_ns())
-            self._publisher.publish(report)
+            self._publisher.publish(report_message(diagnosis, time.time_ns()))
             self._fault_of_work, self._verdict = '', diagnosis.verdict
-            return True, report.json
+            return True, to_json(diagnosis.to_json_dict(), indent=None)
 
     def _failed(self, why: str) -> tuple[bool, str]:
         self._fault_of_work = why
@@ -166,12 +167,6 @@ class GapMonitor(ListenerNode):
             return Health(WARN, f'residuals leave the noise floor: reduced chi2 {state.reduced_chi2:.2f}, '
                                 f'most in setup {state.worst_setup}', values)
         return Health(OK, 'residuals within the noise' if state is not None else 'watching', values)
-
-
-def report_message(diagnosis: Diagnosis, time_ns: int) -> GapReport:
-    """A diagnosis as a message."""
-    return GapReport(header=Header(stamp=stamp_of(time_ns)), verdict=diagnosis.verdict,
-                     json=to_json(diagnosis.to_json_dict(), indent=None))
 
 
 def main() -> int:

@@ -17,15 +17,17 @@ import numpy as np
 from sensor_msgs.msg import FluidPressure, RelativeHumidity, Temperature
 from std_msgs.msg import Header
 
-from stepdiag_msgs.msg import Displacement, SampleTiming
+from stepdiag_msgs.msg import Displacement, DisplacementMean, SampleTiming
 from stepdiag_msgs.srv import ResetDisplacement, RouteSource
 from stepdiag_ros.bag.schemas import DISPLACEMENT_TIMING
+from stepdiag_ros.bag.shown import DISPLACEMENT_MEAN
 from stepdiag_ros.devices.base import DisplacementBlock, Interferometer
 from stepdiag_ros.devices.hostclock import HOST
 from stepdiag_ros.devices.ids3010 import PORT
 from stepdiag_ros.devices.optical_switch import channels
 from stepdiag_ros.errors import StepdiagError
-from stepdiag_ros.nodes.base import ERROR, OK, WARN, Health, run_node
+from stepdiag_ros.nodes.base import ERROR, OK, WARN, Health, overridable, reliable, run_node
+from stepdiag_ros.nodes.decimated import Decimator, mean
 from stepdiag_ros.nodes.driver import DriverNode
 from stepdiag_ros.nodes.stamps import stamp_of
 
@@ -44,6 +46,9 @@ class _Machine:
             return node.marked.publisher(kind, topic, prefix)
         self.displacement = publisher(Displacement, 'interferometer/displacement')
         self.timing = publisher(SampleTiming, DISPLACEMENT_TIMING)
+        self.mean = node.create_lifecycle_publisher(DisplacementMean, prefix + DISPLACEMENT_MEAN, reliable(),
+                                                    qos_overriding_options=overridable())
+        self.decimator = Decimator()
         self.environment = {name: publisher(kind, f'environment/{name}')
                             for name, (kind, _, _) in ENVIRONMENT.items()}
         self.scale = publisher(Temperature, 'environment/scale_temperature')
@@ -141,6 +146,19 @@ class InterferometerDriver(DriverNode):
         # First when, then what: whoever waits for the samples has their times.
         machine.timing.publish(self.timing_of(block))
         machine.displacement.publish(message)
+        self._publish_mean(machine, block, quality)
+
+    def _publish_mean(self, machine: _Machine, block: DisplacementBlock, quality: np.ndarray) -> None:
+        enough = machine.decimator.add(block.stamp_ns, block.period_s,
+                                       np.column_stack([block.displacement_m[:, 0], quality]))
+        if enough is None:
+            return
+        time_ns, samples = enough
+        seen = samples[samples[:, 1] > 0, 0]
+        machine.mean.publish(DisplacementMean(
+            header=Header(stamp=stamp_of(time_ns), frame_id=self.setup), displacement=mean(seen),
+            scatter=float(seen.std()) if seen.size else math.nan, quality=int(samples[:, 1].min()),
+            samples=len(samples)))
 
     def _publish_environment(self, readings: dict[str, float], now_ns: int) -> None:
         machine = self._machines.get(self._prefix)

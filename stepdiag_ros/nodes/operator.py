@@ -153,11 +153,6 @@ class Operator:
         """The last diagnostics of one of the machine's nodes."""
         return self._heard.get(f'{self.namespace}/{node}', (0.0, None))[1]
 
-    def healths(self) -> dict[str, tuple[float, DiagnosticStatus]]:
-        """By full name of every node of the graph how long ago [s] it said how it is, and what."""
-        now = time.monotonic()
-        return {name: (now - at, health) for name, (at, health) in list(self._heard.items())}
-
     @property
     def recorder(self) -> RecorderStatus | None:
         """The recorder's last status."""

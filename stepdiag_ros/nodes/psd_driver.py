@@ -9,13 +9,15 @@ import sys
 import numpy as np
 from std_msgs.msg import Header
 
-from stepdiag_msgs.msg import SampleTiming, SpotPosition
+from stepdiag_msgs.msg import SampleTiming, SpotMean, SpotPosition
 from stepdiag_ros.bag.schemas import SPOT, SPOT_TIMING
+from stepdiag_ros.bag.shown import SPOT_MEAN
 from stepdiag_ros.devices import t7
 from stepdiag_ros.devices.base import SpotBlock, SpotSensor
 from stepdiag_ros.devices.psd_signal import SpotOptics
 from stepdiag_ros.errors import StepdiagError
-from stepdiag_ros.nodes.base import WARN, Health, run_node
+from stepdiag_ros.nodes.base import WARN, Health, overridable, reliable, run_node
+from stepdiag_ros.nodes.decimated import Decimator, mean
 from stepdiag_ros.nodes.driver import DriverNode
 from stepdiag_ros.nodes.stamps import stamp_of
 
@@ -38,6 +40,9 @@ class PsdDriver(DriverNode):
         self.number('dark', 0.05, 'sum signal below which there is no spot', 0.0, 10.0, 'V')
         self._publisher = self.marked.publisher(SpotPosition, SPOT)
         self._timing = self.marked.publisher(SampleTiming, SPOT_TIMING)
+        self._mean = self.create_lifecycle_publisher(SpotMean, SPOT_MEAN, reliable(),
+                                                     qos_overriding_options=overridable())
+        self._decimator = Decimator()
         self.serve_select('psd/select_setup')
         self._intensity = 0.0
         self._dark = 0
@@ -71,6 +76,16 @@ class PsdDriver(DriverNode):
             header=Header(stamp=stamp_of(block.stamp_ns), frame_id=self.setup),
             sample_period=block.period_s, x=_doubles(block.x_m), y=_doubles(block.y_m),
             intensity=_doubles(block.intensity_V)))
+        self._publish_mean(block)
+
+    def _publish_mean(self, block: SpotBlock) -> None:
+        enough = self._decimator.add(block.stamp_ns, block.period_s,
+                                     np.column_stack([block.x_m, block.y_m, block.intensity_V]))
+        if enough is not None:
+            time_ns, samples = enough
+            x, y, intensity = map(mean, samples.T)
+            self._mean.publish(SpotMean(header=Header(stamp=stamp_of(time_ns), frame_id=self.setup), x=x, y=y,
+                                        intensity=intensity, samples=len(samples)))
 
     def more_values(self) -> dict[str, object]:
         return {'intensity_V': self._intensity, 'dark_samples': self._dark}

@@ -1,4 +1,4 @@
-"""The recorder's node: every contract topic of a machine into a rosbag2 directory.
+"""The recorder's node: every contract topic of a machine, and what viewers show, into a rosbag2 directory.
 
 Active is recording: activating opens a bag, deactivating closes it.  ``recorder/status``
 says five times a second what is received and what was lost by sequence number.  On SIGTERM it
@@ -17,6 +17,7 @@ from stepdiag_msgs.msg import RecorderStatus
 from stepdiag_ros.bag.append import go_on
 from stepdiag_ros.bag.qos import LATCHED, RELIABLE, qos_profile, qos_yaml
 from stepdiag_ros.bag.schemas import DESCRIPTION, TOPICS
+from stepdiag_ros.bag.shown import SHOWN
 from stepdiag_ros.bag.writer import COMPRESSIONS, BagWriter
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.nodes.base import DEPTH, ERROR, OK, WARN, Health, StepdiagNode, reliable, run_node
@@ -24,6 +25,7 @@ from stepdiag_ros.nodes.stamps import stamp_of
 from stepdiag_ros.nodes.subscription import RECEIVED_TOPICS, RawSubscription, Received
 
 STATUS_PERIOD_S = 0.2
+RECORDED = TOPICS | SHOWN
 
 
 class Recorder(StepdiagNode):
@@ -68,7 +70,7 @@ class Recorder(StepdiagNode):
             self._writer = BagWriter(path, compression=self.value('compression'))
         self._file = self._writer.number
         self._bag = str(path)
-        self._subscription = RawSubscription(self, TOPICS, self._write, latched=(DESCRIPTION,),
+        self._subscription = RawSubscription(self, RECORDED, self._write, latched=(DESCRIPTION,),
                           depth=self.value('queue_depth'))
         self._subscription.start()
         self.get_logger().info(f'recording {path}')
@@ -106,7 +108,7 @@ class Recorder(StepdiagNode):
         topic = self.resolve_topic_name(received.topic)
         if topic not in self._announced:
             self._announced.add(topic)
-            self._writer.add_topic(topic, TOPICS[received.topic], self._offered(received.topic))
+            self._writer.add_topic(topic, RECORDED[received.topic], self._offered(received.topic))
         self._writer.write(topic, received.cdr, received.received_ns, received.published_ns, received.sequence)
 
     def _offered(self, topic: str) -> str:

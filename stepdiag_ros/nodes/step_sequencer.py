@@ -55,6 +55,7 @@ from stepdiag_ros.nodes.run_plan import (
     with_steps,
 )
 from stepdiag_ros.nodes.runner import Cancelled, Interrupted, Outcome, Progress, Runner
+from stepdiag_ros.nodes.scene import SceneTopics
 from stepdiag_ros.nodes.stamps import clock_name, ns_of, stamp_of
 from stepdiag_ros.nodes.subscription import RECEIVED_TOPICS
 from stepdiag_ros.nodes.watch import Recording, Watch
@@ -115,6 +116,7 @@ class StepSequencer(StepdiagNode):
         self._marked = Marked(self)
         self._steps = self._marked.publisher(Step, STEP)
         self._timing = self._marked.publisher(SampleTiming, STEP_TIMING)
+        self._scene = SceneTopics(self)
         self._description_publisher: Publisher | None = None
         self._select = {sensor: self.create_client(SelectSetup, f'{sensor}/select_setup')
                         for sensor in ('interferometer', 'psd')}
@@ -199,6 +201,7 @@ class StepSequencer(StepdiagNode):
         if self._worker is not None:
             self._worker.join()
             self._worker = None
+        self._scene.forget()
         if self._description_publisher is not None:
             self.destroy_publisher(self._description_publisher)
             self._description_publisher = None
@@ -532,6 +535,7 @@ class StepSequencer(StepdiagNode):
             setup=run.setup, repeat=run.repeat, direction=run.direction, index=stop.index,
             axis=stop.axis, commanded=Point(x=x, y=y, z=z), phase=phase))
         self._published += 1
+        self._scene.announce(self.description, run.run_id, run.setup, (x, y, z), phase, time_ns)
 
     def _closing_word(self, outcome: Outcome) -> str:
         """Wait until samples and recorder have caught up, and say what was done."""

@@ -63,6 +63,7 @@ def test_what_needs_neither_ros_nor_extras_works(place: Path, bag: Path, argv: l
 @pytest.mark.parametrize(('argv', 'said'), [
     (['report', 'BAG', '--out', 'page'], 'report needs the package matplotlib, which is not installed: '
                                          'pip install "stepdiag_ros[pictures]"'),
+    (['web'], 'web needs the package uvicorn, which is not installed: pip install "stepdiag_ros[web]"'),
     (['up', 'CELL'], ' needs ROS 2 Jazzy (rclpy is not installed)'),
     (['calibrate'], 'calibrate needs ROS 2 Jazzy')])
 def test_what_is_missing_is_one_line(place: Path, bag: Path, argv: list[str], said: str) -> None:

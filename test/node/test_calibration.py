@@ -9,8 +9,10 @@ import pytest
 
 from stepdiag_ros.bag.reader import read_log
 from stepdiag_ros.cli.demo import same_result
+from stepdiag_ros.effects import all_effects
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate import evaluate
+from stepdiag_ros.gap.diagnose import diagnose
 from stepdiag_ros.model.log import DONE, DWELL, MOVE
 from stepdiag_ros.nodes.replaying import assemble
 
@@ -221,11 +223,24 @@ def test_the_gap_monitor_publishes_its_report_when_all_is_measured(cell, live, e
     received.clear()
     assert operator.calibrate().succeeded
     eventually(lambda: len(received) == 2, 120)
-    report = json.loads(received['gap_report'].json)
-    assert received['gap_report'].verdict == report['verdict']
-    errors = received['geometric_errors']
-    assert json.loads(errors.json)['dof'] == errors.dof > 0
-    assert errors.squareness[0] == json.loads(errors.json)['errors']['EC0Y']['value']
+    operator.bring('recorder', 'inactive')
+    log = read_log(cell.runtime.parent / 'diagnosed')
+    diagnosis = diagnose(log, [kind() for kind in all_effects().values()]).to_json_dict()
+    report = received['gap_report']
+    assert (report.verdict, report.channel) == (diagnosis['verdict'], diagnosis['gap']['channel'])
+    assert (report.before, report.after, report.noise_floor) == tuple(
+        diagnosis['gap'][key] for key in ('before_m', 'after_m', 'noise_floor_m'))
+    assert [(one.name, one.probability, one.closes, dict(zip(one.parameters, one.value, strict=True)))
+            for one in report.effects] == [
+        (one['name'], one['probability'], one['closes'], one['parameters']) for one in diagnosis['effects']]
+    errors, document = received['geometric_errors'], operator.evaluate()
+    assert errors.complete and errors.dof == document['dof'] > 0 and errors.reduced_chi2 == document['reduced_chi2']
+    assert errors.squareness[0] == document['errors']['EC0Y']['value']
+    assert {curve.name: (list(curve.position), list(curve.value), list(curve.sigma)) for curve in errors.curves} == {
+        name: (one['position_m'], one['value'], one['sigma'])
+        for name, one in document['errors'].items() if 'position_m' in one}
+    for message in (report, errors):    # curves are numbers with names, not a text in a text
+        assert 'json' not in message.get_fields_and_field_types()
 
 
 def test_a_setup_without_a_code_waits_for_a_person(cell, live, restart_sequencer):

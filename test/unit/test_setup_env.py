@@ -80,6 +80,7 @@ def test_the_oldest_libraries_come_last_and_after_each_change(setup_env: ModuleT
         ('requirements/test.txt', ['install build run test']),
         ('requirements/run.txt', ['install build run', 'install build run test']),
         ('msg_defs/msg/Step.msg', ['build_messages', 'install_package']),
+        ('requirements/tf2_msgs/msg/TFMessage.msg', ['build_messages', 'install_package']),
         ('setup.py', ['install_package']),
     ],
 )

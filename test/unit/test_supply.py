@@ -13,7 +13,7 @@ ROOT = Path(__file__).resolve().parents[2]
 ROSDEP = {'python3-hypothesis', 'python3-matplotlib', 'python3-numpy', 'python3-pymodbus', 'python3-pytest',
           'python3-pytest-timeout', 'python3-pytest-xdist', 'python3-scipy', 'python3-yaml'}
 #: What the package imports and rosdep has no key for; docs/how-to/workspace.md names it.
-BY_PIP = {'mcap', 'zstandard', 'lz4'}
+BY_PIP = {'mcap', 'zstandard', 'lz4', 'starlette', 'uvicorn', 'wsproto'}
 #: Import name -> key where they differ.
 KEYS = {'yaml': 'python3-yaml', 'mpl_toolkits': 'python3-matplotlib'}
 

@@ -9,6 +9,7 @@ import yaml
 
 from stepdiag_ros.bag.msgdef import SEQUENCE, Field, contract_fields, parse, schema_text
 from stepdiag_ros.bag.schemas import DEFINITIONS, TOPICS, split_topic
+from stepdiag_ros.bag.shown import SHOWN
 from stepdiag_ros.bag.typehash import rihs01
 from stepdiag_ros.errors import StepdiagError
 
@@ -20,7 +21,7 @@ def without_comments(text: str) -> list[str]:
     return [line.replace(' = ', '=') for line in lines if line]
 
 
-@pytest.mark.parametrize('name', ['ClockStep', 'Displacement', 'SpotPosition', 'Step'])
+@pytest.mark.parametrize('name', sorted(n.split('/')[-1] for n in DEFINITIONS if n.startswith('stepdiag_msgs')))
 def test_built_in_definitions_are_those_of_msg_defs(name):
     text = (ROOT / 'msg_defs' / 'msg' / f'{name}.msg').read_text()
     assert without_comments(DEFINITIONS[f'stepdiag_msgs/msg/{name}']) == without_comments(text)
@@ -34,13 +35,12 @@ def test_standard_definitions_are_those_of_jazzy(name):
     assert parse(name, text) == parse(name, schema_text(name))
 
 
-@pytest.mark.parametrize('name', sorted(set(TOPICS.values())))
+@pytest.mark.parametrize('name', sorted({*TOPICS.values(), *SHOWN.values()}))
 def test_hashes_are_those_of_rosbags(name):
     stores = pytest.importorskip('rosbags.typesys', reason='rosbags is not installed')
     store = stores.get_typestore(stores.Stores.ROS2_JAZZY)
-    for mine, text in DEFINITIONS.items():
-        if mine.startswith('stepdiag_msgs'):
-            store.register(stores.get_types_from_msg(text, mine))
+    store.register({kind: fields for mine, text in DEFINITIONS.items() if mine.startswith('stepdiag_msgs')
+                    for kind, fields in stores.get_types_from_msg(text, mine).items()})
     assert rihs01(name) == store.hash_rihs01(name)
 
 

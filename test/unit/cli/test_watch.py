@@ -1,6 +1,7 @@
 """What `stepdiag watch` shows of what the nodes say."""
 
-from stepdiag_ros.cli.watch import GONE_S, Said, screen
+from stepdiag_ros.cli.watch import screen
+from stepdiag_ros.nodes.overview import GONE_S, Said
 
 LIGHT = Said(0.5, True, 'a has the light', {
     'holder': 'a', 'held_for_s': '3.2', 'expected_s': '20', 'queue': 'b c', 'waits_s': '17 37', 'held_s': '180',
