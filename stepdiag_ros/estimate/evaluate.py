@@ -60,9 +60,10 @@ def evaluate(log: CalibrationLog) -> Solution:
     return evaluate_in_full(log).solution
 
 
-def evaluate_in_full(log: CalibrationLog, budget: Budget | None = None) -> Evaluation:
-    """As :func:`evaluate`, with what led there; ``budget`` replaces the cell's."""
-    metres, own = in_metres(log), budget is None
+def evaluate_in_full(log: CalibrationLog, budget: Budget | None = None, stops: StopTable | None = None) -> Evaluation:
+    """As :func:`evaluate`, with what led there; ``budget`` replaces the cell's, ``stops`` the log's reduced ones, as
+    recorded."""
+    metres, own = in_metres(log, stops), budget is None
     budget = budget_of(log.description) if budget is None else budget
     table = metres.table
     # How well the beams of the linear setups are known to lie along their axes is in the budget.
