@@ -60,7 +60,7 @@ def run(args: argparse.Namespace) -> int:
     else:
         for bag, result in answers.items():
             print(text(bag, result) if isinstance(result, Solution)
-                  else f'{bag}: {result.text()}')
+                  else '\n'.join([f'{bag}: {result.text()}', *(f'remark: {remark}' for remark in result.remarks)]))
     if failed:
         raise StepdiagError('; '.join(failed))
     return 0 if all(getattr(result, 'status', OK) == OK for result in answers.values()) else 1

@@ -16,7 +16,7 @@ from stepdiag_ros.model.log import CalibrationLog
 from stepdiag_ros.report.gap_figures import AFTER, BEFORE, INK, SOFT
 from stepdiag_ros.report.legends import legend_outside
 from stepdiag_ros.report.sheets.record import conditions
-from stepdiag_ros.report.sheets.rules import shortfalls
+from stepdiag_ros.estimate.iso_rules import shortfalls
 from stepdiag_ros.report.sheets.sheet import Grid, Sheet, micro
 from stepdiag_ros.report.words import setup_words
 

@@ -88,7 +88,7 @@ def _resets(table: StopTable) -> str:
     runs = np.unique(np.stack([table.setup, table.run], axis=1), axis=0)
     if len(runs) < len(cycles):
         return 'set at the first stop of a run; several cycles share it'
-    text = 'set at the first stop of every run, so that the scatter there is zero by construction'
+    text = 'set at the first stop of every run; cycles are shifted to agree on average, and s made good for it'
     if not backward:
         return text + '; no backward run'
     if backward <= forward:
