@@ -104,11 +104,16 @@ def _with_unit(solution: Solution, name: str) -> tuple[float, str, float]:
 def _misalignments(solution: Solution, description: Description) -> str:
     if not solution.misalignments:
         return ''
-    rows = [[escape(name), escape(setup_words(description.setups[name])),
-             *(quantity(a, 'rad') for a in (*m.laser, *m.mirror))]
-            for name, m in solution.misalignments.items()]
+    rows = []
+    for name, m in solution.misalignments.items():
+        sigma = solution.misalignment_sigma.get(name)
+        angles = ['not found'] * 4 if sigma is None else [
+            quantity(angle, 'rad', 2.0 * s)
+            for angle, s in zip((*m.laser, *m.mirror), (*sigma.laser, *sigma.mirror), strict=True)]
+        rows.append([escape(name), escape(setup_words(description.setups[name])), *angles])
     return ('<h2>How laser and mirror were aligned</h2><p>Found together with the errors and taken out of them: '
-            'small angles about the beam\'s sideways directions u and v.</p>'
+            'small angles about the beam\'s sideways directions u and v, ± U (k = 2). A line along one axis does not find '
+            'them: its beam lengthens readings to second order only, and its spots show mirror and beam together.</p>'
             + table(['setup', 'which', '>laser about u', '>about v', '>mirror about u', '>about v'], rows))
 
 
