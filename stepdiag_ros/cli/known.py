@@ -64,7 +64,7 @@ def known_errors(log: CalibrationLog, bag: str) -> Known:
 
 
 def _without_causes(log: CalibrationLog, diagnosis: 'Diagnosis') -> Solution:
-    """The evaluation of the readings less what the causes add, with what is uncertain of the causes in its covariance."""
+    """The evaluation of the readings less what the causes add; its covariance has what is uncertain of the causes."""
     from stepdiag_ros.estimate.evaluate import evaluate_in_full, solution_of
 
     joint, stops = diagnosis.joint, reduce_log(log)

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from stepdiag_ros.estimate.evaluate import Evaluation, index_sigma_of, tied
+from stepdiag_ros.estimate.evaluate import Evaluation, tied
 from stepdiag_ros.estimate.planned import filled
 from stepdiag_ros.estimate.propagate import STOPWISE, Cause, error_slopes
 from stepdiag_ros.estimate.readings import CellReadings, SetupReadings, readings_of_stops
@@ -53,7 +53,7 @@ def with_cell_budget(run: Run, evaluation: Evaluation) -> Any:
     warnings = (*own.warnings, *((f'{evaluation.source}: {DECLARED}',) if declared else ()))
     full = replace(own, covariance=covariance, repeatability=own.covariance, warnings=warnings,
                    closure=evaluation.solution.closure)
-    return tied(full, evaluation.source, evaluation.metres, index_sigma_of(evaluation), evaluation.budget)
+    return tied(full, evaluation.source, evaluation.metres, evaluation.lines, evaluation.budget)
 
 
 def _columns(cause: Cause, evaluation: Evaluation) -> Iterator[np.ndarray]:
@@ -81,7 +81,7 @@ def _columns(cause: Cause, evaluation: Evaluation) -> Iterator[np.ndarray]:
 def _with_stopwise(cell: CellReadings, evaluation: Evaluation) -> CellReadings:
     """The readings with what acts on single stops in their standard deviations.
 
-    The scatter of a setup of few stops may be small by chance; what all repeats of the log say is the least that counts.
+    The scatter of a setup of few stops may be small by chance; what all repeats of the log say counts at least.
     """
     noise = evaluation.setting.noise
     standard = {c.contributor.kind: c.contributor.standard or 0.0 for c in evaluation.uncertainty.causes}

@@ -138,8 +138,9 @@ def _thermal_slopes(contributor: Contributor, conditions: Conditions) -> np.ndar
         given = np.array(conditions.expansion_sigma)
         sigma = np.where(np.isfinite(given), given, contributor.standard)
         return np.where(referred, sigma * np.abs(np.array(conditions.scales) - REFERENCE_TEMPERATURE), 0.0)
-    by_sensor = contributor.standard * np.where(np.isfinite(own), own, contributor.coefficient)
-    shown = ANY_SCALE * np.hypot(np.array(conditions.away), contributor.standard)
+    sensor = np.maximum(contributor.standard, np.array(conditions.scale_sigma))
+    by_sensor = sensor * np.where(np.isfinite(own), own, contributor.coefficient)
+    shown = ANY_SCALE * np.hypot(np.array(conditions.away), sensor)
     return np.where(referred, by_sensor, np.maximum(by_sensor, np.fmin(shown, UNREFERRED)))
 
 
@@ -256,7 +257,8 @@ def propagate(budget: Budget, setting: Setting, result: Fit, solution: Solution,
     solution = replace(solution, value=solution.value + shift[:count],
                        misalignments={**solution.misalignments, **angles},
                        misalignment_sigma=_misalignments(setups, np.sqrt(np.maximum(variance, 0.0))))
-    effects = tuple(effect[:count] + error_slopes(cause, solution) for cause, effect in zip(acting, effects, strict=True))
+    effects = tuple(effect[:count] + error_slopes(cause, solution)
+                    for cause, effect in zip(acting, effects, strict=True))
     held = half @ result.precision @ half.T
     covariance = held + sum(effect @ effect.T for effect in effects)
     alone = held + sum((effect @ effect.T for cause, effect in zip(acting, effects, strict=True)

@@ -43,6 +43,7 @@ def summary(found: Compensation) -> str:
     tied = found.solution.traceability
     if tied is not None:
         lines.append(f'  errors             {WORDS[tied.air]}; {tied.temperature_words}')
+        lines.append(f'  parts              {tied.workpiece_words}')
     if found.left_out:
         lines.append(f'  left out           {", ".join(found.left_out)}: the log leaves them open')
     if found.unmeasured:

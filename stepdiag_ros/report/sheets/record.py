@@ -109,7 +109,8 @@ def _surroundings(log: CalibrationLog, table: StopTable, names: list[str]) -> li
     for axis in _axes(log, names):
         rows.append((f'temperature of scale {axis.upper()}',
                      _course(log, f'scale_temperature/{axis}', ends, 1.0, '°C', 2) or NOT_STATED))
-    return [*rows, ('temperature of workpiece and machine bed', NOT_STATED)]
+    part = _course(log, 'scale_temperature/workpiece', ends, 1.0, '°C', 2)
+    return [*rows, ('temperature of the workpiece', part or NOT_STATED), ('temperature of the machine bed', NOT_STATED)]
 
 
 def _course(log: CalibrationLog, topic: str, ends: np.ndarray, factor: float, unit: str, digits: int) -> str | None:
