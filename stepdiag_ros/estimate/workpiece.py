@@ -21,8 +21,8 @@ TOPIC, CELL = 'topic', 'cell'
 @dataclass(frozen=True)
 class PartExpansion:
     """Temperature of the workpiece [°C] and what it rests on (``by``: ``topic`` or ``cell``), its coefficient [1/K],
-    each with its standard uncertainty; by curve name the differential expansion (k,) [m] at the positions of the positioning
-    errors that are referred to 20 °C, with its standard uncertainty."""
+    each with its standard uncertainty; by curve name the differential expansion (k,) [m] at the positions of
+    the positioning errors that are referred to 20 °C, with its standard uncertainty."""
 
     temperature: float
     temperature_sigma: float

@@ -114,7 +114,8 @@ def _misalignments(solution: Solution, description: Description) -> str:
         rows.append([escape(name), escape(setup_words(description.setups[name])), *angles])
     return ('<h2>How laser and mirror were aligned</h2><p>Found together with the errors and taken out of them: '
             'small angles about the beam\'s sideways directions u and v, ± U (k = 2). A line along one axis does not '
-            'find them: its beam lengthens readings to second order only, and its spots show mirror and beam together.</p>'
+            'find them: its beam lengthens readings to second order only, and its spots show mirror and beam '
+            'together.</p>'
             + table(['setup', 'which', '>laser about u', '>about v', '>mirror about u', '>about v'], rows))
 
 
