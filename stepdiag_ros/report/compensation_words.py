@@ -45,7 +45,8 @@ def summary(found: Compensation) -> str:
         lines.append(f'  errors             {WORDS[tied.air]}; {tied.temperature_words}')
         lines.append(f'  parts              {tied.workpiece_words}')
     if found.left_out:
-        lines.append(f'  left out           {", ".join(found.left_out)}: the log leaves them open')
+        lines.append(f'  left out           {", ".join(found.left_out)}: the log leaves them open; they count in each '
+                     'U of a largest deviation, and in no value')
     if found.unmeasured:
         lines.append(f'  not measured       {", ".join(found.unmeasured)}: no tables of them')
     return '\n'.join(lines)
