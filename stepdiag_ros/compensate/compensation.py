@@ -84,6 +84,16 @@ class Compensation:
         """The same of any field at these points."""
         return largest(self.with_open, self.place.machine, self.point.tool, field)
 
+    def worse_alone(self) -> tuple[float, float]:
+        """Share of the places that the tables of the line alone make worse beyond the U of their repeats, and by how
+        much at most [m]; zeros where they were not held back."""
+        if self.line_alone is None:
+            return 0.0, 0.0
+        repeated = predict(_repeats(self.solution), self.place.machine, self.before.points, self.point.tool)
+        alone = replace(self.line_alone, covariance_m2=repeated.covariance_m2)
+        return (float(np.mean(worsened(repeated, alone) > 0.0)),
+                float((self.line_alone.size_m - self.before.size_m).max()))
+
     @property
     def as_measured(self) -> Prediction:
         """What a measurement afterwards will show at the same points: the same machine from its own reference lines.
