@@ -204,7 +204,8 @@ def build(table: Table, letter: str, name: str, cadence_s: float, notes: list[st
                  'nobody is known to have corrected the lengths for air (--corrected says that somebody did)')
     commanded = np.zeros((len(index), 3))
     commanded[:, 'xyz'.index(letter)] = table.target - lowest
-    divided = float(refractive_index(*map(np.asarray, STANDARD_AIR))) if corrected else 1.0
+    temperature, pressure, humidity = map(np.asarray, STANDARD_AIR)
+    divided = float(refractive_index(temperature, pressure, humidity)) if corrected else 1.0
     log = CalibrationLog(description, _steps(setup, index, repeat, direction, commanded, times,
                                              'xyz'.index(letter)),
                          _samples(setup, measured - zero, times, divided), Samples.empty(2), {}, name, '/import')
