@@ -18,7 +18,7 @@ from stepdiag_ros.bag.codec import (
     encode_string,
 )
 from stepdiag_ros.bag.qos import LATCHED, RELIABLE
-from stepdiag_ros.bag.schemas import DESCRIPTION, DISPLACEMENT, SCALE, SPOT, STEP, TOPICS
+from stepdiag_ros.bag.schemas import DESCRIPTION, DISPLACEMENT, SCALE, SPOT, STEP, TOPICS, WORKPIECE
 from stepdiag_ros.bag.writer import BagWriter
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.model.log import CalibrationLog, Samples, ScalarSeries, StepEvents
@@ -48,7 +48,7 @@ def write_log(log: CalibrationLog, path: str | Path, block_samples: int | None =
     for key in ('air_temperature', 'air_pressure', 'humidity'):
         if key in log.environment:
             streams[f'environment/{key}'] = _scalars(f'environment/{key}', {'air': log.environment[key]})
-    scales = {a: log.environment[f'scale_temperature/{a}'] for a in 'xyz'
+    scales = {a: log.environment[f'scale_temperature/{a}'] for a in (*'xyz', WORKPIECE)
               if f'scale_temperature/{a}' in log.environment}
     if scales:
         streams[SCALE] = _scalars(SCALE, scales)

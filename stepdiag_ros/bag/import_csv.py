@@ -20,12 +20,15 @@ import numpy as np
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.guard import limits
 from stepdiag_ros.guard.files import read_text
+from stepdiag_ros.model.air import refractive_index
 from stepdiag_ros.model.description import Description, Machine, Noise, Plan, Setup
 from stepdiag_ros.model.log import DONE, DWELL, MOVE, NONE, CalibrationLog, Samples, StepEvents
 
 UNITS = {'m': 1.0, 'mm': 1e-3, 'um': 1e-6, 'µm': 1e-6, 'nm': 1e-9}
 START_NS = 1_700_000_000_000_000_000    # synthetic logs begin here; the date means nothing
 CADENCE_S = 10.0
+STANDARD_AIR = (20.0, 101325.0, 0.5)
+"""[°C, Pa, 1] Air whose index stands for the one that was divided out, where a table does not tell it."""
 _NS = 1_000_000_000
 _SPACING = 0.02     # targets may lie this share of a step off an even grid
 
@@ -54,9 +57,11 @@ class Import:
     notes: tuple[str, ...]
 
 
-def import_csv(path: str | Path, axis: str | None = None, cadence_s: float = CADENCE_S) -> Import:
+def import_csv(path: str | Path, axis: str | None = None, cadence_s: float = CADENCE_S, corrected: bool = False
+               ) -> Import:
     """Read ``path``; ``axis`` x, y or z (default: guessed from the file's name).
 
+    ``corrected``: whoever measured took the index of air into account; else nobody is known to have.
     Raises :class:`StepdiagError` which names file, line and column.
     """
     path = Path(path)
@@ -65,7 +70,7 @@ def import_csv(path: str | Path, axis: str | None = None, cadence_s: float = CAD
     letter = _axis(path, axis, notes)
     if not 0.0 < cadence_s <= limits.LOG_S:
         raise StepdiagError(f'--cadence is {cadence_s:g} s; give a number above 0 and of at most {limits.LOG_S:g}')
-    return build(table, letter, path.name, cadence_s, notes)
+    return build(table, letter, path.name, cadence_s, notes, corrected)
 
 
 def read_table(path: Path) -> Table:
@@ -160,7 +165,7 @@ def _axis(path: Path, axis: str | None, notes: list[str]) -> str:
     return letter
 
 
-def build(table: Table, letter: str, name: str, cadence_s: float, notes: list[str]) -> Import:
+def build(table: Table, letter: str, name: str, cadence_s: float, notes: list[str], corrected: bool = False) -> Import:
     """The log of a table; ``notes`` are continued."""
     grid = _grid(table.target, name)
     lowest, length = float(grid[0]), float(grid[-1] - grid[0])
@@ -195,11 +200,15 @@ def build(table: Table, letter: str, name: str, cadence_s: float, notes: list[st
         timed=table.time is not None)
     notes.append(f'the CSV says nothing of the machine: volume {length * 1e3:.6g} mm in each axis, '
                  'tool and standoff 0')
+    notes.append('lengths taken as corrected for air by whoever measured (--corrected)' if corrected else
+                 'nobody is known to have corrected the lengths for air (--corrected says that somebody did)')
     commanded = np.zeros((len(index), 3))
     commanded[:, 'xyz'.index(letter)] = table.target - lowest
+    temperature, pressure, humidity = map(np.asarray, STANDARD_AIR)
+    divided = float(refractive_index(temperature, pressure, humidity)) if corrected else 1.0
     log = CalibrationLog(description, _steps(setup, index, repeat, direction, commanded, times,
                                              'xyz'.index(letter)),
-                         _samples(setup, measured - zero, times), Samples.empty(2), {}, name, '/import')
+                         _samples(setup, measured - zero, times, divided), Samples.empty(2), {}, name, '/import')
     return Import(log, tuple(notes))
 
 
@@ -285,8 +294,8 @@ def _steps(setup: str, index: np.ndarray, repeat: np.ndarray, direction: np.ndar
                       np.tile([MOVE, DWELL, DONE], n).astype(np.int64))
 
 
-def _samples(setup: str, displacement: np.ndarray, times: np.ndarray) -> Samples:
+def _samples(setup: str, displacement: np.ndarray, times: np.ndarray, index: float) -> Samples:
     """One reading a stop, in a block of its own."""
     n = len(times)
-    return Samples(times, displacement[:, None], np.full(n, 100.0), np.ones(n), (setup,),
+    return Samples(times, displacement[:, None], np.full(n, 100.0), np.full(n, index), (setup,),
                    np.zeros(n, np.intp), np.arange(n))

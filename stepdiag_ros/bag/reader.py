@@ -31,6 +31,7 @@ from stepdiag_ros.bag.schemas import (
     STEP,
     STEP_TIMING,
     TOPICS,
+    WORKPIECE,
     split_topic,
 )
 from stepdiag_ros.bag.source import BagSource, open_bag
@@ -296,10 +297,11 @@ def _scalars(relative: str, table: TopicTable) -> tuple[dict[str, ScalarSeries],
         return {key: ScalarSeries(stamp[good], value[good], variance[good])}, warnings
     names, inverse = text(_stack(table, 'header.frame_id')[order])
     series = {}
-    warnings += [f'{table.topic}: left out {int(rows.sum())} value(s) of frame_id {which}; it must be x, y or z'
-                 for rows, which in strangers(names, inverse, ('x', 'y', 'z', 'X', 'Y', 'Z'))]
+    warnings += [f'{table.topic}: left out {int(rows.sum())} value(s) of frame_id {which}; it must be x, y or z, or '
+                 f'{WORKPIECE}'
+                 for rows, which in strangers(names, inverse, ('x', 'y', 'z', 'X', 'Y', 'Z', WORKPIECE))]
     for position, name in enumerate(names):
-        if name.lower() not in ('x', 'y', 'z'):
+        if name.lower() not in ('x', 'y', 'z', WORKPIECE):
             continue
         rows = good & (inverse == position)
         if rows.any():

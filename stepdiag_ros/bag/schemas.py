@@ -39,6 +39,8 @@ STEP = 'sequencer/step'
 DISPLACEMENT = 'interferometer/displacement'
 SPOT = 'psd/spot'
 SCALE = 'environment/scale_temperature'
+WORKPIECE = 'workpiece'
+"""`frame_id` of the workpiece's temperature on the topic of the scales'."""
 DISPLACEMENT_TIMING = 'interferometer/timing'
 SPOT_TIMING = 'psd/timing'
 STEP_TIMING = 'sequencer/timing'

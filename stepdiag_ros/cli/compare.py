@@ -68,6 +68,9 @@ def run(args: argparse.Namespace) -> int:
         print()
         for caution in warned:
             print(f'caution: {caution}')
+        for method, result in results.items():
+            for remark in getattr(result, 'remarks', ()):
+                print(f'remark: {method}: {remark}')
         for method, why in skipped.items():
             print(f'not run: {method} ({METHODS[method].title}): {why}')
         if args.out is not None:

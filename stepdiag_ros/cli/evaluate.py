@@ -60,7 +60,7 @@ def run(args: argparse.Namespace) -> int:
     else:
         for bag, result in answers.items():
             print(text(bag, result) if isinstance(result, Solution)
-                  else f'{bag}: {result.text()}')
+                  else '\n'.join([f'{bag}: {result.text()}', *(f'remark: {remark}' for remark in result.remarks)]))
     if failed:
         raise StepdiagError('; '.join(failed))
     return 0 if all(getattr(result, 'status', OK) == OK for result in answers.values()) else 1
@@ -72,7 +72,7 @@ def tied_lines(solution: Solution) -> list[str]:
     if tied is None:
         return []
     return [f'lengths: {WORDS[tied.air]}; U of the unit of length {2e6 * tied.index_sigma:.2g} µm/m (k=2)',
-            f'positioning errors: {tied.temperature_words}',
+            f'positioning errors: {tied.temperature_words}', f'parts: {tied.workpiece_words}',
             f'uncertainty: {"the budget of the cell" if tied.budget == "cell" else "the standard budget"}']
 
 
@@ -106,7 +106,8 @@ def text(bag: str, solution: Solution) -> str:
         lines += ['', 'U: whole budget; repeats: what repeats, or the noise that the cell declares, give of it; both '
                   'k = 2.']
         shown = {name: values for name, values in solution.traceability.correction_m.items() if np.any(values)}
-        lines += [f'Referred to 20 °C: {name} corrected by {1e6 * values[-1]:+.3f} µm at its end.'
+        lines += [f'Referred to 20 °C: {name} corrected by {1e6 * values[-1]:+.3f} ± '
+                  f'{2e6 * solution.traceability.correction_sigma_m[name][-1]:.3f} µm (k = 2) at its end.'
                   for name, values in shown.items()]
     if solution.gauge:
         lines += ['', f'Counted as: {solution.gauge}.']

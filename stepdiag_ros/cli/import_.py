@@ -25,6 +25,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--axis', metavar='x|y|z', help='the axis (default: from the file name)')
     parser.add_argument('--cadence', type=float, default=CADENCE_S, metavar='SECONDS',
                         help='time between stops where the table has no time_s (default: %(default)g)')
+    parser.add_argument('--corrected', action='store_true',
+                        help='whoever measured took the index of air into account; without it nobody is known to have')
     parser.add_argument('--namespace', default='/import', help='namespace of the topics (default: %(default)s)')
     parser.add_argument('--json', action='store_true', help='print the result as JSON')
 
@@ -32,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     if not args.namespace.strip('/'):
         raise StepdiagError('--namespace is empty; give a name such as /stage')
-    result = import_csv(args.file, args.axis, args.cadence)
+    result = import_csv(args.file, args.axis, args.cadence, args.corrected)
     custom = {'imported_from': result.log.source} | {f'note_{k}': n for k, n in enumerate(result.notes, 1)}
     bag = write_log(result.log, args.to, namespace=args.namespace, custom_data=custom)
     readings = len(result.log.displacement)

@@ -1,11 +1,28 @@
-"""The machine's errors before anything acts on them: evaluation of a log, causes taken out, reversal."""
+"""The machine's errors before anything acts on them: evaluation of a log, causes taken out, reversal.
 
+What the diagnosis finds is taken off the readings, and these are evaluated as those of every log: in metres, at 20 °C,
+with the whole budget.  The diagnosis itself looks at readings as recorded, so its own errors are neither.
+"""
+
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
+import numpy as np
+
+from stepdiag_ros.estimate.metres import in_metres
+from stepdiag_ros.estimate.reduce import StopTable, reduce_log
 from stepdiag_ros.estimate.solution import Solution
+from stepdiag_ros.estimate.traceability import CELL, TOPICS
 from stepdiag_ros.model.log import CalibrationLog
 
+if TYPE_CHECKING:
+    from stepdiag_ros.gap.diagnosis import Diagnosis
+    from stepdiag_ros.gap.inference.joint import Active
+
 K = 2.0
+AIR, SCALES = 'air_refraction_drift', 'scale_thermal_expansion'
+"""Effects that the environment topics take out of the lengths by themselves."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +54,7 @@ def known_errors(log: CalibrationLog, bag: str) -> Known:
     notes, solution = [], plain
     names = [found.name for found in diagnosis.effects]
     if names:
-        solution = _with_budget(diagnosis.solution, plain)
+        solution = _without_causes(log, diagnosis)
         notes.append(f'the log shows {", ".join(names)}; it is taken out of the errors')
     if diagnosis.unmodelled or any(name != 'backlash' for name in names):
         what = ('something that no known cause explains' if diagnosis.unmodelled
@@ -46,9 +63,35 @@ def known_errors(log: CalibrationLog, bag: str) -> Known:
     return Known(solution, reversal, tuple(notes))
 
 
-def _with_budget(found: Solution, plain: Solution) -> Solution:
-    """The diagnosed errors with what the budget of the plain evaluation adds to its repeats."""
-    if plain.repeatability is None or found.traceability is not None or found.names != plain.names:
-        return found
-    return replace(found, covariance=found.covariance + plain.covariance - plain.repeatability,
-                   repeatability=found.covariance, traceability=plain.traceability)
+def _without_causes(log: CalibrationLog, diagnosis: 'Diagnosis') -> Solution:
+    """The evaluation of the readings less what the causes add; its covariance has what is uncertain of the causes."""
+    from stepdiag_ros.estimate.evaluate import evaluate_in_full, solution_of
+
+    joint, stops = diagnosis.joint, reduce_log(log)
+    metres = in_metres(log, stops)
+    done = {AIR} if metres.air in (TOPICS, CELL) else set()
+    done |= {SCALES} if any(metres.conditions.referred) else set()
+    added = _on_stops([active for active in joint.active if active.effect.name not in done],
+                      joint.observation.table, stops)
+    solution = evaluate_in_full(log, stops=replace(stops, displacement=stops.displacement - added[:, :-2],
+                                                   spot=stops.spot - added[:, -2:])).solution
+    alone = solution_of(joint.fit, joint.observation.table)
+    # What the mean over a cause's forms differs from its likeliest one, and what causes and forms add to variance.
+    more = diagnosis.solution.covariance - alone.covariance
+    values, vectors = np.linalg.eigh(0.5 * (more + more.T))
+    more = (vectors * np.maximum(values, 0.0)) @ vectors.T
+    repeats = solution.covariance if solution.repeatability is None else solution.repeatability
+    return replace(solution, value=solution.value + diagnosis.solution.value - alone.value,
+                   covariance=solution.covariance + more, repeatability=repeats + more)
+
+
+def _on_stops(active: Iterable['Active'], pieces: StopTable, stops: StopTable) -> np.ndarray:
+    """What causes add to the readings (n, c) [m] of ``stops``, where the diagnosis cut long dwells into ``pieces``."""
+    channels = stops.displacement.shape[1] + 2
+    added = sum((one.contribution for one in active), np.zeros((len(pieces), channels)))
+    order = np.argsort(stops.dwell_ns, kind='stable')
+    middle = (pieces.dwell_ns + pieces.done_ns) // 2
+    of = order[np.searchsorted(stops.dwell_ns[order], middle, side='right') - 1]
+    count = np.bincount(of, minlength=len(stops))
+    return np.stack([np.bincount(of, weights=column, minlength=len(stops)) for column in added.T], axis=1) \
+        / np.maximum(count, 1)[:, None]

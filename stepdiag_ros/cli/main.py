@@ -9,6 +9,7 @@ help takes the one-line texts from the table below.
 import argparse
 import importlib
 import os
+import re
 import sys
 import traceback
 from collections.abc import Sequence
@@ -98,7 +99,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _run(asked: str | None, argv: list[str]) -> int:
     try:
-        args = build_parser(asked).parse_args(argv)
+        args = build_parser(asked).parse_args(_joined(argv))
         return int(args.run(args) or 0)
     except StepdiagError as error:
         print(f'stepdiag: {one_line(str(error))}', file=sys.stderr)
@@ -121,6 +122,17 @@ def _run(asked: str | None, argv: list[str]) -> int:
         return 0
     except Exception as error:
         return _fault(asked, error)
+
+
+def _joined(argv: list[str]) -> list[str]:
+    """``--origin -0.5,0,0`` as ``--origin=-0.5,0,0``: argparse takes what begins with a minus sign for an option."""
+    words: list[str] = []
+    for word in argv:
+        if words and re.fullmatch(r'--\w[\w-]*', words[-1]) and re.match(r'-[0-9.][^,]*,', word):
+            words[-1] += f'={word}'
+        else:
+            words.append(word)
+    return words
 
 
 def _fault(asked: str | None, error: Exception) -> int:

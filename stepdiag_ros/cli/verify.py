@@ -68,8 +68,7 @@ def run(args: argparse.Namespace) -> int:
                                 'nothing is verified')
         solutions.append(without(known.solution, left.unmeasured))
         notes += [f'{Path(bag).name}: {note}' for note in known.notes]
-    tests, runs = zip(*(_diagonals(log) for log in logs), strict=True)
-    found = verified(*solutions, machine, tolerances, tests, runs, predicted)
+    found = verified(*solutions, machine, tolerances, tuple(map(_diagonals, logs)), predicted)
     document = found.to_json_dict() | {'before': args.before, 'after': args.after, 'notes': notes}
     names = (Path(args.before).name, Path(args.after).name)
     try:
@@ -136,14 +135,10 @@ def _same_machine(before, after, args: argparse.Namespace) -> None:
 
 
 def _diagonals(log):
-    """ISO 230-6 of a log, None where it has no body diagonal, and the runs a direction behind it."""
-    from stepdiag_ros.estimate.methods import body_diagonal_test
-    from stepdiag_ros.estimate.readings import readings_of_stops
-    from stepdiag_ros.estimate.reduce import reduce_log
+    """ISO 230-6 of a log in metres, with the whole budget; None where it has no complete body diagonal."""
+    from stepdiag_ros.estimate.methods import run_method
 
-    cell = readings_of_stops(log.description, reduce_log(log))
     try:
-        test = body_diagonal_test(cell)
+        return run_method('body_diagonal', log)
     except StepdiagError:
-        return None, 1
-    return test, min(max(len(cell.setups[name].forward_m), 1) for name in test.diagonals)
+        return None

@@ -17,7 +17,7 @@ from stepdiag_ros.compensate.control import Control, Place
 from stepdiag_ros.compensate.functional import FunctionalPoint, functional_point, tables_of_line
 from stepdiag_ros.compensate.harmless import best_of_volume, held_back
 from stepdiag_ros.compensate.largest import largest
-from stepdiag_ros.compensate.open_directions import openness, without
+from stepdiag_ros.compensate.open_directions import openness, unknown, without
 from stepdiag_ros.compensate.taken import Taken, Trim, added, as_measured, difference, left_of
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate.prediction import Prediction, deviation, predict
@@ -47,7 +47,8 @@ class Compensation:
     predictions at the same points of the volume with the same covariance; ``predicted`` the 21 errors that a
     measurement will report afterwards.  ``not_carried``: largest deviation [m] in the volume that each error alone
     keeps under tables of this kind, by name.  ``line_alone`` the prediction with the tables of the line as they are,
-    where these had to be held back, else None.
+    where these had to be held back, else None.  ``with_open``: ``solution`` with the errors that are left out: of
+    value zero, with their whole uncertainty.
     """
 
     control: Control
@@ -66,6 +67,7 @@ class Compensation:
     unmeasured: tuple[str, ...]
     whole_volume: bool
     reversal: Mapping[str, tuple[float, float]]
+    with_open: Solution
     refusals: tuple[str, ...] = ()
 
     @cached_property
@@ -80,7 +82,17 @@ class Compensation:
 
     def worst(self, field: Prediction) -> tuple[float, float, np.ndarray]:
         """The same of any field at these points."""
-        return largest(self.solution, self.place.machine, self.point.tool, field)
+        return largest(self.with_open, self.place.machine, self.point.tool, field)
+
+    def worse_alone(self) -> tuple[float, float]:
+        """Share of the places that the tables of the line alone make worse beyond the U of their repeats, and by how
+        much at most [m]; zeros where they were not held back."""
+        if self.line_alone is None:
+            return 0.0, 0.0
+        repeated = predict(_repeats(self.solution), self.place.machine, self.before.points, self.point.tool)
+        alone = replace(self.line_alone, covariance_m2=repeated.covariance_m2)
+        return (float(np.mean(worsened(repeated, alone) > 0.0)),
+                float((self.line_alone.size_m - self.before.size_m).max()))
 
     @property
     def as_measured(self) -> Prediction:
@@ -171,7 +183,7 @@ def compensation(solution: Solution, machine: Machine, control: Control, origin:
         control, place, point, {} if refusals else files, {} if refusals else undo, change, before, after,
         as_measured(left_of(errors, change), kept.positions), kept,
         _not_carried(kept, machine, point, control, points), None if plain is line else alone, tuple(known.open),
-        known.unmeasured, whole, lost, tuple(refusals))
+        known.unmeasured, whole, lost, unknown(without(solution, known.unmeasured), known.open), tuple(refusals))
 
 
 def _used(control: Control, names: tuple[str, ...], solution: Solution, absent: tuple[str, ...]) -> list[str]:
@@ -327,8 +339,11 @@ def _harm(whole: Prediction, before: Prediction, after: Prediction, files: Mappi
         return [f'the largest deviation would grow, from {1e6 * size:.1f} to {1e6 * after.size_m.max():.1f} µm'
                 + ('; without --exact the tables are held back' if exact else '')]
     if spread > size:
+        own = K * float(before.size_sigma_m[int(np.argmax(whole.size_m))])
         return [f'the largest deviation, {1e6 * size:.1f} µm, is known to U = {1e6 * spread:.1f} µm (k = 2) only; '
-                'measure with more repeats']
+                + ('measure with more repeats' if own > 0.5 * spread else
+                   f'of it U = {1e6 * own:.1f} µm by repeats, the rest by what is not known: `stepdiag uncertainty` '
+                   'names it')]
     if np.mean(after.size_m**2) > (1.0 - LEAST_GAIN) * np.mean(before.size_m**2):
         return ['no table of this kind makes this machine better without making some place worse beyond its U']
     return []

@@ -26,7 +26,8 @@ def largest(solution: Solution, machine: Machine, tool: np.ndarray, field: Predi
     columns, weights = sensitivities(solution, machine, field.points, np.asarray(tool, float))
     values, vectors = np.linalg.eigh(solution.covariance)
     normals = np.random.default_rng(SEED).standard_normal((len(values), DRAWS))
-    drawn = vectors @ (np.sqrt(np.maximum(values, 0.0))[:, None] * normals)
+    # The symmetric root: a covariance that hardly changes gives draws that hardly change, and so does U.
+    drawn = vectors @ (np.sqrt(np.maximum(values, 0.0))[:, None] * (vectors.T @ normals))
     found = np.zeros(DRAWS)
     for start in range(0, len(field.points), BLOCK):
         rows = slice(start, start + BLOCK)

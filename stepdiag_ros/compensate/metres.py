@@ -6,7 +6,8 @@ from stepdiag_ros.estimate.solution import Solution
 from stepdiag_ros.model.log import CalibrationLog
 
 NOT_METRES = ('the lengths are not corrected for air: neither the instrument nor the environment topics nor the cell '
-              'tell its index, which is worth some 270 µm a metre; log the environment, or give air: in the cell')
+              'tell its index, which is worth some 270 µm a metre; log the environment, give air: in the cell, or '
+              'import with --corrected a table that was')
 
 
 def not_metres(solution: Solution, log: CalibrationLog) -> str:

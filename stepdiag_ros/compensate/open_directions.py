@@ -84,6 +84,11 @@ def _settling(name: str) -> str:
     return 'diagonals with the tilt channel (PSD, or three beams) settle the rotations'
 
 
+def unknown(solution: Solution, names: tuple[str, ...]) -> Solution:
+    """The solution with nothing said of the errors ``names``: of value zero, their uncertainty as it is."""
+    return replace(solution, value=np.where([name in names for name, _ in solution.names], 0.0, solution.value))
+
+
 def without(solution: Solution, names: tuple[str, ...]) -> Solution:
     """The solution as if it had never held the errors ``names``."""
     kept = [i for i, (name, _) in enumerate(solution.names) if name not in names]

@@ -104,19 +104,19 @@ class Verified:
 
 def verified(before: Solution, after: Solution, machine: Machine, tolerances: Mapping[str, float],
              diagonals: tuple[DiagonalTest | None, DiagonalTest | None] = (None, None),
-             runs: tuple[int, int] = (1, 1), predicted: Predicted | None = None) -> Verified:
+             predicted: Predicted | None = None) -> Verified:
     """Compare two evaluations of ``machine``.
 
     ``tolerances`` by figure: ``volumetric``, ``E``, ``B`` [m], or an error's name [m or rad].  ``diagonals``: ISO 230-6
-    before and after, of ``runs`` runs a direction.  :class:`StepdiagError` for a tolerance of a figure that the logs
-    do not give.
+    before and after, with the uncertainty of the whole budget.  :class:`StepdiagError` for a tolerance of a figure that
+    the logs do not give.
     """
     tool = np.asarray(machine.tool) if predicted is None else predicted.tool
     points = _points(after, machine)
     fields = [predict(solution, machine, points, tool) for solution in (before, after)]
     whole = [largest(solution, machine, tool, field) for solution, field in zip((before, after), fields, strict=True)]
     rows = [(VOLUMETRIC, 'm', *whole[0][:2], *whole[1][:2])]
-    rows += _diagonal_rows(diagonals, (before, after), machine, runs)
+    rows += _diagonal_rows(diagonals)
     for name in (*CURVES, *SQUARENESS):
         if after.has(name):
             known = _size(before, name) if before.has(name) else (None, None)
@@ -150,32 +150,18 @@ def _size(solution: Solution, name: str) -> tuple[float, float]:
     return float(abs(value[row])), K * float(sigma[row] or sigma.max())
 
 
-def _diagonal_rows(tests: tuple[DiagonalTest | None, DiagonalTest | None], solutions: tuple[Solution, Solution],
-                   machine: Machine, runs: tuple[int, int]) -> list[tuple]:
-    """E and B of ISO 230-6 with U: arrivals of ``runs`` runs, and for E what the whole budget says of the length."""
-    if tests[1] is None:
-        return []
-    arrival, length = [], []
-    for solution, count in zip(solutions, runs, strict=True):
-        repeat = float(solution.noise.get('position_repeatability_m', 0.0)) if solution.noise else 0.0
-        arrival.append(np.sqrt(2.0 / max(count, 1)) * repeat)
-        length.append(float(_length_sigma(solution, machine)))
-    spread_e = [K * float(np.hypot(a, b)) for a, b in zip(arrival, length, strict=True)]
-    spread_b = [K * float(a) for a in arrival]
+def _diagonal_rows(tests: tuple[DiagonalTest | None, DiagonalTest | None]) -> list[tuple]:
+    """E and B of ISO 230-6 before and after, with U of the whole budget."""
     first, second = tests
-    rows = [(DIAGONAL_E, 'm', first and first.Ed, first and spread_e[0], second.Ed, spread_e[1])]
-    if second.Bd is not None:
-        known = (first.Bd, spread_b[0]) if first is not None and first.Bd is not None else (None, None)
-        rows.append((DIAGONAL_B, 'm', *known, second.Bd, spread_b[1]))
+    if second is None:
+        return []
+    rows = []
+    for name, worst in ((DIAGONAL_E, 'Ed'), (DIAGONAL_B, 'Bd')):
+        known = [(None, None) if test is None or worst not in test.figures() else
+                 (test.figures()[worst], K * test.sigma_m[worst]) for test in (first, second)]
+        if known[1][0] is not None:
+            rows.append((name, 'm', *known[0], *known[1]))
     return rows
-
-
-def _length_sigma(solution: Solution, machine: Machine) -> float:
-    """Standard uncertainty [m] of the length of the longest body diagonal, by the solution's covariance."""
-    volume = np.asarray(machine.volume)
-    end = predict(solution, machine, volume[None, :])
-    direction = volume / np.linalg.norm(volume)
-    return float(np.sqrt(max(direction @ end.covariance_m2[0] @ direction, 0.0)))
 
 
 def _agreement(after: Solution, field: Prediction, figure: tuple[float, float, np.ndarray], machine: Machine,

@@ -32,6 +32,7 @@ from typing import Any
 import numpy as np
 
 from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.estimate.iso_rules import shortfalls
 from stepdiag_ros.estimate.readings import CellReadings
 from stepdiag_ros.estimate.traceability import Traceability
 from stepdiag_ros.model.description import DIAGONALS, Machine, Setup
@@ -71,7 +72,8 @@ class DiagonalTest:
     """All diagonals of a machine by name, and the worst of them.
 
     ``sigma_m``: standard uncertainty [m] of each of :meth:`figures` by the whole budget, empty where not computed.
-    ``travel_m``: (3,) of the axes from end to end, by name; the volume's where nothing is said.
+    ``travel_m``: (3,) of the axes from end to end, by name; the volume's where nothing is said.  ``cycles`` of each
+    diagonal, by name, where they were counted.
     """
 
     diagonals: Mapping[str, DiagonalResult]
@@ -79,6 +81,13 @@ class DiagonalTest:
     sigma_m: Mapping[str, float] = field(default_factory=dict)
     traceability: Traceability | None = None
     travel_m: Mapping[str, np.ndarray] = field(default_factory=dict)
+    cycles: Mapping[str, int] = field(default_factory=dict)
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What the test falls short of, a sentence each."""
+        return tuple(text for name, cycles in self.cycles.items()
+                     for text in shortfalls(name, self.diagonals[name].position_m, cycles, diagonal=True))
 
     def figures(self) -> dict[str, float]:
         """E and B of each diagonal and of the worst [m], by name; without those that were not measured."""
@@ -123,7 +132,7 @@ class DiagonalTest:
     def to_json_dict(self) -> dict[str, Any]:
         tied = self.traceability
         return {'method': self.method, 'status': 'ok' if tied is None else tied.status, 'Ed_m': self.Ed,
-                'Bd_m': self.Bd, 'sigma_m': dict(self.sigma_m),
+                'Bd_m': self.Bd, 'sigma_m': dict(self.sigma_m), 'remarks': list(self.remarks),
                 'traceability': None if tied is None else tied.to_json_dict(),
                 'diagonals': {n: r.to_json_dict() for n, r in self.diagonals.items()}}
 
@@ -199,4 +208,11 @@ def evaluate_runs(runs: Mapping[str, tuple[np.ndarray, np.ndarray, np.ndarray | 
     if unknown or not runs:
         raise StepdiagError(f'body_diagonal: need diagonals out of {", ".join(DIAGONALS)}; '
                             f'got {", ".join(unknown) or "none"}')
-    return DiagonalTest({name: diagonal(*given) for name, given in runs.items()})
+    return DiagonalTest({name: diagonal(*given) for name, given in runs.items()},
+                        cycles={name: cycles_of(*given[1:]) for name, given in runs.items()})
+
+
+def cycles_of(forward: np.ndarray, backward: np.ndarray | None) -> int:
+    """Number of cycles of the runs (r, n) of each direction, or of the one direction that was run."""
+    counts = [len(np.atleast_2d(runs)) for runs in (forward, backward) if runs is not None and len(runs)]
+    return min(counts)

@@ -14,9 +14,10 @@ from typing import Any
 import numpy as np
 
 from stepdiag_ros.errors import StepdiagError
-from stepdiag_ros.estimate.body_diagonal import DiagonalTest, deviations_of, diagonal
+from stepdiag_ros.estimate.body_diagonal import DiagonalTest, diagonal
 from stepdiag_ros.estimate.gauge import to_reference_lines
 from stepdiag_ros.estimate.iso230_2 import LinearTest
+from stepdiag_ros.estimate.readings import observe, sight_of
 from stepdiag_ros.estimate.solution import Solution
 from stepdiag_ros.model.description import Description
 from stepdiag_ros.model.machine import AXES, CURVES, SQUARENESS, Curve, GeometricErrors
@@ -127,27 +128,29 @@ def compare(results: Mapping[str, Any], reference: GeometricErrors, name: str,
 def _figures(result: Any, reference: GeometricErrors,
              description: Description) -> list[tuple[str, float, float]]:
     """(name, measured, of the reference) of a result that has figures of merit, [m]."""
-    machine = description.machine
+    rows = []
     if isinstance(result, DiagonalTest):
-        rows = []
         for name, measured in result.diagonals.items():
-            position, deviation = deviations_of(reference, machine, description.setups[name], len(measured.position_m))
-            rows.append((f'E {name}', measured.E, diagonal(position, deviation).E))
+            rows.append((f'E {name}', measured.E, diagonal(*read_by(reference, description, name)).E))
         rows.append(('Ed', result.Ed, max(r[2] for r in rows)))
         if result.Bd is not None:
             rows.append(('Bd', result.Bd, 0.0))
-        return rows
     if isinstance(result, LinearTest):
-        rows = []
         for name, axis in result.axes.items():
-            curve = reference.curves.get(f'E{result.letter(name) * 2}')
-            true = float(np.ptp(curve(axis.target_m))) if curve else 0.0
-            if description.setups[name].way is not None:
-                true = float(np.ptp(deviations_of(reference, machine, description.setups[name], axis.target_m.size)[1]))
-            rows.append((f'E {name}', axis.E, true))
+            rows.append((f'E {name}', axis.E, float(np.ptp(read_by(reference, description, name)[1]))))
             rows.append((f'B {name}', axis.B, 0.0))
-        return rows
-    return []
+    return rows
+
+
+def read_by(errors: GeometricErrors, description: Description, name: str) -> tuple[np.ndarray, np.ndarray]:
+    """What a well aligned setup reads of a known machine where it stands on its line: positions along the line and
+    deviations (n,) [m], rotations over the levers of tool and beam included."""
+    sight = sight_of(description, name)
+    along = (sight.positions - sight.positions[0]) @ sight.direction
+    beside = np.linalg.norm(sight.positions - sight.positions[0] - along[:, None] * sight.direction, axis=1)
+    on_line = beside < 1e-9 + 1e-9 * along[-1]
+    length = observe(sight, description.machine, errors)[0][:, 0]
+    return along[on_line], (length - length[0] - along)[on_line]
 
 
 def _doubled(sigma: float | None) -> float | None:

@@ -30,7 +30,8 @@ class Conditions:
     ``variation``: of what it does during a run and from run to run, uncorrected [1].
     ``expansion``, ``expansion_sigma`` (3,) [1/K]: NaN where the cell does not say; ``referred`` (3,): whether the
     axis's positioning error is referred to 20 °C; ``away`` (3,) [K]: root mean square distance of a scale from 20 °C,
-    NaN where no sensor shows it.
+    NaN where no sensor shows it.  ``scale_sigma`` (3,) [K]: of temperatures of scales that the cell states, 0 of those
+    that a sensor shows.
     """
 
     temperature: float = 20.0
@@ -46,6 +47,7 @@ class Conditions:
     expansion_sigma: tuple[float, float, float] = (np.nan, np.nan, np.nan)
     referred: tuple[bool, bool, bool] = (True, True, True)
     away: tuple[float, float, float] = (np.nan, np.nan, np.nan)
+    scale_sigma: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     @property
     def air(self) -> tuple[float, float, float]:

@@ -22,6 +22,7 @@ from stepdiag_ros.model.description import Description
 from stepdiag_ros.model.log import CalibrationLog
 from stepdiag_ros.model.sensor import Misalignment
 from stepdiag_ros.model.standard_budget import standard_budget
+from stepdiag_ros.model.surroundings import UNSTATED_TEMPERATURE
 
 
 @dataclass(frozen=True)
@@ -60,9 +61,10 @@ def evaluate(log: CalibrationLog) -> Solution:
     return evaluate_in_full(log).solution
 
 
-def evaluate_in_full(log: CalibrationLog, budget: Budget | None = None) -> Evaluation:
-    """As :func:`evaluate`, with what led there; ``budget`` replaces the cell's."""
-    metres, own = in_metres(log), budget is None
+def evaluate_in_full(log: CalibrationLog, budget: Budget | None = None, stops: StopTable | None = None) -> Evaluation:
+    """As :func:`evaluate`, with what led there; ``budget`` replaces the cell's, ``stops`` the log's reduced ones, as
+    recorded."""
+    metres, own = in_metres(log, stops), budget is None
     budget = budget_of(log.description) if budget is None else budget
     table = metres.table
     # How well the beams of the linear setups are known to lie along their axes is in the budget.
@@ -87,19 +89,15 @@ def evaluate_in_full(log: CalibrationLog, budget: Budget | None = None) -> Evalu
     # Residuals larger than the noise says: whatever it is, repeats alone do not show how uncertain the errors are.
     found = propagate(budget, setting, result, solution, np.sqrt(max(solution.reduced_chi2, 1.0)), weighed=True)
     whose = 'cell' if own and log.description.budget is not None else 'standard' if own else 'given'
-    unit_sigma = index_sigma(budget, metres.conditions)
     return Evaluation(metres, result, setting, replace(found, solution=tied(
-        found.solution, log.source, metres, unit_sigma, whose)), log.source, budget, whose)
+        found.solution, log.source, metres, budget, whose)), log.source, budget, whose)
 
 
-def index_sigma_of(evaluation: Evaluation) -> float:
-    """Standard uncertainty [1] of the unit of length of an evaluation."""
-    return index_sigma(evaluation.lines, evaluation.metres.conditions)
-
-
-def tied(solution: Solution, source: str, metres: Metres, unit_sigma: float, budget: str) -> Solution:
+def tied(solution: Solution, source: str, metres: Metres, budget: Budget, whose: str) -> Solution:
     """``solution`` with how it is tied to the metre and to 20 °C; what must not be overlooked is in its status."""
-    traceability = metres.traceability(solution, unit_sigma, budget)
+    sensor = max((c.standard for c in budget.contributors if c.kind == 'scale_temperature' and c.standard),
+                 default=UNSTATED_TEMPERATURE)
+    traceability = metres.traceability(solution, index_sigma(budget, metres.conditions), whose, sensor)
     status = traceability.status if solution.status == 'ok' else solution.status
     remarks = (f'{source}: {remark}' for remark in traceability.remarks)
     return replace(solution, traceability=traceability, status=status, warnings=(*solution.warnings, *remarks))

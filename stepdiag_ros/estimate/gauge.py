@@ -22,8 +22,10 @@ STRAIGHTNESS = ('EYX', 'EZX', 'EXY', 'EZY', 'EXZ', 'EYZ')
 SLOPES = {'EC0Y': (('EXY', -1.0), ('EYX', -1.0)),
           'EB0Z': (('EXZ', 1.0), ('EZX', 1.0)),
           'EA0Z': (('EYZ', -1.0), ('EZY', -1.0))}
-GAUGE = ('straightness from least-squares reference lines, zero at position 0; squareness '
-         'between those lines; X line along X, Y line in the XY plane (ISO 230-1)')
+GAUGE = ('each axis on its line through the lower corner of the volume, the other axes at 0, for the point without '
+         'tool: what rotations do over the levers of tool and positions comes on top; positioning (EXX, EYY, EZZ) '
+         'along that line, zero at position 0; straightness from least-squares reference lines, zero at position 0; '
+         'squareness between those lines; X line along X, Y line in the XY plane (ISO 230-1)')
 
 
 def slope_weights(position: np.ndarray) -> np.ndarray:

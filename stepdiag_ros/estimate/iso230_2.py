@@ -18,6 +18,14 @@ then M, E and A say nothing of the axis's scale.  Cannot see: straightness, angl
 and squareness; angles only through the Abbe offset of the measured line.  A drift
 during the cycles goes into s, and with it into R and A, not into E, B and M.
 
+Where every cycle counts from a zero of its own, as after a reset at its first target, the error of the arrival there is
+in all its readings, and s would be up to √2 too large everywhere but at that target, where it would be zero.  The
+cycles are then shifted to agree on average; what the shift takes of the scatter of its N arrivals is made good,
+
+    s² ← s² N/(N − 1)
+
+which is right for arrivals that err independently.  Means, B, E and M do not depend on the shift.
+
 Source: ISO 230-2 (2014), clause 3 and annexes; written from its definitions.
 """
 
@@ -28,6 +36,7 @@ from typing import Any
 import numpy as np
 
 from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.estimate.iso_rules import shortfalls
 from stepdiag_ros.estimate.readings import CellReadings
 from stepdiag_ros.estimate.traceability import Traceability
 from stepdiag_ros.model.description import Machine
@@ -133,6 +142,11 @@ class LinearTest:
     traceability: Traceability | None = None
     wanted: tuple[str, ...] = ('A', 'E', 'R', 'B', 'M')
 
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What the test falls short of, a sentence each."""
+        return tuple(text for name, axis in self.axes.items() for text in shortfalls(name, axis.target_m, axis.runs))
+
     def letter(self, name: str) -> str:
         """X, Y or Z: what the line ``name`` measures."""
         return self.axes[name].letter or name[-1].upper()
@@ -186,12 +200,16 @@ class LinearTest:
     def to_json_dict(self) -> dict[str, Any]:
         tied = self.traceability
         return {'method': self.method, 'status': 'ok' if tied is None else tied.status, 'sigma_m': dict(self.sigma_m),
-                'traceability': None if tied is None else tied.to_json_dict(),
+                'remarks': list(self.remarks), 'traceability': None if tied is None else tied.to_json_dict(),
                 'axes': {name: result.to_json_dict() for name, result in self.axes.items()}}
 
 
-def evaluate(target_m: np.ndarray, up_m: np.ndarray, down_m: np.ndarray) -> AxisResult:
-    """One axis from ``target_m`` (m,) and deviations ``up_m``, ``down_m`` (runs, m) [m]."""
+def evaluate(target_m: np.ndarray, up_m: np.ndarray, down_m: np.ndarray, zeroed: bool = False) -> AxisResult:
+    """One axis from ``target_m`` (m,) and deviations ``up_m``, ``down_m`` (runs, m) [m].
+
+    ``zeroed``: each cycle counts from a zero of its own, and begins its way down where its way up ended,
+    at the last target.
+    """
     target = np.asarray(target_m, float)
     up, down = (np.atleast_2d(np.asarray(v, float)) for v in (up_m, down_m))
     for name, runs in (('up', up), ('down', down)):
@@ -204,10 +222,15 @@ def evaluate(target_m: np.ndarray, up_m: np.ndarray, down_m: np.ndarray) -> Axis
     if len(up) != len(down):
         raise StepdiagError(f'iso230_2: {len(up)} runs up but {len(down)} down; '
                             'give as many of either')
-    several = len(up) > 1
+    several, made_good = len(up) > 1, 1.0
+    if several and zeroed:
+        arrivals = np.concatenate([up, down[:, :-1]], axis=1)
+        shift = arrivals.mean(axis=1, keepdims=True)
+        up, down = up - shift + shift.mean(), down - shift + shift.mean()
+        made_good = np.sqrt(arrivals.shape[1] / (arrivals.shape[1] - 1))
     return AxisResult(target, up.mean(0), down.mean(0),
-                      up.std(0, ddof=1) if several else None,
-                      down.std(0, ddof=1) if several else None, len(up))
+                      made_good * up.std(0, ddof=1) if several else None,
+                      made_good * down.std(0, ddof=1) if several else None, len(up))
 
 
 def from_rows(cycle: np.ndarray, direction: np.ndarray, target_m: np.ndarray,

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from stepdiag_ros.estimate.evaluate import Evaluation, index_sigma_of, tied
+from stepdiag_ros.estimate.evaluate import Evaluation, tied
 from stepdiag_ros.estimate.planned import filled
 from stepdiag_ros.estimate.propagate import STOPWISE, Cause, error_slopes
 from stepdiag_ros.estimate.readings import CellReadings, SetupReadings, readings_of_stops
@@ -53,7 +53,7 @@ def with_cell_budget(run: Run, evaluation: Evaluation) -> Any:
     warnings = (*own.warnings, *((f'{evaluation.source}: {DECLARED}',) if declared else ()))
     full = replace(own, covariance=covariance, repeatability=own.covariance, warnings=warnings,
                    closure=evaluation.solution.closure)
-    return tied(full, evaluation.source, evaluation.metres, index_sigma_of(evaluation), evaluation.budget)
+    return tied(full, evaluation.source, evaluation.metres, evaluation.lines, evaluation.budget)
 
 
 def _columns(cause: Cause, evaluation: Evaluation) -> Iterator[np.ndarray]:
@@ -79,7 +79,11 @@ def _columns(cause: Cause, evaluation: Evaluation) -> Iterator[np.ndarray]:
 
 
 def _with_stopwise(cell: CellReadings, evaluation: Evaluation) -> CellReadings:
-    """The readings with what acts on single stops in their standard deviations."""
+    """The readings with what acts on single stops in their standard deviations.
+
+    The scatter of a setup of few stops may be small by chance; what all repeats of the log say counts at least.
+    """
+    noise = evaluation.setting.noise
     standard = {c.contributor.kind: c.contributor.standard or 0.0 for c in evaluation.uncertainty.causes}
     length = np.hypot(standard.get('cyclic', 0.0), standard.get('mirror_flatness', 0.0))
     slope = standard.get('mirror_slope', 0.0)
@@ -87,8 +91,10 @@ def _with_stopwise(cell: CellReadings, evaluation: Evaluation) -> CellReadings:
     def more(setup: SetupReadings) -> SetupReadings:
         sight, spot = setup.sight, setup.spot_sigma_m
         path = sight.standoff + (sight.positions - sight.positions[0]) @ sight.direction
-        return replace(setup, displacement_sigma_m=np.hypot(setup.displacement_sigma_m, length),
-                       spot_sigma_m=None if spot is None else np.hypot(spot, 2.0 * path * slope))
+        runs = np.sqrt(max(len(setup.forward_m) + len(setup.backward_m), 1))
+        own = np.maximum(setup.displacement_sigma_m, noise.position / runs)
+        return replace(setup, displacement_sigma_m=np.hypot(own, length), spot_sigma_m=None if spot is None else
+                       np.hypot(np.maximum(spot, 2.0 * path * noise.angle / runs), 2.0 * path * slope))
     return replace(cell, setups={name: more(setup) for name, setup in cell.setups.items()})
 
 

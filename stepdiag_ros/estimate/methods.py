@@ -120,15 +120,16 @@ def body_diagonal_test(cell: CellReadings) -> body_diagonal.DiagonalTest:
 
 def diagonal_displacement(cell: CellReadings, method: str, kinds: tuple[str, ...]) -> body_diagonal.DiagonalTest:
     """E and B of the diagonals with ways of their own of these kinds, after ISO 230-6."""
-    found, travel = {}, {}
+    found, travel, cycles = {}, {}, {}
     for name in of_ways.of_kind(cell, *kinds):
         along, forward, backward = corner_deviations(cell.setups[name])
         if len(forward):
             found[name] = body_diagonal.diagonal(along, forward, backward if len(backward) else None)
+            cycles[name] = body_diagonal.cycles_of(forward, backward)
             travel[name] = cell.setups[name].sight.positions[-1] - cell.setups[name].sight.positions[0]
     if not found:
         raise StepdiagError(f'{method}: no {" or ".join(kinds)} has a complete forward run')
-    return body_diagonal.DiagonalTest(found, method, travel_m=travel)
+    return body_diagonal.DiagonalTest(found, method, travel_m=travel, cycles=cycles)
 
 
 def _diagonal_entry(name: str, space: str) -> Method:
@@ -174,7 +175,7 @@ def linear_test(cell: CellReadings) -> iso230_2.LinearTest:
         travel = (target - target[0]) * travel_signs(setup.sight)[axis]
         runs = min(len(setup.forward_m), len(setup.backward_m))
         axes[name] = replace(iso230_2.evaluate(target, setup.forward_m[:runs] - travel,
-                                               setup.backward_m[:runs] - travel), letter='XYZ'[axis])
+                                               setup.backward_m[:runs] - travel, setup.zeroed), letter='XYZ'[axis])
     return iso230_2.LinearTest(axes)
 
 

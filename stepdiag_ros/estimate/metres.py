@@ -33,12 +33,15 @@ from stepdiag_ros.estimate.traceability import (
     WORDS,
     Traceability,
 )
+from stepdiag_ros.estimate.workpiece import CELL as BY_CELL
+from stepdiag_ros.estimate.workpiece import TOPIC as BY_TOPIC
+from stepdiag_ros.estimate.workpiece import PartExpansion, part_expansion
 from stepdiag_ros.model.air import CO2, WAVELENGTH, refractive_index
 from stepdiag_ros.model.description import Description
 from stepdiag_ros.model.log import CalibrationLog, ScalarSeries
 from stepdiag_ros.model.machine import AXES
 from stepdiag_ros.model.path import setup_direction, start_corner
-from stepdiag_ros.model.surroundings import LIMITS, QUANTITIES, AirValues
+from stepdiag_ros.model.surroundings import LIMITS, QUANTITIES, AirValues, Expansion
 
 VACUUM = 1.0e-9
 """An index nearer to 1 than this was not divided out."""
@@ -48,6 +51,7 @@ SILENT_NS = 900_000_000_000
 """A topic tells of a stop no further than this from its nearest reading [ns]."""
 APART = 3.0
 """Standard uncertainties between two indices above which they contradict each other."""
+WORKPIECE = 'scale_temperature/workpiece'
 TOPIC = {'temperature': 'air_temperature', 'pressure': 'air_pressure', 'humidity': 'humidity'}
 
 
@@ -57,7 +61,8 @@ class Metres:
 
     ``table``: lengths corrected; ``conditions``: what was known; ``air``: who took the index out (see
     :data:`~stepdiag_ros.estimate.traceability.WORDS`); ``index``: mean index that counts; ``measured_at``: mean scale
-    temperatures [°C] by axis letter; ``remarks``: a sentence each.
+    temperatures [°C] by axis letter; ``remarks``: a sentence each.  ``workpiece``: its material,
+    ``workpiece_C``: its mean temperature [°C] where the topic tells it.
     """
 
     table: StopTable
@@ -66,6 +71,26 @@ class Metres:
     index: float
     measured_at: Mapping[str, float] = field(default_factory=dict)
     remarks: tuple[str, ...] = ()
+    workpiece: Expansion | None = None
+    workpiece_C: float | None = None
+
+    def parts(self, solution: Solution, sensor_sigma: float) -> PartExpansion | str:
+        """What the workpiece's temperature does to parts, or what is not known of it; ``sensor_sigma`` [K]: standard
+        uncertainty of a temperature that a topic tells."""
+        material, conditions = self.workpiece, self.conditions
+        if material is None:
+            return 'the expansion of the workpiece is unknown' if self.workpiece_C is not None else \
+                'temperature and expansion of the workpiece are unknown'
+        stated = material.temperature
+        if self.workpiece_C is None and stated is None:
+            return 'the temperature of the workpiece is unknown'
+        told = (self.workpiece_C, sensor_sigma, BY_TOPIC) if self.workpiece_C is not None else \
+            (stated, material.temperature_sigma, BY_CELL)
+        scales = {name: (conditions.scales[axis], max(sensor_sigma, conditions.scale_sigma[axis]),
+                         conditions.expansion[axis], conditions.expansion_sigma[axis])
+                  for axis, name in enumerate(f'E{letter}{letter}' for letter in AXES)
+                  if conditions.referred[axis] and solution.has(name) and len(solution.positions[name]) > 1}
+        return part_expansion(*told, (material.expansion, material.sigma), scales, solution.positions)
 
     def correction(self, positions: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
         """What referring to 20 °C added to each positioning error (k,) [m], at the mean temperature of its scale."""
@@ -73,14 +98,24 @@ class Metres:
                 * np.asarray(positions[name]) for axis, name in enumerate(f'E{letter}{letter}' for letter in AXES)
                 if self.conditions.referred[axis] and name in positions}
 
-    def traceability(self, solution: Solution, index_sigma: float, budget: str) -> Traceability:
-        """What the result says of itself; ``solution`` names the axes that were measured."""
+    def correction_sigma(self, positions: Mapping[str, np.ndarray], sensor_sigma: float) -> dict[str, np.ndarray]:
+        """Standard uncertainty (k,) [m] of :meth:`correction`, by temperature and coefficient of the scale."""
+        given = self.conditions
+        return {name: float(np.hypot(given.expansion[axis] * max(sensor_sigma, given.scale_sigma[axis]),
+                                     given.expansion_sigma[axis] * (given.scales[axis] - REFERENCE_TEMPERATURE)))
+                * np.asarray(positions[name]) for axis, name in enumerate(f'E{letter}{letter}' for letter in AXES)
+                if given.referred[axis] and name in positions}
+
+    def traceability(self, solution: Solution, index_sigma: float, budget: str, sensor_sigma: float) -> Traceability:
+        """What the result says of itself; ``solution`` names the axes that were measured, ``sensor_sigma`` [K] is of
+        temperatures that topics tell."""
         moved = [axis for axis, letter in enumerate(AXES)
                  if solution.has(f'E{letter}{letter}') and len(solution.positions[f'E{letter}{letter}']) > 1]
         referred = bool(moved) and all(self.conditions.referred[axis] for axis in moved)
         shown = {name: values for name, values in self.correction(solution.positions).items() if solution.has(name)}
         return Traceability(self.air, self.index, index_sigma, REFERENCE_TEMPERATURE if referred else None,
-                            self.measured_at, shown, self.remarks, budget)
+                            self.measured_at, shown, self.remarks, budget, self.parts(solution, sensor_sigma),
+                            self.correction_sigma(solution.positions, sensor_sigma))
 
 
 def in_metres(log: CalibrationLog, table: StopTable | None = None) -> Metres:
@@ -88,7 +123,10 @@ def in_metres(log: CalibrationLog, table: StopTable | None = None) -> Metres:
     table = reduce_log(log) if table is None else table
     corrected, conditions, air, index, remarks = _air(log, table)
     corrected, conditions, measured = _referred(log, corrected, conditions)
-    return Metres(corrected, conditions, air, index, measured, tuple(remarks))
+    part, _ = _recorded(log.environment.get(WORKPIECE), log, (table.dwell_ns + table.done_ns) // 2,
+                        LIMITS['temperature'])
+    return Metres(corrected, conditions, air, index, measured, tuple(remarks), log.description.workpiece,
+                  None if part is None else float(part.mean()))
 
 
 def with_one_index(log: CalibrationLog, table: StopTable) -> StopTable:
@@ -268,14 +306,16 @@ def _referred(log: CalibrationLog, table: StopTable,
     directions = np.array([setup_direction(description.machine, description.setups[name])
                            for name in table.setup_names])[table.setup]
     excess, referred = np.zeros(len(table)), [False] * 3
-    scales, measured = list(conditions.scales), {}
+    scales, measured, stated = list(conditions.scales), {}, [0.0] * 3
     expansion, sigma, away = list(conditions.expansion), list(conditions.expansion_sigma), [np.nan] * 3
     for axis, letter in enumerate('xyz'):
         recorded, _ = _recorded(log.environment.get(f'scale_temperature/{letter}'), log, middle, LIMITS['temperature'])
+        material = description.scales.get(letter)
+        if recorded is None and material is not None and material.temperature is not None:
+            recorded, stated[axis] = np.full(len(table), material.temperature), material.temperature_sigma
         if recorded is not None:
             scales[axis] = measured[letter] = float(recorded.mean())
             away[axis] = float(np.sqrt(np.mean((recorded - REFERENCE_TEMPERATURE)**2)))
-        material = description.scales.get(letter)
         if material is not None:
             expansion[axis], sigma[axis] = material.expansion, material.sigma
         if recorded is not None and material is not None:
@@ -283,7 +323,7 @@ def _referred(log: CalibrationLog, table: StopTable,
             excess += directions[:, axis] * material.expansion * (recorded - REFERENCE_TEMPERATURE) \
                 * table.commanded[:, axis]
     conditions = replace(conditions, scales=tuple(scales), expansion=tuple(expansion), expansion_sigma=tuple(sigma),
-                         referred=tuple(referred), away=tuple(away))
+                         referred=tuple(referred), away=tuple(away), scale_sigma=tuple(stated))
     if not any(referred):
         return table, conditions, measured
     lengths = table.displacement.copy()

@@ -24,6 +24,7 @@ from stepdiag_ros.estimate.conditions import ANY_SCALE, UNREFERRED, Conditions
 from stepdiag_ros.estimate.enhanced import Fit
 from stepdiag_ros.estimate.gauge import reporting_matrix
 from stepdiag_ros.estimate.noise import NoiseModel
+from stepdiag_ros.estimate.parameters import Parameters
 from stepdiag_ros.estimate.prediction import sensitivities
 from stepdiag_ros.estimate.reduce import StopTable
 from stepdiag_ros.estimate.shared import Weighed, weigh
@@ -32,6 +33,7 @@ from stepdiag_ros.estimate.traceability import REFERENCE_TEMPERATURE
 from stepdiag_ros.model.budget import MEASURED, Budget, Contributor
 from stepdiag_ros.model.description import Description, Machine
 from stepdiag_ros.model.machine import AXES
+from stepdiag_ros.model.sensor import Misalignment
 
 HELD = 'held by prior'
 
@@ -136,8 +138,9 @@ def _thermal_slopes(contributor: Contributor, conditions: Conditions) -> np.ndar
         given = np.array(conditions.expansion_sigma)
         sigma = np.where(np.isfinite(given), given, contributor.standard)
         return np.where(referred, sigma * np.abs(np.array(conditions.scales) - REFERENCE_TEMPERATURE), 0.0)
-    by_sensor = contributor.standard * np.where(np.isfinite(own), own, contributor.coefficient)
-    shown = ANY_SCALE * np.hypot(np.array(conditions.away), contributor.standard)
+    sensor = np.maximum(contributor.standard, np.array(conditions.scale_sigma))
+    by_sensor = sensor * np.where(np.isfinite(own), own, contributor.coefficient)
+    shown = ANY_SCALE * np.hypot(np.array(conditions.away), sensor)
     return np.where(referred, by_sensor, np.maximum(by_sensor, np.fmin(shown, UNREFERRED)))
 
 
@@ -235,21 +238,45 @@ def propagate(budget: Budget, setting: Setting, result: Fit, solution: Solution,
     """
     parameters = result.parameters
     _, reporting = reporting_matrix(parameters.knots, parameters.first, parameters.size)
+    setups, columns = _aligned(parameters)
+    count, rows = len(reporting), np.vstack([reporting, np.eye(parameters.size)[columns]])
     acting = tuple(_scaled(cause, misfit) for cause in causes(budget, setting))
     shared = [cause.readings.toarray() for cause in acting if cause.contributor.kind in SHARED]
     if weighed and shared:
-        found = weigh(result, reporting, np.hstack(shared), misfit)
-        sensitivity, half = found.gain, found.half
-        solution = replace(solution, value=solution.value + found.shift)
+        found = weigh(result, rows, np.hstack(shared), misfit)
+        sensitivity, half, shift = found.gain, found.half, found.shift
+        found = Weighed(sensitivity[:count], half[:count], shift[:count])
     else:
-        found = None
-        sensitivity, half = gain(result, reporting), reporting @ result.covariance
-    effects = tuple((cause.readings.T @ sensitivity.T).T + error_slopes(cause, solution) for cause in acting)
+        found, shift = None, np.zeros(len(rows))
+        sensitivity, half = gain(result, rows), rows @ result.covariance
+    angles = _misalignments(setups, result.theta[columns] + shift[count:])
+    effects = tuple((cause.readings.T @ sensitivity.T).T for cause in acting)
+    variance = np.sum((half[count:] @ result.precision) * half[count:], axis=1) + \
+        sum(np.sum(effect[count:]**2, axis=1) for effect in effects)
+    half = half[:count]
+    solution = replace(solution, value=solution.value + shift[:count],
+                       misalignments={**solution.misalignments, **angles},
+                       misalignment_sigma=_misalignments(setups, np.sqrt(np.maximum(variance, 0.0))))
+    effects = tuple(effect[:count] + error_slopes(cause, solution)
+                    for cause, effect in zip(acting, effects, strict=True))
     held = half @ result.precision @ half.T
     covariance = held + sum(effect @ effect.T for effect in effects)
     alone = held + sum((effect @ effect.T for cause, effect in zip(acting, effects, strict=True)
                         if cause.contributor.kind in MEASURED), np.zeros_like(held))
     return Uncertainty(replace(solution, covariance=covariance, repeatability=alone), acting, effects, held, found)
+
+
+def _aligned(parameters: Parameters) -> tuple[list[str], np.ndarray]:
+    """The setups whose angles a log finds, and the columns (4 a setup) of these: not lines along one axis, whose spots
+    show the difference of mirror and beam alone, and whose beam is where it is believed to be."""
+    setups = [setup for setup in parameters.setups if setup not in parameters.straight]
+    return setups, np.array([parameters.setup_first[setup] + k for setup in setups for k in range(4)], int)
+
+
+def _misalignments(setups: list[str], values: np.ndarray) -> dict[str, Misalignment]:
+    """``values`` (4·setups,) by setup."""
+    return {setup: Misalignment((float(v[0]), float(v[1])), (float(v[2]), float(v[3])))
+            for setup, v in zip(setups, values.reshape(-1, 4), strict=True)}
 
 
 __all__ = ['HELD', 'Cause', 'Conditions', 'Setting', 'Uncertainty', 'causes', 'coverage_factor', 'gain',

@@ -55,6 +55,7 @@ class SetupReadings:
     ``spot_m`` (n, 2) [m] or None, ``spot_sigma_m`` (n,); ``forward_m``, ``backward_m``
     (runs, n) [m]: beam 0 of each run on its own, aligned as :func:`readings_of_stops` says.
     ``declared``: no direction was run twice, and the standard deviations are of the noise that the cell declares.
+    ``zeroed``: every forward run was reset at its own first stop, so that each cycle counts from a zero of its own.
     """
 
     sight: Sight
@@ -65,6 +66,7 @@ class SetupReadings:
     forward_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
     backward_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
     declared: bool = False
+    zeroed: bool = False
 
 
 @dataclass(frozen=True)
@@ -211,12 +213,14 @@ def _setup_readings(sight: Sight, table: StopTable, noise: Noise) -> SetupReadin
     sigma, spot_sigma = _sigma(aligned[:, :, 0], direction), _sigma(spots.mean(axis=2), direction)
     path = sight.standoff + (sight.positions - sight.positions[0]) @ sight.direction
     declared = sigma is None
+    ahead = keys[keys[:, 2] > 0, 0]
+    zeroed = len(ahead) > 1 and len(np.unique(ahead)) == len(ahead)
     if declared:
         sigma = np.full(n, np.hypot(noise.position_repeatability, noise.displacement) / np.sqrt(len(keys)))
     if spot_sigma is None:
         spot_sigma = np.hypot(2.0 * path * noise.angle_repeatability, noise.spot) / np.sqrt(len(keys))
     return SetupReadings(sight, mean - mean[0], sigma, spot_mean, spot_sigma if has_spots else None, forward,
-                         backward, declared)
+                         backward, declared, zeroed)
 
 
 def _align(length: np.ndarray) -> np.ndarray:
@@ -261,8 +265,10 @@ def _in_order(length: np.ndarray, keys: np.ndarray) -> tuple[np.ndarray, np.ndar
         shift.setdefault(run, length[t, 0])
         forward.append(length[t] - shift[run])
         ends.setdefault(repeat, forward[-1][-1])
+    # Where the forward run of a cycle is not complete, its backward run goes on from where the others ended.
+    end = float(np.mean(list(ends.values()))) if ends else 0.0
     for t in np.flatnonzero(complete & (keys[:, 2] < 0)):
         run, repeat, _ = keys[t]
-        backward.append(length[t] - shift.get(run, length[t, -1] - ends.get(repeat, 0.0)))
+        backward.append(length[t] - shift.get(run, length[t, -1] - ends.get(repeat, end)))
     n = length.shape[1]
     return np.reshape(forward, (-1, n)), np.reshape(backward, (-1, n))

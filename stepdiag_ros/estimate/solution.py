@@ -54,7 +54,9 @@ class Solution:
     zero at position 0 with zero variance.  Straightness and squareness refer to the reference
     lines of ISO 230-1 (:mod:`stepdiag_ros.estimate.gauge`).  A method that cannot give an error
     leaves its name out.  ``sanity``: mistakes of commissioning that the log shows
-    (:mod:`stepdiag_ros.estimate.sanity`).  ``closure``: how each cycle came back to its first stop.
+    (:mod:`stepdiag_ros.estimate.sanity`).  ``misalignment_sigma``: standard uncertainties of ``misalignments`` by the
+    whole budget, for the setups whose angles are found; a line along one axis shows the difference of mirror and beam
+    at most, and has none.  ``closure``: how each cycle came back to its first stop.
     ``parts``: what each kind of setup contributed (:mod:`stepdiag_ros.estimate.contributions`).
 
     ``covariance`` is that of the whole budget where ``traceability`` is set, else of the repeats alone;
@@ -72,6 +74,7 @@ class Solution:
     unidentifiable: tuple[Unidentifiable, ...] = ()
     gauge: str = ''
     misalignments: Mapping[str, Misalignment] = field(default_factory=dict)
+    misalignment_sigma: Mapping[str, Misalignment] = field(default_factory=dict)
     noise: Mapping[str, float] = field(default_factory=dict)
     residuals: Residuals | None = None
     warnings: tuple[str, ...] = ()
@@ -125,6 +128,14 @@ class Solution:
                 curves[name] = Curve(position, value)
         return GeometricErrors(curves, {n: self.squareness(n)[0] for n in SQUARENESS if self.has(n)})
 
+    def _misaligned(self, setup: str) -> dict[str, Any]:
+        """The angles of a setup with their standard uncertainties; nulls where the log does not find them."""
+        angles, sigma = self.misalignments[setup], self.misalignment_sigma.get(setup)
+        if self.misalignment_sigma and sigma is None:
+            return {'found': False, **dict.fromkeys(('laser_rad', 'mirror_rad', 'laser_sigma_rad', 'mirror_sigma_rad'))}
+        known = {} if sigma is None else {'laser_sigma_rad': list(sigma.laser), 'mirror_sigma_rad': list(sigma.mirror)}
+        return {'found': True, 'laser_rad': list(angles.laser), 'mirror_rad': list(angles.mirror), **known}
+
     def to_json_dict(self) -> dict[str, Any]:
         """The contract's answer of ``stepdiag evaluate --json``."""
         errors: dict[str, Any] = {}
@@ -145,8 +156,7 @@ class Solution:
                 'reference_temperature': None if tied is None else tied.reference_temperature,
                 'traceability': None if tied is None else tied.to_json_dict(),
                 'gauge': self.gauge, 'reduced_chi2': self.reduced_chi2, 'dof': self.dof,
-                'misalignments': {name: {'laser_rad': list(m.laser), 'mirror_rad': list(m.mirror)}
-                                  for name, m in self.misalignments.items()},
+                'misalignments': {name: self._misaligned(name) for name in self.misalignments},
                 'noise': dict(self.noise), 'warnings': list(self.warnings),
                 'sanity': [finding.to_json_dict() for finding in self.sanity],
                 'closure': [one.to_json_dict() for one in self.closure],

@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from stepdiag_ros.estimate.workpiece import PartExpansion
+
 REFERENCE_TEMPERATURE = 20.0
 """[°C] of ISO 1."""
 INSTRUMENT, TOPICS, CONSTANT, CELL, NOBODY = (
@@ -27,9 +29,11 @@ class Traceability:
     ``index_sigma``: standard uncertainty of the index, one value for the whole log [1].
     ``reference_temperature``: 20.0 where the positioning errors are referred to it, else None.
     ``measured_at``: mean scale temperatures [°C] by axis letter, of the axes that have a sensor.
-    ``correction_m``: what was added to a positioning error to refer it to 20 °C, by name, (k,) [m] at its positions.
+    ``correction_m``: what was added to a positioning error to refer it to 20 °C, by name, (k,) [m] at its positions;
+    ``correction_sigma_m``: its standard uncertainty.
     ``remarks``: what a reader must know before acting on the result, a sentence each.
-    ``budget``: ``cell`` where the cell states one of its own, else ``standard``.
+    ``budget``: ``cell`` where the cell states one of its own, else ``standard``.  ``workpiece``: what its temperature
+    does to parts, or in words what is not known of it.
     """
 
     air: str = INSTRUMENT
@@ -40,6 +44,8 @@ class Traceability:
     correction_m: Mapping[str, np.ndarray] = field(default_factory=dict)
     remarks: tuple[str, ...] = ()
     budget: str = 'standard'
+    workpiece: PartExpansion | str = 'temperature and expansion of the workpiece are unknown'
+    correction_sigma_m: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     @property
     def traceable(self) -> bool:
@@ -61,10 +67,18 @@ class Traceability:
             return f'at the temperature of the scales while they were measured ({places}), not referred to 20 °C'
         return 'at the temperature of the measurement, which is unknown'
 
+    @property
+    def workpiece_words(self) -> str:
+        """What is known of the workpiece, in words."""
+        return self.workpiece if isinstance(self.workpiece, str) else self.workpiece.words
+
     def to_json_dict(self) -> dict[str, Any]:
-        return {'air': self.air, 'traceable': self.traceable, 'index': self.index, 'index_sigma': self.index_sigma,
+        return {'workpiece': self.workpiece_words if isinstance(self.workpiece, str) else self.workpiece.to_json_dict(),
+                'air': self.air, 'traceable': self.traceable, 'index': self.index, 'index_sigma': self.index_sigma,
                 'reference_temperature': self.reference_temperature,
                 'measured_at_C': dict(self.measured_at) or None, 'temperature': self.temperature_words,
                 'correction_to_20C_m': {name: [float(v) for v in values]
                                         for name, values in self.correction_m.items()},
+                'correction_to_20C_sigma_m': {name: [float(v) for v in self.correction_sigma_m[name]]
+                                              for name in self.correction_m},
                 'budget': self.budget, 'remarks': list(self.remarks)}

@@ -14,7 +14,14 @@ import yaml
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.guard import limits, strict_yaml
 from stepdiag_ros.model.budget import Budget
-from stepdiag_ros.model.surroundings import AirValues, Expansion, air_of, scales_of, scales_to_dict
+from stepdiag_ros.model.surroundings import (
+    AirValues,
+    Expansion,
+    air_of,
+    scales_of,
+    scales_to_dict,
+    workpiece_of,
+)
 from stepdiag_ros.model.way import TOGETHER, Way, problem
 
 MADE_UP = 'made_up'
@@ -121,7 +128,7 @@ class Description:
     """A whole cell description.
 
     ``air``: where no topic tells; ``scales``: their material by axis letter; ``budget``: the cell's own lines;
-    ``timed``: whether the log's times were measured, not made up for a table without.
+    ``timed``: whether the log's times were measured, not made up for a table without.  ``workpiece``: its material.
     """
 
     machine: Machine
@@ -132,6 +139,7 @@ class Description:
     scales: dict[str, Expansion] = field(default_factory=dict)
     budget: Budget | None = None
     timed: bool = True
+    workpiece: Expansion | None = None
 
     def repeats_of(self, setup: str) -> int:
         """How often a setup is measured, forward and backward."""
@@ -187,7 +195,7 @@ class Description:
                         for key, value in vars(Noise()).items()))
         return cls(machine, plan, setups, noise, air_of(get, data.get('air')),
                    scales_of(get, data.get('material')), _budget(data.get('budget'), source),
-                   data.get('times') != MADE_UP)
+                   data.get('times') != MADE_UP, workpiece_of(get, data.get('material')))
 
     def to_dict(self) -> dict[str, Any]:
         """The mapping of the contract, plain lists and floats."""
@@ -213,8 +221,10 @@ class Description:
                  'noise': dict(vars(self.noise))}
         if self.air is not None:
             whole['air'] = self.air.to_dict()
-        if self.scales:
-            whole['material'] = {'scales': scales_to_dict(self.scales)}
+        material = ({'scales': scales_to_dict(self.scales)} if self.scales else {}) | (
+            {} if self.workpiece is None else {'workpiece': self.workpiece.to_dict()})
+        if material:
+            whole['material'] = material
         if self.budget is not None:
             whole['budget'] = self.budget.to_list()
         if not self.timed:

@@ -105,7 +105,7 @@ class CalibrationLog:
     """A log.
 
     ``environment`` maps ``air_temperature``, ``air_pressure``, ``humidity``,
-    ``scale_temperature/x`` (``/y``, ``/z``) to series; absent keys were not logged.
+    ``scale_temperature/x`` (``/y``, ``/z``, ``/workpiece``) to series; absent keys were not logged.
     ``clocks`` maps ``sequencer``, ``interferometer``, ``psd`` to the name of the clock that stamped them, where known.
     ``warnings`` say what the reader repaired or left out; ``namespace`` is the machine's.
     """

@@ -17,7 +17,8 @@ from stepdiag_ros.model.path import local_triad, setup_direction, start_corner
 
 @dataclass(frozen=True)
 class Misalignment:
-    """Small turns of one setup about its (u, v) [rad]: of the laser's beams and of the mirror's mount."""
+    """Small turns of one setup about its (u, v) [rad]: of the laser's beams and of the mirror's mount; or their
+    standard uncertainties."""
 
     laser: tuple[float, float] = (0.0, 0.0)
     mirror: tuple[float, float] = (0.0, 0.0)

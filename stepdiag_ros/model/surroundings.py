@@ -1,4 +1,4 @@
-"""What a cell believes of its surroundings: the air where no topic tells, the material of its scales.
+"""What a cell believes of its surroundings: the air where no topic tells, the material of scales and workpiece.
 
 Both travel in the cell description (keys ``air`` and ``material``); an older reader ignores them.
 """
@@ -15,6 +15,8 @@ LIMITS = {'temperature': (-20.0, 60.0), 'pressure': (5.0e4, 1.2e5), 'humidity': 
 """What is read as air at all, [°C, Pa, 1, mol/mol, m]: a hectopascal or a per cent is a mistake."""
 UNSTATED_EXPANSION = 5.0e-6
 """Standard uncertainty [1/K] of an expansion coefficient that comes without one: glass or steel."""
+UNSTATED_TEMPERATURE = 0.5
+"""Standard uncertainty [K] of a temperature that the cell states without one."""
 
 
 @dataclass(frozen=True)
@@ -39,10 +41,18 @@ class AirValues:
 
 @dataclass(frozen=True)
 class Expansion:
-    """Expansion coefficient of a scale and its standard uncertainty [1/K]."""
+    """Expansion coefficient of a scale or workpiece and its standard uncertainty [1/K]; its temperature [°C] and that
+    one's [K] where the cell states it and no topic tells."""
 
     expansion: float
     sigma: float = UNSTATED_EXPANSION
+    temperature: float | None = None
+    temperature_sigma: float = UNSTATED_TEMPERATURE
+
+    def to_dict(self) -> dict[str, float]:
+        said = {'expansion': self.expansion, 'sigma': self.sigma}
+        return said if self.temperature is None else said | {
+            'temperature': self.temperature, 'temperature_sigma': self.temperature_sigma}
 
 
 def air_of(get: Any, body: Any) -> AirValues | None:
@@ -72,11 +82,27 @@ def scales_of(get: Any, body: Any) -> dict[str, Expansion]:
         path = f'material.scales.{axis}'
         if axis not in ('x', 'y', 'z'):
             raise StepdiagError(f'{get.source}: {path}: unknown axis; name x, y, z')
-        get.mapping(given, path)
-        found[axis] = Expansion(get.number(given, f'{path}.expansion', minimum=0.0),
-                                get.number(given, f'{path}.sigma', default=UNSTATED_EXPANSION, minimum=0.0))
+        found[axis] = _expansion(get, given, path)
     return found
 
 
+def workpiece_of(get: Any, body: Any) -> Expansion | None:
+    """``material.workpiece`` of a cell description; None where it is not given."""
+    given = None if body is None else get.mapping(body, 'material').get('workpiece')
+    return None if given is None else _expansion(get, given, 'material.workpiece')
+
+
+def _expansion(get: Any, given: Any, path: str) -> Expansion:
+    """One material."""
+    get.mapping(given, path)
+    temperature = None if given.get('temperature') is None else get.number(given, f'{path}.temperature')
+    low, high = LIMITS['temperature']
+    if temperature is not None and not low <= temperature <= high:
+        raise StepdiagError(f'{get.source}: {path}.temperature is {temperature:g}; give °C from {low:g} to {high:g}')
+    return Expansion(get.number(given, f'{path}.expansion', minimum=0.0),
+                     get.number(given, f'{path}.sigma', default=UNSTATED_EXPANSION, minimum=0.0), temperature,
+                     get.number(given, f'{path}.temperature_sigma', default=UNSTATED_TEMPERATURE, minimum=0.0))
+
+
 def scales_to_dict(scales: Mapping[str, Expansion]) -> dict[str, Any]:
-    return {axis: {'expansion': own.expansion, 'sigma': own.sigma} for axis, own in scales.items()}
+    return {axis: own.to_dict() for axis, own in scales.items()}

@@ -1,6 +1,6 @@
 """What tables do, in words: the lines of the command and the README beside the tables."""
 
-from stepdiag_ros.compensate.compensation import Compensation, worsened
+from stepdiag_ros.compensate.compensation import Compensation
 from stepdiag_ros.estimate.prediction import Prediction
 from stepdiag_ros.estimate.traceability import WORDS
 
@@ -26,11 +26,10 @@ def summary(found: Compensation) -> str:
              f'                     predicted  {_figure(found, found.after)}; {where}',
              f'                     to be measured  {_figure(found, found.as_measured)}, from its own reference lines']
     if found.line_alone is not None:
-        more = worsened(found.before, found.line_alone) > 0.0
-        most = float((found.line_alone.size_m - found.before.size_m).max())
+        share, most = found.worse_alone()
         lines.append(f'  held back          the tables of the line alone would leave '
                      f'{_figure(found, found.line_alone)}, and make '
-                     f'{100.0 * float(more.mean()):.0f} % of the places worse beyond their U, by up to '
+                     f'{100.0 * share:.2g} % of the places worse beyond their U by repeats (k = 2), by up to '
                      f'{1e6 * most:.1f} µm')
     rest = {name: value for name, value in found.not_carried.items() if value >= LEAST_SAID_M}
     if rest:
@@ -43,8 +42,10 @@ def summary(found: Compensation) -> str:
     tied = found.solution.traceability
     if tied is not None:
         lines.append(f'  errors             {WORDS[tied.air]}; {tied.temperature_words}')
+        lines.append(f'  parts              {tied.workpiece_words}')
     if found.left_out:
-        lines.append(f'  left out           {", ".join(found.left_out)}: the log leaves them open')
+        lines.append(f'  left out           {", ".join(found.left_out)}: the log leaves them open; they count in each '
+                     'U of a largest deviation, and in no value')
     if found.unmeasured:
         lines.append(f'  not measured       {", ".join(found.unmeasured)}: no tables of them')
     return '\n'.join(lines)

@@ -62,9 +62,10 @@ def _tied(solution: Solution) -> str:
         return ''
     rows = [['lengths', escape(WORDS[tied.air])], ['mean index of air', f'{tied.index:.8f}'],
             ['U of the unit of length (k = 2)', f'{plain(2e6 * tied.index_sigma)} µm/m'],
-            ['positioning errors', escape(tied.temperature_words)],
+            ['positioning errors', escape(tied.temperature_words)], ['parts', escape(tied.workpiece_words)],
             ['uncertainty', f'the whole budget ({escape(tied.budget)}), k = 2']]
-    rows += [[f'correction of {name} to 20 °C, at its end', quantity(float(values[-1]), 'm')]
+    rows += [[f'correction of {name} to 20 °C, at its end (k = 2)',
+              quantity(float(values[-1]), 'm', 2.0 * float(tied.correction_sigma_m[name][-1]))]
              for name, values in tied.correction_m.items()]
     remarks = ''.join(f'<li>{escape(remark)}</li>' for remark in tied.remarks)
     return '<h2>What the numbers rest on</h2>' + table(['', ''], rows) + (f'<ul>{remarks}</ul>' if remarks else '')
@@ -104,11 +105,17 @@ def _with_unit(solution: Solution, name: str) -> tuple[float, str, float]:
 def _misalignments(solution: Solution, description: Description) -> str:
     if not solution.misalignments:
         return ''
-    rows = [[escape(name), escape(setup_words(description.setups[name])),
-             *(quantity(a, 'rad') for a in (*m.laser, *m.mirror))]
-            for name, m in solution.misalignments.items()]
+    rows = []
+    for name, m in solution.misalignments.items():
+        sigma = solution.misalignment_sigma.get(name)
+        angles = ['not found'] * 4 if sigma is None else [
+            quantity(angle, 'rad', 2.0 * s)
+            for angle, s in zip((*m.laser, *m.mirror), (*sigma.laser, *sigma.mirror), strict=True)]
+        rows.append([escape(name), escape(setup_words(description.setups[name])), *angles])
     return ('<h2>How laser and mirror were aligned</h2><p>Found together with the errors and taken out of them: '
-            'small angles about the beam\'s sideways directions u and v.</p>'
+            'small angles about the beam\'s sideways directions u and v, ± U (k = 2). A line along one axis does not '
+            'find them: its beam lengthens readings to second order only, and its spots show mirror and beam '
+            'together.</p>'
             + table(['setup', 'which', '>laser about u', '>about v', '>mirror about u', '>about v'], rows))
 
 

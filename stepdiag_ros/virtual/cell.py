@@ -31,7 +31,7 @@ from stepdiag_ros.model.sensor import Misalignment
 from stepdiag_ros.model.way import TOGETHER, Way, problem
 from stepdiag_ros.virtual import drawn
 from stepdiag_ros.virtual.noise import NoiseLaw, NoiseLaws, Spread
-from stepdiag_ros.virtual.surroundings import BELIEVED, believed_air, budget, scales
+from stepdiag_ros.virtual.surroundings import BELIEVED, believed_air, budget, scales, workpiece
 from stepdiag_ros.virtual.yamlreader import Reader, parse_yaml, read_yaml
 
 SCHEMA = 1
@@ -213,7 +213,8 @@ def _cell(top: Reader) -> Cell:
     machine = _machine(keys['machine'])
     setups = _setups(keys['setups'], machine)
     description = Description(machine, _plan(keys['plan']), setups, _noise(keys.get('noise')),
-                              believed_air(keys.get('air')), scales(keys.get('material')), budget(keys.get('budget')))
+                              believed_air(keys.get('air')), scales(keys.get('material')), budget(keys.get('budget')),
+                              workpiece=workpiece(keys.get('material')))
     misalignments, zero = drawn.misalignments(keys.get('misalignments'), seed, tuple(setups))
     motion = _fill(Motion, keys.get('motion'), {
         'feed': {'above': 0.0, 'unit': 'm/s'}, 'acceleration': {'above': 0.0, 'unit': 'm/s²'},

@@ -1,10 +1,15 @@
-"""What a cell file says that its log is to carry on: air, material of the scales, uncertainty budget."""
+"""What a cell file says that its log is to carry on: air, material of scales and workpiece, uncertainty budget."""
 
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.model.budget import Budget
-from stepdiag_ros.model.surroundings import LIMITS, QUANTITIES, UNSTATED_EXPANSION, AirValues, Expansion
+from stepdiag_ros.model.surroundings import LIMITS, QUANTITIES, AirValues, Expansion
 from stepdiag_ros.virtual.yamlreader import Reader
 
+MATERIAL = ('scales', 'workpiece')
+"""Keys of ``material``."""
+EXPANSION = {'expansion': (0.0, 1e-3, '1/K'), 'sigma': (0.0, 1e-3, '1/K'),
+             'temperature': (*LIMITS['temperature'], '°C'), 'temperature_sigma': (0.0, 100.0, 'K')}
+"""Keys of a material with least, greatest value and unit."""
 BELIEVED = ('sigma', 'co2', 'wavelength')
 """Keys of ``air`` that go into the log."""
 
@@ -27,14 +32,24 @@ def scales(node: Reader | None) -> dict[str, Expansion]:
     """``material.scales`` by axis letter."""
     if node is None or node.is_null:
         return {}
-    keys, found = node.mapping(('scales',)), {}
+    keys, found = node.mapping(MATERIAL), {}
     for axis, child in keys['scales'].mapping(('x', 'y', 'z')).items() if 'scales' in keys else ():
-        own = child.mapping(('expansion', 'sigma'))
-        if 'expansion' not in own:
-            raise child.fail("the key 'expansion' is missing; give the coefficient [1/K], e.g. 1.15e-5")
-        sigma = own['sigma'].number(minimum=0.0, unit='1/K') if 'sigma' in own else UNSTATED_EXPANSION
-        found[axis] = Expansion(own['expansion'].number(minimum=0.0, maximum=1e-3, unit='1/K'), sigma)
+        found[axis] = _expansion(child)
     return found
+
+
+def workpiece(node: Reader | None) -> Expansion | None:
+    """``material.workpiece``; None where it is not given."""
+    keys = {} if node is None or node.is_null else node.mapping(MATERIAL)
+    return _expansion(keys['workpiece']) if 'workpiece' in keys else None
+
+
+def _expansion(node: Reader) -> Expansion:
+    own = node.mapping(tuple(EXPANSION))
+    if 'expansion' not in own:
+        raise node.fail("the key 'expansion' is missing; give the coefficient [1/K], e.g. 1.15e-5")
+    return Expansion(**{key: value.number(minimum=EXPANSION[key][0], maximum=EXPANSION[key][1], unit=EXPANSION[key][2])
+                        for key, value in own.items()})
 
 
 def budget(node: Reader | None) -> Budget | None:

@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 
 from stepdiag_ros.estimate.body_diagonal import DiagonalTest
 from stepdiag_ros.estimate.evaluate import Evaluation
+from stepdiag_ros.estimate.iso_rules import shortfalls
 from stepdiag_ros.estimate.method_budget import with_cell_budget
 from stepdiag_ros.estimate.methods import body_diagonal_test, corner_deviations, diagonal_displacement
 from stepdiag_ros.estimate.of_ways import of_kind
@@ -17,7 +18,6 @@ from stepdiag_ros.model.log import CalibrationLog
 from stepdiag_ros.report.gap_figures import AFTER, BEFORE
 from stepdiag_ros.report.legends import legend_outside
 from stepdiag_ros.report.sheets.record import conditions
-from stepdiag_ros.report.sheets.rules import shortfalls
 from stepdiag_ros.report.sheets.sheet import Grid, Sheet, micro
 from stepdiag_ros.report.words import setup_words
 

@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 
 from stepdiag_ros.estimate.evaluate import Evaluation
 from stepdiag_ros.estimate.iso230_2 import AxisResult, LinearTest
+from stepdiag_ros.estimate.iso_rules import shortfalls
 from stepdiag_ros.estimate.method_budget import with_cell_budget
 from stepdiag_ros.estimate.methods import linear_test
 from stepdiag_ros.estimate.readings import CellReadings
@@ -16,7 +17,6 @@ from stepdiag_ros.model.log import CalibrationLog
 from stepdiag_ros.report.gap_figures import AFTER, BEFORE, INK, SOFT
 from stepdiag_ros.report.legends import legend_outside
 from stepdiag_ros.report.sheets.record import conditions
-from stepdiag_ros.report.sheets.rules import shortfalls
 from stepdiag_ros.report.sheets.sheet import Grid, Sheet, micro
 from stepdiag_ros.report.words import setup_words
 

@@ -88,7 +88,7 @@ def _resets(table: StopTable) -> str:
     runs = np.unique(np.stack([table.setup, table.run], axis=1), axis=0)
     if len(runs) < len(cycles):
         return 'set at the first stop of a run; several cycles share it'
-    text = 'set at the first stop of every run, so that the scatter there is zero by construction'
+    text = 'set at the first stop of every run; cycles are shifted to agree on average, and s made good for it'
     if not backward:
         return text + '; no backward run'
     if backward <= forward:
@@ -109,7 +109,8 @@ def _surroundings(log: CalibrationLog, table: StopTable, names: list[str]) -> li
     for axis in _axes(log, names):
         rows.append((f'temperature of scale {axis.upper()}',
                      _course(log, f'scale_temperature/{axis}', ends, 1.0, '°C', 2) or NOT_STATED))
-    return [*rows, ('temperature of workpiece and machine bed', NOT_STATED)]
+    part = _course(log, 'scale_temperature/workpiece', ends, 1.0, '°C', 2)
+    return [*rows, ('temperature of the workpiece', part or NOT_STATED), ('temperature of the machine bed', NOT_STATED)]
 
 
 def _course(log: CalibrationLog, topic: str, ends: np.ndarray, factor: float, unit: str, digits: int) -> str | None:

@@ -9,12 +9,14 @@ import yaml
 from stepdiag_ros.bag.export import write_log
 from stepdiag_ros.bag.import_csv import import_csv
 from stepdiag_ros.bag.reader import read_log
+from stepdiag_ros.cli.known import known_errors
 from stepdiag_ros.cli.main import main
 from stepdiag_ros.compensate.compensation import compensation
 from stepdiag_ros.compensate.control import Place
 from stepdiag_ros.compensate.controls import CONTROLS
 from stepdiag_ros.compensate.taken import left_of
 from stepdiag_ros.estimate import evaluate
+from stepdiag_ros.estimate.methods import run_method
 from stepdiag_ros.virtual.cell import Cell, parse_cell
 from stepdiag_ros.virtual.offline import simulate_log
 
@@ -203,3 +205,88 @@ def test_two_machines_are_not_compared(place, refused, tmp_path, capsys):
     assert main(['verify', str(place / 'before'), refused['other'], '--tolerance', '5um', '--out',
                  str(tmp_path / 'v')]) == 2
     assert 'machine.tool differs' in one_line(capsys)
+
+
+def warm(effects: dict | None = None) -> Cell:
+    """Vacuum lengths, scales 3 K above 20 °C of a stated material: all that lengths have to be freed of."""
+    text = yaml.safe_load(DEMO.read_text(encoding='utf-8'))
+    text['sampling'] |= {'interferometer': 200.0, 'psd': 200.0, 'in_motion': False}
+    text['motion'] |= {'dwell': 0.1}
+    text['air'] |= {'compensated': False, 'sensors': ['temperature', 'pressure', 'humidity', 'scale'],
+                    'scale_temperature': [23.0, 23.0, 23.0]}
+    text['material'] = {'scales': {axis: {'expansion': 1.15e-5, 'sigma': 1e-6} for axis in 'xyz'}}
+    text['machine']['origin'] = ORIGIN
+    text['effects'] = effects or {}
+    return parse_cell(yaml.safe_dump(text, sort_keys=False), str(DEMO))
+
+
+def test_a_cause_taken_out_leaves_metres_20_degrees_and_the_whole_budget(tmp_path):
+    """Lost motion beside all that: the tables are those of the machine without it, its two directions apart."""
+    plain, lost = (simulate_log(warm(effects)) for effects in (None, {'backlash': {'B': [4e-6, 0.0, 0.0]}}))
+    known = known_errors(lost, 'lost')
+    clean = evaluate(plain)
+    assert known.reversal['X'][0] == pytest.approx(4e-6, abs=4e-7)
+    assert known.solution.traceability.reference_temperature == 20.0
+    assert known.solution.traceability.air == 'topics'
+    for name in ('EXX', 'EYY', 'EZZ', 'EXY', 'EAX'):
+        (_, value, sigma), (_, true, own) = known.solution.curve(name), clean.curve(name)
+        # The same noise; 3 K of the scale of X are 6.9 µm, half the lost motion is 2 µm.
+        assert np.abs(value - true).max() < 2.0 * np.hypot(sigma, own).max()
+        assert np.all(sigma >= 0.97 * own), name
+    for bag, log in (('plain', plain), ('lost', lost)):
+        write_log(log, tmp_path / bag)
+        tables = str(tmp_path / f'{bag}_t')
+        assert main(['compensate', str(tmp_path / bag), '--format', 'linuxcnc', '--out', tables]) == 0
+    mean = [np.array([[float(v) for v in line.split()] for line in
+                      (tmp_path / f'{bag}_t' / 'x.comp').read_text().splitlines()])[:, 1:].mean(axis=1)
+            for bag in ('plain', 'lost')]
+    assert np.abs(mean[0] - mean[1]).max() < 6e-4
+    prediction = json.loads((tmp_path / 'lost_t' / 'prediction.json').read_text())
+    assert prediction['traceability']['reference_temperature'] == 20.0
+
+
+def test_e_and_b_of_a_verification_are_in_metres(tmp_path, capsys):
+    """Vacuum lengths of a diagonal of 0.28 m are 76 µm too long."""
+    bag = bag_of(warm(), tmp_path / 'bag')
+    capsys.readouterr()
+    assert main(['verify', bag, bag, '--tolerance', '40um', 'E=25um', 'B=9um', '--out', str(tmp_path / 'v'),
+                 '--json']) == 0
+    figures = {f['name']: f for f in json.loads(capsys.readouterr().out)['figures']}
+    test = run_method('body_diagonal', read_log(bag))
+    assert figures['E']['after'] == pytest.approx(test.Ed) and figures['E']['after'] < 2e-5
+    assert figures['E']['U_after'] == pytest.approx(2.0 * test.sigma_m['Ed'])
+    assert figures['B']['U_after'] == pytest.approx(2.0 * test.sigma_m['Bd']) and figures['B']['U_after'] > 1e-7
+
+
+def test_what_is_left_out_counts_in_every_u(refused, tmp_path, capsys):
+    """Without linear setups the slopes are known to 0.2 mm: so is what tables without them leave."""
+    out = tmp_path / 'tables'
+    assert main(['compensate', refused['no linear'], '--format', 'sinumerik', '--out', str(out), '--partial']) == 0
+    prediction = json.loads((out / 'prediction.json').read_text())
+    assert all(prediction[when]['U_m'] > 1e-4 for when in ('before', 'after', 'after_as_measured'))
+    assert 'they count in each U' in (out / 'README.txt').read_text(encoding='utf-8')
+
+
+def test_vectors_may_begin_with_a_minus_sign(place, tmp_path, capsys):
+    capsys.readouterr()
+    assert main(['compensate', str(place / 'before'), '--format', 'isg', '--out', str(tmp_path / 't'),
+                 '--origin', '-0.5,0.1,-0.3', '--tool', '-0.01,0,-0.1']) == 0
+    assert json.loads((tmp_path / 't' / 'prediction.json').read_text())['origin_m'] == ORIGIN
+    assert main(['compensate', str(place / 'before'), '--format', 'isg', '--out', str(tmp_path / 'u'),
+                 '--origin', '-0.5,0.1,nix']) == 2
+    assert '--origin' in one_line(capsys)
+
+
+def test_a_table_of_one_axis_makes_tables_of_that_axis_alone(tmp_path, capsys):
+    table = tmp_path / 'stage_x.csv'
+    rows = [f'{cycle},{way},{100 * i},{1e-3 * (1.5 * i ** 2 + 0.02 * way + 0.05 * ((7 * i + cycle) % 3)):.6f}'
+            for cycle in (1, 2, 3) for way, places in ((1, range(5)), (-1, reversed(range(5)))) for i in places]
+    table.write_text('cycle,direction,target_mm,deviation_mm\n' + '\n'.join(rows) + '\n')
+    asked = ['--format', 'linuxcnc', '--out', str(tmp_path / 't'), '--origin', '0,0,0']
+    assert main(['import', str(table), '--to', str(tmp_path / 'bare')]) == 0
+    assert main(['compensate', str(tmp_path / 'bare'), *asked]) == 2
+    assert '--corrected' in one_line(capsys)
+    assert main(['import', str(table), '--to', str(tmp_path / 'bag'), '--corrected']) == 0
+    assert main(['compensate', str(tmp_path / 'bag'), *asked]) == 0
+    assert {p.name for p in (tmp_path / 't').glob('*.comp')} == {'x.comp'}
+    assert {p.name for p in (tmp_path / 't' / 'before').iterdir()} == {'x.comp', 'joints.ini'}

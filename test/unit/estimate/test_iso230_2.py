@@ -64,3 +64,23 @@ def test_bad_input_is_named():
         from_rows([1, 1], [1, 1], [0.0, 1.0], [0.0, 1.0])
     with pytest.raises(StepdiagError, match='not a number'):
         evaluate([0.0, 1.0], [[0.0, np.nan]], [[0.0, 1.0]])
+
+
+def test_cycles_with_zeros_of_their_own_do_not_enlarge_r():
+    """Arrivals that err independently, each cycle counted from its own first one: s is theirs again, R too."""
+    rng, cycles, targets = np.random.default_rng(4), 5, 6
+    found, plain, true = [], [], []
+    for _ in range(400):
+        up, down = rng.normal(0.0, 1e-6, (2, cycles, targets))
+        down[:, -1] = up[:, -1]     # the way down begins where the way up ended
+        place = np.arange(targets) * 0.1
+        zero = up[:, :1]
+        free = evaluate(place, up, down)
+        own, naive = evaluate(place, up - zero, down - zero, zeroed=True), evaluate(place, up - zero, down - zero)
+        found.append([np.mean(own.s_up**2), np.mean(own.s_down**2), own.R])
+        plain.append(naive.R)
+        true.append([np.mean(free.s_up**2), np.mean(free.s_down**2), free.R])
+        assert own.B == pytest.approx(naive.B, abs=1e-15) and own.E == pytest.approx(naive.E, abs=1e-15)
+    found, true = np.mean(found, axis=0), np.mean(true, axis=0)
+    assert found == pytest.approx(true, rel=0.03)
+    assert np.mean(plain) > 1.25 * true[2]      # what a third too large is made of

@@ -5,10 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from stepdiag_ros.estimate.evaluate import evaluate
+from stepdiag_ros.compensate.compensation import compensation
+from stepdiag_ros.compensate.controls import CONTROLS
+from stepdiag_ros.compensate.largest import largest
+from stepdiag_ros.estimate.evaluate import evaluate, evaluate_in_full
 from stepdiag_ros.estimate.gauge import to_reference_lines
 from stepdiag_ros.estimate.methods import run_all
+from stepdiag_ros.estimate.prediction import largest_deviation, predict
+from stepdiag_ros.estimate.propagate import propagate
 from stepdiag_ros.estimate.solution import Solution
+from stepdiag_ros.model.budget import KINDS, MEASURED, Budget
 from stepdiag_ros.model.log import Samples
 from stepdiag_ros.model.machine import Curve, GeometricErrors
 
@@ -129,3 +135,57 @@ def test_intervals_hold_the_truth():
     every = np.array([trial(seed) for seed in range(16)])
     assert np.mean(np.abs(every) < 2.0) > 0.93
     assert np.sqrt(np.mean(every**2)) > 0.5    # and they are not so wide that they say nothing
+
+
+def headlines(log, solution=None):
+    """U that the commands print first: page, map, tables, all by the solution's covariance."""
+    solution = evaluate(log) if solution is None else solution
+    machine = log.description.machine
+    points = np.stack(np.meshgrid(*(np.linspace(0.0, v, 4) for v in machine.volume), indexing='ij'), -1).reshape(-1, 3)
+    field = predict(solution, machine, points)
+    found = compensation(solution, machine, CONTROLS['sinumerik'], np.zeros(3))
+    return {'report': largest_deviation(solution, machine)[1], 'map': float(np.median(field.sigma_m)),
+            'compensate before': found.worst_before[1], 'compensate after': found.worst_after[1],
+            'compensate as measured': found.worst(found.as_measured)[1],
+            'verify': largest(solution, machine, np.asarray(machine.tool), field)[1]}
+
+
+def test_what_the_commands_print_first_grows_or_stays(full):
+    """All that is known about a log taken away bit by bit; a quantile of 400 draws differs by some per cent itself."""
+    log, before = full, headlines(full)
+    for name in ('budget', 'air.sigma.temperature', 'scale_temperature/x', 'material', 'humidity', 'air_pressure',
+                 'air_temperature', 'air'):
+        log = KNOWLEDGE[name](log)
+        after = headlines(log)
+        for what, spread in before.items():
+            assert after[what] > 0.93 * spread, (what, name)
+        before = after
+    assert before['compensate after'] > 30.0 * headlines(full)['compensate after']
+
+
+def test_every_contributor_reaches_errors_and_headlines(full):
+    """A contributor ten times as large makes no U smaller, and some larger, in errors and in what is printed first."""
+    whole = evaluate_in_full(full)
+
+    def with_lines(lines, setting=whole.setting):
+        return propagate(lines, setting, whole.fit, whole.solution).solution
+    lines = whole.lines
+    plain = with_lines(lines)
+    printed = headlines(full, plain)
+    for kind in KINDS:
+        larger = Budget(tuple(replace(c, value=10.0 * (c.value or 0.0)) if c.kind == kind and c.value is not None else c
+                              for c in lines.contributors))
+        if larger.contributors == lines.contributors:
+            assert kind in MEASURED     # from the log
+            continue
+        if kind == 'expansion_coefficient':     # where the cell states the material, its own σ counts
+            known = whole.setting.conditions
+            poor = replace(known, expansion_sigma=tuple(10.0 * s for s in known.expansion_sigma))
+            solution = with_lines(lines, replace(whole.setting, conditions=poor))
+        else:
+            solution = with_lines(larger)
+        assert np.all(solution.sigma >= (1.0 - 1e-9) * plain.sigma), kind
+        assert np.any(solution.sigma > (1.0 + 1e-6) * plain.sigma), kind
+        now = headlines(full, solution)
+        assert all(now[what] > 0.97 * printed[what] for what in now), kind
+        assert any(now[what] > (1.0 + 1e-9) * printed[what] for what in now), kind

@@ -1,12 +1,14 @@
 """The registry and the comparison, on arrays and on a log by another maker."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate.compare import compare, text_table, truth_of
+from stepdiag_ros.estimate.gauge import to_reference_lines
 from stepdiag_ros.estimate.methods import (
     METHODS,
     body_diagonal_test,
@@ -127,7 +129,6 @@ def test_readings_join_the_runs(field_log):
 
 
 def test_a_setup_with_a_hole_is_left_out_and_named(field_log):
-    from dataclasses import replace
     log, _ = field_log
     table = reduce_log(log)
     ppp = table.setup == table.setup_names.index('ppp')
@@ -150,7 +151,6 @@ def test_a_setup_with_a_hole_is_left_out_and_named(field_log):
 
 @pytest.mark.parametrize('channel', ['displacement', 'spot'])
 def test_a_run_that_saw_nothing_is_no_harm(field_log, channel):
-    from dataclasses import replace
     log, _ = field_log
     table = reduce_log(log)
     values = getattr(table, channel).copy()
@@ -214,3 +214,60 @@ def test_the_reference_itself_deviates_by_nothing(machine, draw_errors, cell_sig
     assert max(outcome.deviation['one'].values()) < 1e-18
     assert set(outcome.deviation['one']) >= set(CURVES)
     assert outcome.within_k2['one'] is None
+
+
+@pytest.fixture(scope='module')
+def line():
+    """A line of six targets and five cycles in a log of steps, each run reset at its first stop, and its machine."""
+    import yaml
+
+    from stepdiag_ros.virtual.cell import parse_cell
+    from stepdiag_ros.virtual.offline import simulate_log
+
+    from ..conftest import DEMO
+    text = yaml.safe_load(DEMO.read_text(encoding='utf-8'))
+    text['sampling'] |= {'interferometer': 200.0, 'psd': 200.0, 'in_motion': False}
+    text['plan']['repeats'] = 5
+    text['setups']['lin_x'] |= {'stops': 6, 'beams': [[0.0, 0.03]]}
+    cells = [parse_cell(yaml.safe_dump(text | {'seed': seed}, sort_keys=False), str(DEMO)) for seed in range(20, 26)]
+    return [(cell, simulate_log(cell)) for cell in cells]
+
+
+def test_the_scatter_of_a_logs_cycles_is_that_of_its_arrivals(line):
+    """Declared are 0.3 µm an arrival; runs counted each from its own first stop show 40 % more."""
+    tests = [linear_test(readings_of_stops(log.description, reduce_log(log))).axes['lin_x'] for _, log in line]
+    s = np.sqrt(np.mean([np.concatenate([t.s_up, t.s_down])**2 for t in tests]))
+    assert s == pytest.approx(3e-7, rel=0.12)
+
+
+def test_the_truth_of_a_line_has_its_rotations(line):
+    """A beam 30 mm beside the line sees the pitch: the known machine's figure is what a perfect log shows."""
+    levers = []
+    for cell, log in line[:3]:
+        measured = run_method('iso230_2', log)
+        rows = {name: (found, true) for name, found, true in compare(
+            {'iso230_2': measured}, cell.geometry, 'truth', log.description).figures['iso230_2']}
+        found, true = rows['E lin_x']
+        curve = to_reference_lines(cell.geometry).curves['EXX']
+        assert abs(found - true) < 5e-7 + 2.0 * measured.sigma_m['B lin_x']
+        levers.append(abs(true - np.ptp(curve(measured.axes['lin_x'].target_m))))
+    assert max(levers) > 1e-6
+
+
+def test_few_targets_and_cycles_are_remarked(field_log):
+    log, _ = field_log
+    remarks = run_method('iso230_2', log).to_json_dict()['remarks']
+    assert any('ISO 230-2 wants at least 5' in text for text in remarks)
+    assert any('2 cycles; ISO 230-2 wants 5' in text for text in remarks)
+    assert any('2 cycles; ISO 230-6 wants 5' in text for text in run_method('body_diagonal', log).remarks)
+
+
+def test_no_figure_rests_on_the_scatter_of_two_stops_alone(line):
+    """Two cycles over two stops scatter little by chance; what all repeats of the log say is the least."""
+    for _, log in line[:2]:
+        keep = log.steps.repeat < 2
+        columns = ('time_ns', 'run', 'setup', 'repeat', 'direction', 'index', 'axis', 'commanded', 'phase')
+        steps = replace(log.steps, **{name: getattr(log.steps, name)[keep] for name in columns})
+        sigma = run_method('iso230_2', replace(log, steps=steps)).sigma_m
+        # A difference of two means of two arrivals each.
+        assert min(sigma[f'B lin_{axis}'] for axis in 'xyz') > 0.8 * 3e-7

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from stepdiag_ros.report.sheets.rules import least_cycles, least_targets, shortfalls
+from stepdiag_ros.estimate.iso_rules import least_cycles, least_targets, shortfalls
 
 
 @pytest.mark.parametrize(('length', 'targets'), [(0.2, 5), (1.0, 5), (1.01, 6), (1.6, 8), (2.0, 10), (2.01, 9),
