@@ -31,7 +31,8 @@ class Parameters:
 
     ``knots``: curve name → (k,) [m], the first being 0.  ``first``: curve name → column of
     its knot 1.  ``setup_first``: setup → column of its ``laser u``.  ``offset_first``: column of
-    run 0, beam 0; then row-major [run, beam].  ``straight``: setups whose beam lies along the motion.
+    run 0, beam 0; then row-major [run, beam].  ``straight``: setups whose beam lies along the motion;
+    ``tilted``: others, in which a detector is to show how the mirror tilts.
     ``size``: number of columns.
     """
 
@@ -43,6 +44,7 @@ class Parameters:
     runs: int
     beams: int
     straight: frozenset[str] = frozenset()
+    tilted: frozenset[str] = frozenset()
 
     @property
     def size(self) -> int:
@@ -90,7 +92,9 @@ def parameters_of(description: Description, table: StopTable) -> Parameters:
         setup_first[setup] = column
         column += len(MISALIGNMENTS)
     return Parameters(knots, first, tuple(used), setup_first, column, len(table.run_ids),
-                      table.displacement.shape[1], frozenset(s for s in used if description.setups[s].is_straight))
+                      table.displacement.shape[1], frozenset(s for s in used if description.setups[s].is_straight),
+                      frozenset(s for s in used if description.setups[s].sees_tilt
+                                and not description.setups[s].is_straight))
 
 
 def _merge(positions: np.ndarray) -> np.ndarray:
