@@ -10,8 +10,9 @@ from dataclasses import replace
 import numpy as np
 
 from stepdiag_ros.errors import StepdiagError
-from stepdiag_ros.estimate import linear_lines, three_face
+from stepdiag_ros.estimate import linear_lines, multilateration, three_face
 from stepdiag_ros.estimate.linear_lines import Lines
+from stepdiag_ros.estimate.noise import FLOOR_M
 from stepdiag_ros.estimate.readings import CellReadings, SetupReadings
 from stepdiag_ros.estimate.solution import Solution
 from stepdiag_ros.estimate.stepwise import travel_signs
@@ -25,6 +26,35 @@ TURN_RAD = 1e-6
 def of_kind(cell: CellReadings, *kinds: str) -> list[str]:
     """Names of the setups with ways of their own of these ``kinds`` (``Setup.kind`` of the description)."""
     return [name for name, setup in cell.setups.items() if setup.sight.kind in kinds]
+
+
+def with_mirror(cell: CellReadings) -> list[SetupReadings]:
+    """The setups whose beam stands still."""
+    return [setup for setup in cell.setups.values() if setup.sight.station is None]
+
+
+def stations_lack(cell: CellReadings) -> str | None:
+    """What multilateration misses in a log, in words."""
+    own = [setup.sight for setup in cell.setups.values() if setup.sight.station is not None]
+    moved = {axis for sight in own for axis in np.flatnonzero(np.ptp(sight.positions, axis=0) > SAME_M).tolist()}
+    wanted = 4 if len(moved) == 3 else 3
+    if len(own) >= wanted and moved >= {0, 1}:
+        return None
+    return f'a grid measured from three stations in the plane XY, or from four in space (has {len(own)} with station)'
+
+
+def multilaterated(cell: CellReadings) -> Solution:
+    """Multilateration of a log, by the closed problem of stations and dead paths: in the plane XY or in space."""
+    own = [setup for setup in cell.setups.values() if setup.sight.station is not None]
+    points = [setup.sight.positions for setup in own]
+    readings, stations = [setup.displacement_m[:, 0] for setup in own], np.array([s.sight.station for s in own])
+    tools = np.array([setup.sight.tool for setup in own])
+    sigma = max(FLOOR_M, float(np.sqrt(np.mean([np.mean(setup.displacement_sigma_m**2) for setup in own]))))
+    if np.ptp(np.concatenate(points)[:, 2]) > SAME_M:
+        return multilateration.evaluate(points, readings, stations, tools, sigma, cell.machine.chain)
+    # The plane of the method holds the retroreflector: its own coordinates begin at the tool.
+    places = (stations - tools)[:, :2]
+    return multilateration.evaluate_plane([place[:, :2] for place in points], readings, places, sigma)
 
 
 def faces(cell: CellReadings) -> CellReadings:
@@ -49,7 +79,7 @@ def faces(cell: CellReadings) -> CellReadings:
 def edges(cell: CellReadings) -> dict[str, np.ndarray]:
     """EXX, EYY, EZZ (steps + 1,) [m] at the plan's positions, of lines along the edges that meet in the origin."""
     found = {}
-    for setup in cell.setups.values():
+    for setup in with_mirror(cell):
         positions = setup.sight.positions
         axes = np.flatnonzero(np.ptp(positions, axis=0) > SAME_M)
         if len(axes) != 1 or np.abs(positions[0]).max() > SAME_M:
@@ -82,7 +112,7 @@ def parallel(cell: CellReadings) -> Mapping[str, Lines]:
     """Lines of each axis that at least three setups measured at the same positions, by letter."""
     found = {}
     for axis, letter in enumerate(AXES):
-        group = [s for s in cell.setups.values()
+        group = [s for s in with_mirror(cell)
                  if np.array_equal(np.flatnonzero(np.ptp(s.sight.positions, axis=0) > SAME_M), [axis])
                  and travel_signs(s.sight)[axis] > 0.0]
         group = [s for s in group if len(s.sight.positions) == len(group[0].sight.positions)

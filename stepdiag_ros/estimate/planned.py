@@ -75,8 +75,8 @@ def observe(description: Description, table: StopTable, errors: GeometricErrors,
     """
     sensor = sensor or closed_form(description)
     n, beams = table.displacement.shape
-    point, attitude = tool_pose(errors, table.commanded, np.array(description.machine.tool),
-                                description.machine.chain)
+    tool = np.array([description.setups[name].tool_of(description.machine) for name in table.setup_names])[table.setup]
+    point, attitude = tool_pose(errors, table.commanded, tool, description.machine.chain)
     if shift is not None:
         point = point + shift
     if turn is not None:

@@ -146,7 +146,8 @@ class Solution:
                 'traceability': None if tied is None else tied.to_json_dict(),
                 'gauge': self.gauge, 'reduced_chi2': self.reduced_chi2, 'dof': self.dof,
                 'misalignments': {name: {'laser_rad': list(m.laser), 'mirror_rad': list(m.mirror)}
-                                  for name, m in self.misalignments.items()},
+                                  for name, m in self.misalignments.items()
+                                  if name not in self.extra.get('stations', {})},
                 'noise': dict(self.noise), 'warnings': list(self.warnings),
                 'sanity': [finding.to_json_dict() for finding in self.sanity],
                 'closure': [one.to_json_dict() for one in self.closure],

@@ -17,7 +17,7 @@ from stepdiag_ros.model.path import SetupPath, stops
 @dataclass(frozen=True)
 class Visit:
     """A stop as it is visited: its ``index`` along the path, the ``axis`` that moves to it, position (3,) [m],
-    ``direction`` of the traverse; ``beyond`` (3,) [m]: passed on the way, without a dwell; None: it is reached directly.
+    ``direction`` of the traverse; ``beyond`` (3,) [m]: passed on the way without a dwell, None: nothing is.
     """
 
     index: int

@@ -125,7 +125,7 @@ def problem(way: Way, volume: tuple[float, ...], steps: int = 1) -> tuple[str, s
     letters = ''.join('XYZ'[axis] for axis in way.axes)
     between = f'between {_point(way.start)} and {_point(way.end)} move {", ".join(letters)}'
     if way.moves == AROUND and len(letters) != 2:
-        return 'moves', f'is {AROUND}; {between}, and a rectangle has two axes: let two coordinates of to differ from from'
+        return 'moves', f'is {AROUND}; {between}, and a rectangle has two axes: from and to differ in two coordinates'
     if way.moves not in (TOGETHER, GRID, AROUND) and sorted(way.moves) != sorted(letters):
         return 'moves', (f'is {way.moves!r}; {between}: write {letters} in the order of one step, or {TOGETHER}')
     return _of_targets(way) or _of_overrun(way, volume) or _of_count(way, steps)
@@ -150,15 +150,17 @@ def _of_overrun(way: Way, volume: tuple[float, ...]) -> tuple[str, str] | None:
         return 'overrun', f'needs axes that move {TOGETHER}: an end is approached along the way'
     for point in (way.before, way.beyond):
         if any(not -BEYOND_M <= p <= v + BEYOND_M for p, v in zip(point, volume, strict=True)):
-            return 'overrun', (f'is {way.overrun:g} m and would go to {_point(point)} m; the axes go {1e3 * BEYOND_M:g} mm '
-                               'beyond the volume at most: let the way begin and end within it, or give less')
+            return 'overrun', (f'is {way.overrun:g} m and would go to {_point(point)} m; the axes go '
+                               f'{1e3 * BEYOND_M:g} mm beyond the volume at most: let the way begin and end within it, '
+                               'or give less')
     return None
 
 
 def _of_count(way: Way, steps: int) -> tuple[str, str] | None:
     if way.count(steps) <= limits.STOPS:
         return None
-    return 'moves', f'{way.moves} comes to {way.count(steps)} stops; at most {limits.STOPS} are measured: give fewer steps'
+    return 'moves', (f'is {way.moves} and comes to {way.count(steps)} stops; at most {limits.STOPS} are measured: '
+                     'give fewer steps')
 
 
 def _point(values: tuple[float, ...] | np.ndarray) -> str:

@@ -136,6 +136,7 @@ def _strikes(table: StopTable, nominal: Fit) -> np.ndarray:
         length = np.sum((point - origin) * normal, -1) / np.sum(beam * normal, -1)
         strike = origin + length[:, None] * beam - point
         result[:, k] = np.einsum('nki,ni->nk', model._triad[:, :2], strike)
+    result[model.follows] = 0.0    # a retroreflector has no places
     return result
 
 

@@ -69,10 +69,10 @@ def judged(cell):
 OVERRUN = with_key(EDGES | OFFSET, 'overrun: 0.0005')
 UNEQUAL = EDGES | {'edge_x': EDGES['edge_x'] + ', targets: [0.03, 0.05, 0.1, 0.13, 0.15]',
                    'edge_y': EDGES['edge_y'] + ', targets: [0.0, 0.04, 0.07, 0.08, 0.12, 0.16]'}
+QUARTERS = [round(share * (X * X + Y * Y) ** 0.5, 9) for share in (0.25, 0.375, 0.5, 0.75)]
 PLANS = {'overrun': (OVERRUN, PITCH_YAW), 'unequal targets': (with_key(UNEQUAL, 'overrun: 0.001') | OFFSET, PITCH_YAW),
          'body and face step diagonals, lines with overrun': (BODY | FACES | with_key(EDGES, 'overrun: 0.001'), ALL),
-         'faces with unequal steps': (FACES | EDGES | {'xy': FACES['xy'] + ', targets: '
-                                      f'{[round(s * (X * X + Y * Y) ** 0.5, 9) for s in (0.25, 0.375, 0.5, 0.75)]}'}, ALL)}
+         'faces with unequal steps': (FACES | EDGES | {'xy': f'{FACES["xy"]}, targets: {QUARTERS}'}, ALL)}
 
 
 @pytest.mark.parametrize('plan', PLANS)
@@ -134,7 +134,8 @@ def test_written_and_read_again_it_is_the_same_log_and_the_same_errors(tmp_path)
     write_log(log, tmp_path / 'bag')
     again = read_log(tmp_path / 'bag')
     assert again.description == log.description and not again.warnings
-    one, other = (evaluate(replace(each, description=replace(each.description, noise=Noise()))) for each in (log, again))
+    noisy = replace(log.description, noise=Noise())
+    one, other = (evaluate(replace(each, description=noisy)) for each in (log, again))
     assert np.array_equal(one.value, other.value) and np.array_equal(one.covariance, other.covariance)
 
 
