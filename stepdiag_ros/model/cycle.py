@@ -42,7 +42,7 @@ def cycle(description: Description, setup: str) -> tuple[Traverse, ...]:
     if way is None or not way.overrun:
         return Traverse('+', forward), Traverse('-', backward)
     moved = way.axes[0] if len(way.axes) == 1 else NONE
-    first = Visit(0, NONE, path.positions[0], 1, way.before)
+    first = Visit(0, moved, path.positions[0], 1, way.before)
     turn = Visit(len(path) - 1, moved, path.positions[-1], -1, way.beyond)
     return (Traverse('+-', (first, *forward[1:], turn, *backward[1:])),)
 

@@ -17,6 +17,7 @@ from stepdiag_ros.report.sheets.diagonals import diagonal_sheets
 from stepdiag_ros.report.sheets.linear import linear_sheets
 from stepdiag_ros.report.sheets.paper import pages_of
 from stepdiag_ros.report.sheets.sheet import Grid, Sheet
+from stepdiag_ros.report.sheets.stations import station_sheets
 
 HTML, PDF = 'sheets.html', 'sheets.pdf'
 ENOUGH = 'Targets and cycles are as many as the standard wants.'
@@ -25,10 +26,11 @@ ENOUGH = 'Targets and cycles are as many as the standard wants.'
 def sheets_of(log: CalibrationLog, evaluation: Evaluation, source: str) -> list[Sheet]:
     """Every sheet that a log holds enough for; :class:`StepdiagError` where it holds none."""
     cell = readings_of_stops(log.description, evaluation.metres.table)
-    found = linear_sheets(log, evaluation, cell, source) + diagonal_sheets(log, evaluation, cell, source)
+    found = [*linear_sheets(log, evaluation, cell, source), *diagonal_sheets(log, evaluation, cell, source),
+             *station_sheets(log, evaluation, source)]
     if not found:
         raise StepdiagError(f'{log.source}: no sheet can be made: ISO 230-2 needs a linear setup run forward and '
-                            f'backward, ISO 230-6 a body diagonal{cell.why()}')
+                            f'backward, ISO 230-6 a body diagonal, multilateration a station{cell.why()}')
     return found
 
 
