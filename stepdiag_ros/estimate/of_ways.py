@@ -85,8 +85,9 @@ def edges(cell: CellReadings) -> dict[str, np.ndarray]:
         if len(axes) != 1 or np.abs(positions[0]).max() > SAME_M:
             continue
         plan = np.linspace(0.0, cell.machine.volume[axes[0]], cell.steps + 1)
-        if len(positions) == len(plan) and np.allclose(positions[:, axes[0]], plan, atol=SAME_M):
-            found[f'E{AXES[axes[0]] * 2}'] = setup.displacement_m[:, 0] - plan
+        nearest = np.argmin(np.abs(positions[:, axes[0], None] - plan), axis=0)
+        if np.allclose(positions[nearest, axes[0]], plan, atol=SAME_M):
+            found[f'E{AXES[axes[0]] * 2}'] = setup.displacement_m[nearest, 0] - plan
     return found
 
 

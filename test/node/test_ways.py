@@ -84,4 +84,5 @@ def test_live_replayed_and_read_have_the_same_bits(live):
     offline = evaluate(read_log(bag)).to_json_dict()
     assert same_result(json.loads(json.dumps(document)), json.loads(json.dumps(offline)))
     assert same_result(evaluate(assemble(bag).build()).to_json_dict(), offline)
-    assert [part['kind'] for part in offline['parts']] == ['body diagonal', 'face step diagonal', 'line', 'multilateration']
+    assert [part['kind'] for part in offline['parts']] == ['body diagonal', 'face step diagonal', 'line',
+                                                           'multilateration']

@@ -63,8 +63,8 @@ def _errors(evaluation: Evaluation, still_open: list[str]) -> Grid:
         unit = 'µm' if name not in SQUARENESS and name[1] in AXES else 'µrad'
         rows.append((name, micro(float(np.ptp(value)) if np.ndim(value) else float(value)),
                      micro(2.0 * float(np.max(sigma))), unit))
-    return Grid('Errors that are not open', ('', '>from lowest to highest (squareness: value)', '>U at most (k = 2)', ''),
-                rows)
+    head = ('', '>from lowest to highest (squareness: value)', '>U at most (k = 2)', '')
+    return Grid('Errors that are not open', head, rows)
 
 
 def _stations(log: CalibrationLog, evaluation: Evaluation, own: dict[str, np.ndarray]) -> Grid:
