@@ -170,20 +170,20 @@ def main() -> None:
         whole, repeats = (np.concatenate([d[k] for d in drawn]) for k in range(2))
         fine = sum(status == 'ok' for *_, status in drawn)
         share = [f'{100 * part.mean():.1f} %' if len(part) else '–' for part in (repeats, whole)]
-        rows.append(f'| {title} | {len(whole)} | {share[0]} | {share[1]} | {fine} of {len(drawn)} |')
+        rows.append(f'| {title} | {len(drawn)} | {len(whole)} | {share[0]} | {share[1]} | {fine} of {len(drawn)} |')
         print(rows[-1], flush=True)
-        PAGE.write_text('\n'.join(page(asked.draws, free, rows)) + '\n', encoding='utf-8')
+        PAGE.write_text('\n'.join(page(free, rows)) + '\n', encoding='utf-8')
 
 
-def page(draws: int, free: list[str], rows: list[str]) -> list[str]:
+def page(free: list[str], rows: list[str]) -> list[str]:
     """The lines of the page."""
     return ['# Coverage by kind of setup', '', 'By `python bench/bench_ways.py`.', '', '## Without noise', '',
             'One cell each. Counted are errors that an evaluation of the usual noise does not name as open and knows to '
             f'{1e6 * KNOWN:g} µm or µrad at least; the largest deviation of their values from the truth.', '',
             '| plan | errors shown | lengths | angles |', '|---|---|---|---|', *free, '', '## With noise', '',
-            f'Share of values within U (k = 2) of the truth over {draws} drawn cells each; 95.4 % is what a normal '
+            'Share of values within U (k = 2) of the truth over so many drawn cells each; 95.4 % is what a normal '
             'error has. The whole budget holds what these cells do not draw (air, flatness, tool), and so covers more.',
-            '', '| plan | values | by repeats | by the whole budget | evaluations that were ok |', '|---|---|---|---|---|',
+            '', '| plan | draws | values | by repeats | by the whole budget | evaluations that were ok |', '|---|---|---|---|---|---|',
             *rows]
 
 

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from stepdiag_ros.errors import StepdiagError
-from stepdiag_ros.estimate import linear_lines, multilateration, three_face
+from stepdiag_ros.estimate import linear_lines, multilateration, regulated_beam, three_face
 from stepdiag_ros.estimate.linear_lines import Lines
 from stepdiag_ros.estimate.noise import FLOOR_M
 from stepdiag_ros.estimate.readings import CellReadings, SetupReadings
@@ -19,6 +19,8 @@ from stepdiag_ros.estimate.stepwise import travel_signs
 from stepdiag_ros.model.machine import AXES, Curve, GeometricErrors, tool_pose
 
 SAME_M = 1e-6
+LEVEL_M = 1e-3
+"""By how much a station may stand out of the plane of a rectangle that a plane method evaluates."""
 TURN_RAD = 1e-6
 """By how much an axis is turned to see its arm."""
 
@@ -55,6 +57,39 @@ def multilaterated(cell: CellReadings) -> Solution:
     # The plane of the method holds the retroreflector: its own coordinates begin at the tool.
     places = (stations - tools)[:, :2]
     return multilateration.evaluate_plane([place[:, :2] for place in points], readings, places, sigma)
+
+
+def rectangle_lacks(cell: CellReadings) -> str | None:
+    """What the rectangular path with the regulated beam misses in a log, in words."""
+    if _rectangle(cell) is None:
+        return 'a way around a rectangle of the plane XY at the origin, followed from a station in its plane'
+    missing = [name for name in ('EXX', 'EYY') if name not in edges(cell)]
+    return None if not missing else \
+        f'lines along the edges from the origin for {", ".join(missing)}, at the plan\'s positions'
+
+
+def _rectangle(cell: CellReadings) -> SetupReadings | None:
+    """The setup that was followed around the face XY at the origin at the plan's positions, from its plane."""
+    for setup in cell.setups.values():
+        sight, plan = setup.sight, [np.linspace(0.0, length, cell.steps + 1) for length in cell.machine.volume]
+        if sight.station is None or len(sight.positions) != 4 * cell.steps + 1:
+            continue
+        on_plan = all(len(found) == cell.steps + 1 and np.allclose(found, plan[axis], atol=SAME_M)
+                      for axis, found in enumerate(np.unique(np.round(sight.positions[:, k], 9)) for k in range(2)))
+        level = np.ptp(sight.positions[:, 2]) < SAME_M and abs(sight.tool[2] - sight.station[2]) < LEVEL_M
+        if on_plan and level and np.abs(sight.positions[0]).max() < SAME_M and np.hypot(*sight.tool[:2]) < SAME_M:
+            return setup
+    return None
+
+
+def regulated(cell: CellReadings) -> Solution:
+    """Two lines and a rectangular path of a log, by the problem of the regulated beam in the plane XY."""
+    around, found = _rectangle(cell), edges(cell)
+    x, y = (np.linspace(0.0, length, cell.steps + 1) for length in cell.machine.volume[:2])
+    far = np.array([[-2.0 * x[-1], 0.0], [0.0, -2.0 * y[-1]]])
+    test = regulated_beam.Test(x, y, 0.0, 0.0, np.concatenate([far, [around.sight.station[:2]]]),
+                               around.sight.positions[:, :2])
+    return regulated_beam.evaluate(test, [x + found['EXX'], y + found['EYY'], around.displacement_m[:, 0]])
 
 
 def faces(cell: CellReadings) -> CellReadings:

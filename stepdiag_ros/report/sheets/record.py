@@ -58,10 +58,10 @@ def _positions(log: CalibrationLog, names: list[str]) -> list[Row]:
         setup, place = log.description.setups[name], stops(log.description, name).positions
         ends = ' to '.join('(' + ', '.join(f'{1e3 * v:.1f}' for v in end) + ')' for end in (place[0], place[-1]))
         if setup.follows:
-            place, tool = (', '.join(f'{1e3 * v:.1f}' for v in part)
-                           for part in (setup.station, setup.tool_of(log.description.machine)))
-            rows.append((f'targets of {name}', f'{setup.way.moves} {ends} mm in X, Y, Z; station about ({place}) mm; '
-                         f'retroreflector ({tool}) mm from the tool reference'))
+            start, end, station, tool = ('(' + ', '.join(f'{1e3 * v:.1f}' for v in part) + ') mm' for part in (
+                setup.way.start, setup.way.end, setup.station, setup.tool_of(log.description.machine)))
+            rows.append((f'targets of {name}', f'{setup.way.moves} from {start} to {end} in X, Y, Z; station about '
+                         f'{station}; retroreflector {tool} from the tool reference'))
             continue
         beside = '({}) mm'.format(', '.join(f'{1e3 * v:.1f}' for v in setup.beams[0]))
         dead = f'{1e3 * setup.standoff:.1f} mm' if setup.standoff else f'{NOT_STATED}, or 0 mm,'

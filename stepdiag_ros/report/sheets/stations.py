@@ -40,7 +40,8 @@ def station_sheets(log: CalibrationLog, evaluation: Evaluation, source: str) -> 
     return [Sheet('Multilateration', PUBLISHED, _errors(evaluation, still_open),
                   conditions(log, evaluation, names, source), _short(log, names), partial(draw, log, names, own),
                   'Left: targets of the retroreflector and stations, seen along Z. Right: lengths less the joint '
-                  'estimate, in the order of measuring.', [_stations(log, evaluation, own)], notes)]
+                  'estimate, in the order of measuring.', [_stations(log, evaluation, own)], notes,
+                  'Stations and tool vectors are as many as the method needs.')]
 
 
 def _short(log: CalibrationLog, names: list[str]) -> list[str]:

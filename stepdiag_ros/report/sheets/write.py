@@ -20,7 +20,6 @@ from stepdiag_ros.report.sheets.sheet import Grid, Sheet
 from stepdiag_ros.report.sheets.stations import station_sheets
 
 HTML, PDF = 'sheets.html', 'sheets.pdf'
-ENOUGH = 'Targets and cycles are as many as the standard wants.'
 
 
 def sheets_of(log: CalibrationLog, evaluation: Evaluation, source: str) -> list[Sheet]:
@@ -62,7 +61,7 @@ def _section(sheet: Sheet, source: str, number: int) -> str:
         drawing = svg(sheet.draw())
     short = ''.join(f'<li>{escape(sentence)}</li>' for sentence in sheet.shortfalls)
     said = (f'<div class="todo warn2"><b>Less than {sheet.standard} wants</b><ul>{short}</ul></div>' if short
-            else f'<p class="soft">{ENOUGH}</p>')
+            else f'<p class="soft">{sheet.enough}</p>')
     notes = ''.join(f'<p>{escape(note)}</p>' for note in sheet.notes)
     return (f'<header><div class="kicker">{escape(sheet.standard)} · log {escape(source)}</div>'
             f'<h1>{escape(sheet.title)}</h1></header>{said}{_grid(sheet.results)}'

@@ -50,6 +50,7 @@ def test_the_sheet_has_stations_errors_and_conditions(four):
     assert [row[0] for row in stations.rows] == ['s0', 's1', 's2', 's3'] and stations.rows[0][6:8] == ('27', '2')
     said = dict(sheet.conditions)
     assert 'station about (-150.0, -120.0, -100.0) mm' in said['targets of s0']
+    assert 'as many as the method needs' in sheet.enough
     assert {'date of test', 'dwell at a target', 'air temperature', 'correction for air'} <= set(said)
 
 
