@@ -42,8 +42,9 @@ PRIOR_TURN_RAD = 1e-3
 PRIOR_LASER_RAD = 1e-3
 PRIOR_MIRROR_RAD = 1e-2
 PRIOR_OFFSET_M = 10.0
-PRIOR_STATION_M = 0.1
-"""How well it is known where a station stands: by a rule."""
+PRIOR_STATION_M = 5e-3
+"""How well it is known where a station stands: by a rule held beside it.  Wider, heights above a plane that holds the
+targets, which show to second order only, run along flat valleys where no step settles."""
 BESIDE_M = 1e-3
 PRIOR_FRAME_RAD = 1e-4
 """Turning machine and setups together is seen only to second order: it is held to this prior."""

@@ -164,7 +164,8 @@ def test_two_lines_and_a_rectangle_by_the_regulated_beams_own_problem_and_by_the
     found = off_from(solution, cell, IN_PLANE)
     assert set(found) == IN_PLANE and not solution.unidentifiable
     # The mirrors of the lines hang askew by 0.2 mrad: 0.3 nm, which the angles magnify.
-    assert max(v for n, v in found.items() if n in CURVES and n[1] in 'XYZ') < 2e-9 and max(found.values()) < 1e-7, found
+    lengths = [value for name, value in found.items() if name in CURVES and name[1] in 'XYZ']
+    assert max(lengths) < 2e-9 and max(found.values()) < 1e-7, found
     joint = evaluate(believed(log))
     named = {name.split()[0] for entry in joint.unidentifiable for name in entry.names}
     seen = {'EXX', 'EYY'} - named
