@@ -42,7 +42,7 @@ def stations_lack(cell: CellReadings) -> str | None:
     wanted = 4 if len(moved) == 3 else 3
     if len(own) >= wanted and moved >= {0, 1}:
         return None
-    return f'a grid measured from three stations in the plane XY, or from four in space (has {len(own)} with station)'
+    return f'distances to a grid from three stations in the plane XY, or from four in space (has {len(own)})'
 
 
 def multilaterated(cell: CellReadings) -> Solution:
