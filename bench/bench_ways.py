@@ -30,7 +30,7 @@ from stepdiag_ros.virtual.cell import parse_cell
 from stepdiag_ros.virtual.offline import simulate_log
 
 KNOWN = 6e-6
-ROUNDS = 10
+ROUNDS, ZERO = 10, 1e-15
 PAGE = Path(__file__).resolve().parents[1] / 'docs' / 'bench' / 'ways.md'
 CELL = """
 schema: 1
@@ -112,7 +112,8 @@ def judged(solution, geometry) -> list[tuple[str, int, float]]:
     named = {name.split()[0] for entry in solution.unidentifiable for name in entry.names}
     found = []
     for row, (name, knot) in enumerate(solution.names):
-        if name in named or knot == 0:
+        # Of three knots the reference line leaves the end of a straightness zero by definition, but for rounding.
+        if name in named or knot == 0 or solution.sigma[row] < ZERO:
             continue
         true = truth.square[name] if knot < 0 else \
             float(truth.curves[name](solution.positions[name][knot:knot + 1])[0])

@@ -42,7 +42,7 @@ PRIOR_TURN_RAD = 1e-3
 PRIOR_LASER_RAD = 1e-3
 PRIOR_MIRROR_RAD = 1e-2
 PRIOR_OFFSET_M = 10.0
-PRIOR_STATION_M = 5e-3
+PRIOR_STATION_M = 2e-2
 """How well it is known where a station stands: by a rule held beside it.  Wider, heights above a plane that holds the
 targets, which show to second order only, run along flat valleys where no step settles."""
 BESIDE_M = 1e-3
