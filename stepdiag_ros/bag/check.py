@@ -98,6 +98,11 @@ def listed(numbers: Sequence[object], most: int = 6) -> str:
     return shown + (f' and {len(numbers) - most} more' if len(numbers) > most else '')
 
 
+def _looks(description: Description, setup: str) -> bool:
+    """Whether a detector looks in a setup; one that is not described may have one."""
+    return setup not in description.setups or description.setups[setup].sees_tilt
+
+
 def stop_warnings(description: Description, steps: StepEvents, displacement: Samples,
                   spot: Samples) -> list[str]:
     """What of the plan is missing, doubled or empty, a line each."""
@@ -128,9 +133,13 @@ def stop_warnings(description: Description, steps: StepEvents, displacement: Sam
     for samples, label in ((displacement, 'displacement'), (spot, 'spot')):
         if len(samples):
             counts = samples_in_dwells(steps, samples)
-            empty = int((counts == 0).sum())
+            nothing = counts == 0
+            if samples is spot:
+                looked = np.array([_looks(description, name) for name in steps.setup_names], bool)
+                nothing &= looked[steps.setup[dwell_spans(steps)[:, 0]]]
+            empty = int(nothing.sum())
             if empty:
-                spans = dwell_spans(steps)[counts == 0, 0]
+                spans = dwell_spans(steps)[nothing, 0]
                 places = [f'{steps.run_ids[steps.run[e]]} stop {steps.index[e]}' for e in spans]
                 warnings.append(f'{empty} of {len(counts)} dwells hold no {label} sample: '
                                 f'{listed(places, 3)}')

@@ -43,7 +43,11 @@ def run(args: argparse.Namespace) -> int:
     if args.setup not in (None, 'all', *cell.setup_names):
         raise StepdiagError(f'{args.cell}: no setup {args.setup!r}; '
                             f'choose one of {", ".join(cell.setup_names)}, or all')
-    chosen = cell.setup_names if args.setup == 'all' else (args.setup or cell.setup_names[0],)
+    mirrors = tuple(name for name, setup in cell.description.setups.items() if not setup.follows)
+    if not mirrors or args.setup not in (None, 'all', *mirrors):
+        raise StepdiagError(f'{args.cell}: {args.setup or "every setup"} has a station whose beam follows a '
+                            f'retroreflector; drawn are setups with a mirror: {", ".join(mirrors) or "none is here"}')
+    chosen = mirrors if args.setup == 'all' else (args.setup or mirrors[0],)
     try:
         draw_scene([traced(cell, name) for name in chosen], args.out)
     except OSError as error:

@@ -13,7 +13,7 @@ from stepdiag_ros.estimate.noise import NoiseModel, arrivals
 from stepdiag_ros.estimate.reduce import StopTable
 from stepdiag_ros.model.budget import Contributor
 from stepdiag_ros.model.description import Description
-from stepdiag_ros.model.path import setup_direction, start_corner
+from stepdiag_ros.model.sensor import nominal_sight
 
 STEP_M = 1.0e-4
 """By how much a length of the description is moved to see what it does [m]."""
@@ -47,10 +47,14 @@ class Setting:
         machine, out = self.description.machine, np.empty(len(self.table))
         for number, name in enumerate(self.table.setup_names):
             rows = self.table.setup == number
-            setup = self.description.setups[name]
-            out[rows] = setup.standoff + \
-                (self.table.commanded[rows] - start_corner(machine, setup)) @ setup_direction(machine, setup)
+            out[rows], _ = nominal_sight(machine, self.description.setups[name], self.table.commanded[rows])
         return out
+
+    @property
+    def mirrored(self) -> np.ndarray:
+        """1 at stops (n,) whose beams meet a mirror, 0 where they follow a retroreflector."""
+        meets = [not self.description.setups[name].follows for name in self.table.setup_names]
+        return np.array(meets, float)[self.table.setup]
 
 
 def systematic(kind: str, contributor: Contributor, setting: Setting) -> np.ndarray:
@@ -87,7 +91,12 @@ def _in_runs(kind: str, setting: Setting, length: np.ndarray) -> np.ndarray:
     """Effects (k, n, c) of an index that changes within each run by 1, and (``air_variation``) from run to run."""
     table, beams, effects = setting.table, length.shape[1] - 2, []
     standoff = np.array([setting.description.setups[n].standoff for n in table.setup_names])[table.setup]
-    path = standoff if kind == 'dead_path' else setting.paths
+    path = setting.paths
+    if kind == 'dead_path':
+        first = np.array([np.flatnonzero(table.run == run)[0] for run in range(int(table.run.max()) + 1)
+                          if np.any(table.run == run)])
+        at_reset = dict(zip(table.run[first].tolist(), path[first], strict=True))
+        path = np.where(setting.mirrored > 0.0, standoff, np.array([at_reset[run] for run in table.run.tolist()]))
     for run in np.unique(table.run):
         rows = np.flatnonzero(table.run == run)
         # The index goes on changing through the run; the reset was at its first stop.
@@ -108,8 +117,7 @@ def _of_description(kind: str, setting: Setting) -> np.ndarray:
     description, table, model = setting.description, setting.table, setting.model
     moved: list[Description] = []
     if kind == 'tool':
-        moved = [replace(description, machine=replace(description.machine, tool=tuple(
-            np.array(description.machine.tool) + STEP_M * np.eye(3)[k]))) for k in range(3)]
+        moved = [_with_tool_moved(description, STEP_M * np.eye(3)[k]) for k in range(3)]
     for number in np.unique(table.setup) if kind != 'tool' else ():
         name = table.setup_names[number]
         setup = description.setups[name]
@@ -125,6 +133,14 @@ def _of_description(kind: str, setting: Setting) -> np.ndarray:
     nominal = model.predict(setting.theta)
     return np.array([(ForwardModel(one, table, model.parameters).predict(setting.theta) - nominal) / STEP_M
                      for one in moved])
+
+
+def _with_tool_moved(description: Description, by: np.ndarray) -> Description:
+    """The description with its tool, and the tools of its stations, elsewhere by (3,) [m]."""
+    machine = replace(description.machine, tool=tuple(np.array(description.machine.tool) + by))
+    return replace(description, machine=machine, setups={
+        name: setup if setup.tool is None else replace(setup, tool=tuple(np.array(setup.tool) + by))
+        for name, setup in description.setups.items()})
 
 
 def _cyclic_columns(setting: Setting) -> sparse.csr_array:
@@ -145,7 +161,8 @@ def _flatness_columns(setting: Setting) -> sparse.csr_array:
     n, channels = setting.readings.shape
     place, count = _places(setting)
     rows = (np.arange(n)[:, None] * channels + np.arange(channels - 2)).ravel()
-    return sparse.csr_array((np.ones(len(rows)), (rows, np.repeat(place, channels - 2))), (n * channels, count))
+    return sparse.csr_array((np.repeat(setting.mirrored, channels - 2), (rows, np.repeat(place, channels - 2))),
+                            (n * channels, count))
 
 
 def _slope_columns(setting: Setting) -> sparse.csr_array:

@@ -32,7 +32,7 @@ from stepdiag_ros.estimate.dense import dense_operations, factored, inverse, nor
 from stepdiag_ros.estimate.forward import ForwardModel
 from stepdiag_ros.estimate.gauge import slope_weights
 from stepdiag_ros.estimate.noise import NoiseModel, Whitener, estimate_noise, whiteners
-from stepdiag_ros.estimate.parameters import Parameters, parameters_of
+from stepdiag_ros.estimate.parameters import STATION, Parameters, parameters_of
 from stepdiag_ros.estimate.reduce import StopTable
 from stepdiag_ros.model.description import Description
 from stepdiag_ros.model.machine import CURVES
@@ -42,6 +42,10 @@ PRIOR_TURN_RAD = 1e-3
 PRIOR_LASER_RAD = 1e-3
 PRIOR_MIRROR_RAD = 1e-2
 PRIOR_OFFSET_M = 10.0
+PRIOR_STATION_M = 2e-2
+"""How well it is known where a station stands: by a rule held beside it.  Wider, heights above a plane that holds the
+targets, which show to second order only, run along flat valleys where no step settles."""
+BESIDE_M = 1e-3
 PRIOR_FRAME_RAD = 1e-4
 """Turning machine and setups together is seen only to second order: it is held to this prior."""
 FRAME_SLOPES = ('EYX', 'EZX', 'EZY')
@@ -105,6 +109,9 @@ def prior_sigmas(parameters: Parameters, linear_laser: float = PRIOR_LASER_RAD) 
         sigma[parameters.slice(name)] = PRIOR_SHIFT_M if name[1] in 'XYZ' else PRIOR_TURN_RAD
     for setup in parameters.setups:
         first = parameters.setup_first[setup]
+        if parameters.unknowns[setup] == STATION:
+            sigma[first:first + len(STATION)] = PRIOR_STATION_M
+            continue
         laser = linear_laser if setup in parameters.straight else PRIOR_LASER_RAD
         sigma[first:first + 2], sigma[first + 2:first + 4] = laser, PRIOR_MIRROR_RAD
     sigma[parameters.offset_first:] = PRIOR_OFFSET_M
@@ -121,8 +128,15 @@ def frame_rows(parameters: Parameters) -> np.ndarray:
 
 def start(parameters: Parameters, model: ForwardModel, table: StopTable,
           readings: np.ndarray) -> np.ndarray:
-    """First guess: an ideal machine, offsets from the first reading of each run."""
+    """First guess: an ideal machine, offsets from the first reading of each run, stations a little beside their places.
+
+    In a plane that holds the station no reading depends on its height to first order: from there no step would find it.
+    """
     theta = np.zeros(parameters.size)
+    for setup in parameters.setups:
+        if parameters.unknowns[setup] == STATION:
+            first = parameters.setup_first[setup]
+            theta[first:first + len(STATION)] = BESIDE_M
     predicted = model.predict(theta)
     for run in np.unique(table.run):
         rows = np.flatnonzero(table.run == run)

@@ -11,6 +11,7 @@ from stepdiag_ros.estimate.enhanced import PRIOR_LASER_RAD, Fit, fit
 from stepdiag_ros.estimate.gauge import GAUGE, reporting_matrix
 from stepdiag_ros.estimate.identifiability import unidentifiable
 from stepdiag_ros.estimate.metres import Metres, in_metres
+from stepdiag_ros.estimate.parameters import STATION
 from stepdiag_ros.estimate.propagate import Setting, Uncertainty, index_sigma, propagate, with_budget
 from stepdiag_ros.estimate.reduce import StopTable
 from stepdiag_ros.estimate.sanity import check_readings
@@ -110,11 +111,15 @@ def solution_of(result: Fit, table: StopTable, warnings: tuple[str, ...] = ()) -
     information = np.linalg.inv(result.covariance) - result.precision
     open_directions = unidentifiable(parameters, names, reporting, result.covariance,
                                      result.precision, information)
-    misalignments = {}
+    misalignments, stations = {}, {}
     for setup in parameters.setups:
-        first = parameters.setup_first[setup]
-        angles = [float(a) for a in result.theta[first:first + 4]]
-        misalignments[setup] = Misalignment((angles[0], angles[1]), (angles[2], angles[3]))
+        first, size = parameters.setup_first[setup], len(parameters.unknowns[setup])
+        found = tuple(float(a) for a in result.theta[first:first + size])
+        if parameters.unknowns[setup] == STATION:
+            misalignments[setup] = Misalignment(station=found)
+            stations[setup] = _station(result, table, setup, found)
+        else:
+            misalignments[setup] = Misalignment(found[:2], found[2:])
     noise = {'position_repeatability_m': result.noise.position,
              'angle_repeatability_rad': result.noise.angle, 'source': result.noise.source}
     return Solution(
@@ -124,7 +129,18 @@ def solution_of(result: Fit, table: StopTable, warnings: tuple[str, ...] = ()) -
         reduced_chi2=result.chi2 / max(result.dof, 1), dof=result.dof,
         unidentifiable=open_directions, gauge=GAUGE, misalignments=misalignments, noise=noise,
         residuals=_residuals(result, table), warnings=warnings,
-        extra={'iterations': result.iterations})
+        extra={'iterations': result.iterations} | ({'stations': stations} if stations else {}))
+
+
+def _station(result: Fit, table: StopTable, setup: str, moved: tuple[float, ...]) -> dict[str, list[float] | float]:
+    """Where a station was found to stand and the dead path of its first run, each with its uncertainty by repeats."""
+    parameters, rows = result.parameters, np.flatnonzero(table.setup == table.setup_names.index(setup))
+    first = parameters.setup_first[setup]
+    place = result.model.places[rows[0]] + moved
+    sigma = np.sqrt(np.diag(result.covariance))
+    offset = parameters.offset_first + int(table.run[rows[0]]) * parameters.beams
+    return {'position_m': place.tolist(), 'sigma_m': sigma[first:first + len(STATION)].tolist(),
+            'dead_path_m': -float(result.theta[offset]), 'dead_path_sigma_m': float(sigma[offset])}
 
 
 def _residuals(result: Fit, table: StopTable) -> Residuals:

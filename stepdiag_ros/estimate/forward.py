@@ -1,22 +1,24 @@
 """The full kinematic model of a log and its analytic Jacobian.
 
 Predicts the distance of every beam and the spot at every stop from the unknowns
-of :mod:`stepdiag_ros.estimate.parameters`; nothing is linearised.  Derivatives
-are carried forward along the 18 motions of the three axes and the four
-misalignment angles of a setup (22 directions a stop) and then spread over the
-unknowns, of which each stop meets only a few.
+of :mod:`stepdiag_ros.estimate.parameters`; nothing is linearised.  What a stop reads of the
+pose is its setup's observation: a beam that stands still and meets a mirror, or one that follows a
+retroreflector from a station.  Derivatives are carried forward along the 18 motions of the three axes and
+what is unknown of a setup (four angles of one with a mirror, three coordinates of a station) and then
+spread over the unknowns, of which each stop meets only a few.
 """
 
 import numpy as np
 from scipy import sparse
 
-from stepdiag_ros.estimate.parameters import MISALIGNMENTS, Parameters, curve_matrices
+from stepdiag_ros.estimate.parameters import OF_SETUPS, Parameters, curve_matrices
 from stepdiag_ros.estimate.reduce import StopTable
 from stepdiag_ros.model.description import Description
 from stepdiag_ros.model.machine import chain_from_tool, rotation
 from stepdiag_ros.model.sensor import distance, station
 
-DIRECTIONS = 18 + len(MISALIGNMENTS)
+DIRECTIONS = 18 + len(OF_SETUPS)
+OF_STATION = slice(22, 25)
 
 
 class ForwardModel:
@@ -29,7 +31,6 @@ class ForwardModel:
     def __init__(self, description: Description, table: StopTable, parameters: Parameters):
         self.parameters = parameters
         self.chain = description.machine.chain
-        self.tool = np.array(description.machine.tool)
         self.commanded = table.commanded
         self.beams = table.displacement.shape[1]
         self._curves = curve_matrices(parameters, table.commanded)
@@ -38,13 +39,17 @@ class ForwardModel:
         stations = {s: station(description.machine, description.setups[s])
                     for s in parameters.setups}
         names = np.array(table.setup_names, dtype=object)[table.setup]
+        self.tool = np.array([description.setups[s].tool_of(description.machine) for s in names]).reshape(-1, 3)
+        self.follows = np.array([description.setups[s].follows for s in names], bool)
+        self.places = np.array([description.setups[s].station or np.zeros(3) for s in names]).reshape(-1, 3)
         self._triad = np.array([stations[s].triad for s in names])
         starts = {s: stations[s].beam_origins(np.array(
             (*description.setups[s].beams[:self.beams], description.setups[s].psd_offset)))
             for s in parameters.setups}
         self._origin = np.moveaxis(np.array([starts[s] for s in names]), 1, 0)
-        column = np.array([parameters.setup_first[s] for s in names])
-        self._angle_column = column[:, None] + np.arange(4)
+        columns = {s: [parameters.setup_first[s] + parameters.unknowns[s].index(what)
+                       if what in parameters.unknowns[s] else -1 for what in OF_SETUPS] for s in parameters.setups}
+        self._setup_column = np.array([columns[s] for s in names]).reshape(-1, len(OF_SETUPS))
         self._offset_column = (parameters.offset_first + table.run[:, None] * self.beams
                                + np.arange(self.beams))
 
@@ -86,10 +91,19 @@ class ForwardModel:
 
     def _directions(self, theta: np.ndarray):
         """Beam and un-turned mirror normal of each stop, and their derivatives by their two angles."""
-        angles = theta[self._angle_column]
+        angles = self._of_setups(theta)
         beam, d_beam = _turned(self._triad, angles[:, :2])
-        normal, d_normal = _turned(self._triad, angles[:, 2:])
+        normal, d_normal = _turned(self._triad, angles[:, 2:4])
         return beam, d_beam, -normal, -d_normal
+
+    def _of_setups(self, theta: np.ndarray) -> np.ndarray:
+        """What each stop's setup has (n, 7) of :data:`OF_SETUPS`, zero where it has none of it."""
+        return np.where(self._setup_column >= 0, theta[self._setup_column], 0.0)
+
+    def _arms(self, theta: np.ndarray, point: np.ndarray) -> np.ndarray:
+        """From station to retroreflector (k, 3) [m] at the stops that follow one."""
+        own = self.follows
+        return point[own] - self.places[own] - self._of_setups(theta)[own, 4:]
 
     # ---- predictions ------------------------------------------------------------------------
 
@@ -101,8 +115,11 @@ class ForwardModel:
         readings = np.empty((self.size, self.beams + 2))
         for k in range(self.beams):
             readings[:, k] = distance(point, normal, self._origin[k], beam)
-        readings[:, :self.beams] += theta[self._offset_column]
         readings[:, self.beams:] = self._spot(point, normal, beam)
+        if self.follows.any():
+            readings[self.follows] = 0.0
+            readings[self.follows, 0] = np.linalg.norm(self._arms(theta, point), axis=1)
+        readings[:, :self.beams] += theta[self._offset_column]
         return readings
 
     def _spot(self, point, normal, beam):
@@ -116,27 +133,35 @@ class ForwardModel:
         return np.einsum('nki,ni->nk', self._triad[:, :2], path)
 
     def local_derivatives(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Readings (n, c), their derivatives by the 22 directions (22, n, c), and by a turn of the
+        """Readings (n, c), their derivatives by the 25 directions (25, n, c), and by a turn of the
         mirror about its reference point along (u, v) and a shift along the axes (5, n, c)."""
         point, attitude, d_point, d_attitude = self._pose(*self.motions(theta), derivative=True)
         beam, d_beam, mounted, d_mounted = self._directions(theta)
         normal = np.einsum('nij,nj->ni', attitude, mounted)
         n, zero = self.size, np.zeros((2, self.size, 3))
         turns = np.moveaxis(self._triad[:, :2], 1, 0)
-        point_by = np.concatenate([d_point, zero, zero, zero,
+        nothing = np.zeros((3, n, 3))
+        point_by = np.concatenate([d_point, zero, zero, nothing, zero,
                                    np.broadcast_to(np.eye(3)[:, None], (3, n, 3))])
         normal_by = np.concatenate([np.einsum('dnij,nj->dni', d_attitude, mounted), zero,
-                                    np.einsum('nij,dnj->dni', attitude, d_mounted),
-                                    np.cross(turns, normal), np.zeros((3, n, 3))])
-        beam_by = np.concatenate([np.zeros((18, n, 3)), d_beam, zero, zero, np.zeros((3, n, 3))])
+                                    np.einsum('nij,dnj->dni', attitude, d_mounted), nothing,
+                                    np.cross(turns, normal), nothing])
+        beam_by = np.concatenate([np.zeros((18, n, 3)), d_beam, zero, nothing, zero, nothing])
         derivative = np.empty((DIRECTIONS + 5, n, self.beams + 2))
         readings = np.empty((n, self.beams + 2))
         for k in range(self.beams):
             readings[:, k], derivative[:, :, k] = _distance_by(
                 point, normal, beam, self._origin[k], point_by, normal_by, beam_by)
-        readings[:, :self.beams] += theta[self._offset_column]
         readings[:, self.beams:], derivative[:, :, self.beams:] = _spot_by(
             point, normal, beam, self._origin[-1], self._triad, point_by, normal_by, beam_by)
+        if self.follows.any():
+            own, arm = self.follows, self._arms(theta, point)
+            length = np.linalg.norm(arm, axis=1)
+            readings[own], derivative[:, own] = 0.0, 0.0
+            readings[own, 0] = length
+            derivative[:, own, 0] = np.einsum('dni,ni->dn', point_by[:, own], arm / length[:, None])
+            derivative[OF_STATION, own, 0] = -(arm / length[:, None]).T
+        readings[:, :self.beams] += theta[self._offset_column]
         return readings, derivative[:DIRECTIONS], derivative[DIRECTIONS:]
 
     def jacobian(self, theta: np.ndarray) -> tuple[np.ndarray, sparse.csr_array, np.ndarray]:
@@ -151,10 +176,11 @@ class ForwardModel:
             rows.append(row[coo.row].ravel())
             columns.append(np.repeat(coo.col, channels))
             values.append((coo.data[:, None] * local[place][coo.row]).ravel())
-        for k in range(len(MISALIGNMENTS)):
-            rows.append(row.ravel())
-            columns.append(np.repeat(self._angle_column[:, k], channels))
-            values.append(local[18 + k].ravel())
+        for k in range(len(OF_SETUPS)):
+            own = self._setup_column[:, k] >= 0
+            rows.append(row[own].ravel())
+            columns.append(np.repeat(self._setup_column[own, k], channels))
+            values.append(local[18 + k][own].ravel())
         for k in range(self.beams):
             rows.append(row[:, k])
             columns.append(self._offset_column[:, k])

@@ -10,7 +10,7 @@ directions are brought to echelon form, so that each names as few things as it c
 import numpy as np
 
 from stepdiag_ros.estimate.eigen import eigen
-from stepdiag_ros.estimate.parameters import MISALIGNMENTS, Parameters
+from stepdiag_ros.estimate.parameters import STATION, Parameters
 from stepdiag_ros.estimate.solution import Unidentifiable
 from stepdiag_ros.model.machine import CURVES, SQUARENESS
 
@@ -81,7 +81,7 @@ def _features(parameters: Parameters, names: list[tuple[str, int]],
         labels.append(name)
         rows.append(reporting[names.index((name, -1))])
     for setup in parameters.setups:
-        for k, what in enumerate(MISALIGNMENTS):
+        for k, what in enumerate(parameters.unknowns[setup]):
             labels.append(f'{setup} {what}')
             rows.append(np.eye(parameters.size)[parameters.setup_first[setup] + k])
     rows = np.array(rows)
@@ -111,6 +111,9 @@ def _why(members: tuple[str, ...], straight: frozenset[str]) -> str:
     if kinds == {'laser'} or kinds == {'laser', 'mirror'}:
         return ('turning these together with the machine changes the readings to second order only; '
                 'the reported errors do not depend on the choice')
+    if any(member.endswith(STATION) for member in members):
+        return ('moving the station and changing these errors together leaves the readings as they are; a further '
+                'station whose beams cross these, or another tool vector, would separate them')
     if len(members) == 1:
         return 'the readings depend on it too little to narrow it down'
     return ('the readings depend on their combination only; a linear setup of each axis, a further '

@@ -87,13 +87,6 @@ def _all(*conditions: Callable[[CellReadings], str | None]) -> Callable[[CellRea
     return lacks
 
 
-def _never(text: str) -> tuple[Callable, Callable]:
-    def run(log: CalibrationLog, cell: CellReadings):
-        raise StepdiagError(f'{log.source}: this method needs {text}, which a log does not hold; '
-                            'call it from Python with arrays')
-    return (lambda cell: text), run
-
-
 # ---- adapters ---------------------------------------------------------------------------------
 
 def corner_deviations(setup: SetupReadings) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -180,8 +173,6 @@ def linear_test(cell: CellReadings) -> iso230_2.LinearTest:
 
 
 def _entries() -> tuple[Method, ...]:
-    stations = _never('distances from four tracking interferometers')
-    beam = _never('a rectangular path with the beam regulated to a fixed retroreflector')
     return (
         Method('enhanced', 'Enhanced step diagonal, full model', 'Dahlem et al. 2018, extended',
                'distances; tilts for the angles; linear setups for the slopes',
@@ -215,9 +206,11 @@ def _entries() -> tuple[Method, ...]:
                _needs('three parallel lines of an axis whose offsets are not in one line', of_ways.parallel),
                lambda log, cell: linear_lines.evaluate(of_ways.parallel(cell))),
         Method('multilateration', 'Multilateration', 'Ibaraki & Hiruya 2020, eq. 1',
-               'distances from three (plane) or four (space) stations', *stations),
+               'distances from three (plane) or four (space) stations', of_ways.stations_lack,
+               lambda log, cell: of_ways.multilaterated(cell)),
         Method('regulated_beam', 'Rectangular path, beam regulated',
-               'Ibaraki & Hiruya 2020, eqs. 4-8', 'two linear runs and a tracking test', *beam),
+               'Ibaraki & Hiruya 2020, eqs. 4-8', 'two linear runs and a tracking test', of_ways.rectangle_lacks,
+               lambda log, cell: of_ways.regulated(cell)),
     )
 
 

@@ -40,7 +40,7 @@ from stepdiag_ros.model.air import CO2, WAVELENGTH, refractive_index
 from stepdiag_ros.model.description import Description
 from stepdiag_ros.model.log import CalibrationLog, ScalarSeries
 from stepdiag_ros.model.machine import AXES
-from stepdiag_ros.model.path import setup_direction, start_corner
+from stepdiag_ros.model.sensor import nominal_sight
 from stepdiag_ros.model.surroundings import LIMITS, QUANTITIES, AirValues, Expansion
 
 VACUUM = 1.0e-9
@@ -279,32 +279,30 @@ def _contradiction(conditions: Conditions, apart: float, remarks: list[str]) -> 
 def divided_by(description: Description, table: StopTable, index: np.ndarray) -> StopTable:
     """The stops with the instrument's own index taken back and ``index`` (n,) divided out, dead path included."""
     lengths = table.displacement.copy()
-    travelled = _along(description, table)
+    paths, _ = _sights(description, table)
     for run in np.unique(table.run):
         rows = np.flatnonzero(table.run == run)
         reset = rows[np.argmin(table.dwell_ns[rows])]
-        standoff = description.setups[table.setup_names[table.setup[reset]]].standoff
-        dead = standoff + travelled[reset]
         ratio = (table.refractive_index[rows] / index[rows])[:, None]
-        lengths[rows] = lengths[rows] * ratio + (dead * (index[reset] / index[rows] - 1.0))[:, None]
+        lengths[rows] = lengths[rows] * ratio + (paths[reset] * (index[reset] / index[rows] - 1.0))[:, None]
     return replace(table, displacement=lengths, refractive_index=np.asarray(index, float))
 
 
-def _along(description: Description, table: StopTable) -> np.ndarray:
-    """Way (n,) [m] from each setup's start corner to each stop along its nominal direction."""
-    machine, way = description.machine, np.empty(len(table))
+def _sights(description: Description, table: StopTable) -> tuple[np.ndarray, np.ndarray]:
+    """Nominal distance (n,) [m] and direction (n, 3) of the beam at each stop."""
+    paths, directions = np.empty(len(table)), np.empty((len(table), 3))
     for number, name in enumerate(table.setup_names):
-        rows, setup = table.setup == number, description.setups[name]
-        way[rows] = (table.commanded[rows] - start_corner(machine, setup)) @ setup_direction(machine, setup)
-    return way
+        rows = table.setup == number
+        paths[rows], directions[rows] = nominal_sight(description.machine, description.setups[name],
+                                                      table.commanded[rows])
+    return paths, directions
 
 
 def _referred(log: CalibrationLog, table: StopTable,
               conditions: Conditions) -> tuple[StopTable, Conditions, dict[str, float]]:
     """The stops with the scales' expansion taken off where it is known; mean scale temperatures by axis."""
     description, middle = log.description, (table.dwell_ns + table.done_ns) // 2
-    directions = np.array([setup_direction(description.machine, description.setups[name])
-                           for name in table.setup_names])[table.setup]
+    _, directions = _sights(description, table)
     excess, referred = np.zeros(len(table)), [False] * 3
     scales, measured, stated = list(conditions.scales), {}, [0.0] * 3
     expansion, sigma, away = list(conditions.expansion), list(conditions.expansion_sigma), [np.nan] * 3

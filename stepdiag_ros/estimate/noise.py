@@ -172,8 +172,9 @@ def arrivals(table: StopTable) -> np.ndarray:
         change = np.abs(np.diff(table.commanded[rows], axis=0)) > MOVED_M
         together = (table.axis[rows[1:]] == NONE) & change.any(axis=1)
         fresh[1:][together] = change[together]
-        # A stop left out hides which axes moved meanwhile.
-        fresh[1:][(np.abs(np.diff(index)) != 1) & (table.axis[rows[1:]] != STOOD)] = True
+        # A stop left out hides which axes moved meanwhile; one that is come back to from beyond says it.
+        turned = (np.diff(index) == 0) & (np.diff(table.direction[rows].astype(int)) != 0)
+        fresh[1:][(np.abs(np.diff(index)) != 1) & ~turned & (table.axis[rows[1:]] != STOOD)] = True
         fresh[0] = True
         numbers[rows] = np.cumsum(fresh, axis=0) + 4 * len(table) * (run + 1)
     return numbers

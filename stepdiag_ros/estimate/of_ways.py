@@ -10,14 +10,17 @@ from dataclasses import replace
 import numpy as np
 
 from stepdiag_ros.errors import StepdiagError
-from stepdiag_ros.estimate import linear_lines, three_face
+from stepdiag_ros.estimate import linear_lines, multilateration, regulated_beam, three_face
 from stepdiag_ros.estimate.linear_lines import Lines
+from stepdiag_ros.estimate.noise import FLOOR_M
 from stepdiag_ros.estimate.readings import CellReadings, SetupReadings
 from stepdiag_ros.estimate.solution import Solution
 from stepdiag_ros.estimate.stepwise import travel_signs
 from stepdiag_ros.model.machine import AXES, Curve, GeometricErrors, tool_pose
 
 SAME_M = 1e-6
+LEVEL_M = 1e-3
+"""By how much a station may stand out of the plane of a rectangle that a plane method evaluates."""
 TURN_RAD = 1e-6
 """By how much an axis is turned to see its arm."""
 
@@ -25,6 +28,68 @@ TURN_RAD = 1e-6
 def of_kind(cell: CellReadings, *kinds: str) -> list[str]:
     """Names of the setups with ways of their own of these ``kinds`` (``Setup.kind`` of the description)."""
     return [name for name, setup in cell.setups.items() if setup.sight.kind in kinds]
+
+
+def with_mirror(cell: CellReadings) -> list[SetupReadings]:
+    """The setups whose beam stands still."""
+    return [setup for setup in cell.setups.values() if setup.sight.station is None]
+
+
+def stations_lack(cell: CellReadings) -> str | None:
+    """What multilateration misses in a log, in words."""
+    own = [setup.sight for setup in cell.setups.values() if setup.sight.station is not None]
+    moved = {axis for sight in own for axis in np.flatnonzero(np.ptp(sight.positions, axis=0) > SAME_M).tolist()}
+    wanted = 4 if len(moved) == 3 else 3
+    if len(own) >= wanted and moved >= {0, 1}:
+        return None
+    return f'distances to a grid from three stations in the plane XY, or from four in space (has {len(own)})'
+
+
+def multilaterated(cell: CellReadings) -> Solution:
+    """Multilateration of a log, by the closed problem of stations and dead paths: in the plane XY or in space."""
+    own = [setup for setup in cell.setups.values() if setup.sight.station is not None]
+    points = [setup.sight.positions for setup in own]
+    readings, stations = [setup.displacement_m[:, 0] for setup in own], np.array([s.sight.station for s in own])
+    tools = np.array([setup.sight.tool for setup in own])
+    sigma = max(FLOOR_M, float(np.sqrt(np.mean([np.mean(setup.displacement_sigma_m**2) for setup in own]))))
+    if np.ptp(np.concatenate(points)[:, 2]) > SAME_M:
+        return multilateration.evaluate(points, readings, stations, tools, sigma, cell.machine.chain)
+    # The plane of the method holds the retroreflector: its own coordinates begin at the tool.
+    places = (stations - tools)[:, :2]
+    return multilateration.evaluate_plane([place[:, :2] for place in points], readings, places, sigma)
+
+
+def rectangle_lacks(cell: CellReadings) -> str | None:
+    """What the rectangular path with the regulated beam misses in a log, in words."""
+    if _rectangle(cell) is None:
+        return 'a way around a rectangle of the plane XY at the origin, followed from a station in its plane'
+    missing = [name for name in ('EXX', 'EYY') if name not in edges(cell)]
+    return None if not missing else \
+        f'lines along the edges from the origin for {", ".join(missing)}, at the plan\'s positions'
+
+
+def _rectangle(cell: CellReadings) -> SetupReadings | None:
+    """The setup that was followed around the face XY at the origin at the plan's positions, from its plane."""
+    for setup in cell.setups.values():
+        sight, plan = setup.sight, [np.linspace(0.0, length, cell.steps + 1) for length in cell.machine.volume]
+        if sight.station is None or len(sight.positions) != 4 * cell.steps + 1:
+            continue
+        on_plan = all(len(found) == cell.steps + 1 and np.allclose(found, plan[axis], atol=SAME_M)
+                      for axis, found in enumerate(np.unique(np.round(sight.positions[:, k], 9)) for k in range(2)))
+        level = np.ptp(sight.positions[:, 2]) < SAME_M and abs(sight.tool[2] - sight.station[2]) < LEVEL_M
+        if on_plan and level and np.abs(sight.positions[0]).max() < SAME_M and np.hypot(*sight.tool[:2]) < SAME_M:
+            return setup
+    return None
+
+
+def regulated(cell: CellReadings) -> Solution:
+    """Two lines and a rectangular path of a log, by the problem of the regulated beam in the plane XY."""
+    around, found = _rectangle(cell), edges(cell)
+    x, y = (np.linspace(0.0, length, cell.steps + 1) for length in cell.machine.volume[:2])
+    far = np.array([[-2.0 * x[-1], 0.0], [0.0, -2.0 * y[-1]]])
+    test = regulated_beam.Test(x, y, 0.0, 0.0, np.concatenate([far, [around.sight.station[:2]]]),
+                               around.sight.positions[:, :2])
+    return regulated_beam.evaluate(test, [x + found['EXX'], y + found['EYY'], around.displacement_m[:, 0]])
 
 
 def faces(cell: CellReadings) -> CellReadings:
@@ -49,14 +114,15 @@ def faces(cell: CellReadings) -> CellReadings:
 def edges(cell: CellReadings) -> dict[str, np.ndarray]:
     """EXX, EYY, EZZ (steps + 1,) [m] at the plan's positions, of lines along the edges that meet in the origin."""
     found = {}
-    for setup in cell.setups.values():
+    for setup in with_mirror(cell):
         positions = setup.sight.positions
         axes = np.flatnonzero(np.ptp(positions, axis=0) > SAME_M)
         if len(axes) != 1 or np.abs(positions[0]).max() > SAME_M:
             continue
         plan = np.linspace(0.0, cell.machine.volume[axes[0]], cell.steps + 1)
-        if len(positions) == len(plan) and np.allclose(positions[:, axes[0]], plan, atol=SAME_M):
-            found[f'E{AXES[axes[0]] * 2}'] = setup.displacement_m[:, 0] - plan
+        nearest = np.argmin(np.abs(positions[:, axes[0], None] - plan), axis=0)
+        if np.allclose(positions[nearest, axes[0]], plan, atol=SAME_M):
+            found[f'E{AXES[axes[0]] * 2}'] = setup.displacement_m[nearest, 0] - plan
     return found
 
 
@@ -82,7 +148,7 @@ def parallel(cell: CellReadings) -> Mapping[str, Lines]:
     """Lines of each axis that at least three setups measured at the same positions, by letter."""
     found = {}
     for axis, letter in enumerate(AXES):
-        group = [s for s in cell.setups.values()
+        group = [s for s in with_mirror(cell)
                  if np.array_equal(np.flatnonzero(np.ptp(s.sight.positions, axis=0) > SAME_M), [axis])
                  and travel_signs(s.sight)[axis] > 0.0]
         group = [s for s in group if len(s.sight.positions) == len(group[0].sight.positions)

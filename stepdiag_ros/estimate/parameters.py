@@ -2,15 +2,15 @@
 
 Raw curves (no squareness: it is a slope of a straightness curve, see
 :mod:`stepdiag_ros.estimate.gauge`) at their knots beyond position 0, where they
-are zero by definition; a laser and a mirror misalignment for every setup; one
-reset offset for every beam of every run.
+are zero by definition; a laser and a mirror misalignment for every setup, or the place of its station; one
+reset offset for every beam of every run, which is the unknown dead path where a beam follows a retroreflector.
 
 A positioning curve (EXX, EYY, EZZ) has knots at the plan's positions and wherever
 a line of that axis stops; the others at the plan's positions only.  A stop between
 knots takes part in both neighbours.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy import sparse
@@ -21,6 +21,9 @@ from stepdiag_ros.model.machine import AXES, CURVES
 from stepdiag_ros.model.path import plan_positions
 
 MISALIGNMENTS = ('laser u', 'laser v', 'mirror u', 'mirror v')
+STATION = ('station X', 'station Y', 'station Z')
+OF_SETUPS = (*MISALIGNMENTS, *STATION)
+"""What is unknown of a setup: with a mirror the former, with a station the latter."""
 MERGE_M = 1e-6
 """Commanded positions closer than this are one knot."""
 
@@ -30,9 +33,10 @@ class Parameters:
     """Names and places of the unknowns of one log.
 
     ``knots``: curve name → (k,) [m], the first being 0.  ``first``: curve name → column of
-    its knot 1.  ``setup_first``: setup → column of its ``laser u``.  ``offset_first``: column of
-    run 0, beam 0; then row-major [run, beam].  ``straight``: setups whose beam lies along the motion.
-    ``size``: number of columns.
+    its knot 1.  ``setup_first``: setup → column of the first of its ``unknowns``, names out of
+    :data:`OF_SETUPS`.  ``offset_first``: column of run 0, beam 0; then row-major [run, beam].
+    ``straight``: setups whose beam lies along the motion; ``tilted``: others, in which a detector is
+    to show how the mirror tilts.  ``size``: number of columns.
     """
 
     knots: dict[str, np.ndarray]
@@ -43,6 +47,8 @@ class Parameters:
     runs: int
     beams: int
     straight: frozenset[str] = frozenset()
+    tilted: frozenset[str] = frozenset()
+    unknowns: dict[str, tuple[str, ...]] = field(default_factory=dict)
 
     @property
     def size(self) -> int:
@@ -56,7 +62,7 @@ class Parameters:
     def labels(self) -> list[str]:
         """A readable name for every column."""
         labels = [f'{name}[{i}]' for name in CURVES for i in range(1, len(self.knots[name]))]
-        labels += [f'{setup} {what}' for setup in self.setups for what in MISALIGNMENTS]
+        labels += [f'{setup} {what}' for setup in self.setups for what in self.unknowns[setup]]
         labels += [f'offset run {run} beam {beam}'
                    for run in range(self.runs) for beam in range(self.beams)]
         return labels
@@ -86,11 +92,14 @@ def parameters_of(description: Description, table: StopTable) -> Parameters:
         column += len(knots[name]) - 1
     used = [s for i, s in enumerate(table.setup_names) if np.any(table.setup == i)]
     setup_first = {}
+    unknowns = {setup: STATION if description.setups[setup].follows else MISALIGNMENTS for setup in used}
     for setup in used:
         setup_first[setup] = column
-        column += len(MISALIGNMENTS)
+        column += len(unknowns[setup])
     return Parameters(knots, first, tuple(used), setup_first, column, len(table.run_ids),
-                      table.displacement.shape[1], frozenset(s for s in used if description.setups[s].is_straight))
+                      table.displacement.shape[1], frozenset(s for s in used if description.setups[s].is_straight),
+                      frozenset(s for s in used if description.setups[s].sees_tilt
+                                and not description.setups[s].is_straight), unknowns)
 
 
 def _merge(positions: np.ndarray) -> np.ndarray:

@@ -11,9 +11,9 @@ from dataclasses import replace
 import numpy as np
 
 from stepdiag_ros.estimate.reduce import StopTable
+from stepdiag_ros.model.cycle import cycle
 from stepdiag_ros.model.description import Description
 from stepdiag_ros.model.machine import GeometricErrors, tool_pose
-from stepdiag_ros.model.path import stops
 from stepdiag_ros.model.sensor import Misalignment, measure
 
 Sensor = Callable[[str, Misalignment, np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
@@ -24,7 +24,7 @@ STOP_NS = 1_000_000_000
 
 def planned_table(description: Description, setups: Sequence[str] | None = None,
                   directions: Sequence[int] = (1, -1), samples: int = 100) -> StopTable:
-    """All visits of the plan in order, without readings; each run goes once along its setup's stops.
+    """All visits of the plan in order, without readings, run by run of each setup's cycles.
 
     ``samples``: how many samples of either sensor a dwell will hold.
     """
@@ -33,17 +33,18 @@ def planned_table(description: Description, setups: Sequence[str] | None = None,
         'run', 'setup', 'repeat', 'direction', 'index', 'axis', 'commanded')}
     run_ids = []
     for number, name in enumerate(names):
-        path = stops(description, name)
-        count = len(path)
         for repeat in range(description.repeats_of(name)):
-            for direction in directions:
-                whole = {'run': len(run_ids), 'setup': number, 'repeat': repeat, 'direction': direction}
-                for key, value in whole.items():
+            for part in cycle(description, name):
+                visits = [visit for visit in part.visits if visit.direction in directions]
+                if not visits:
+                    continue
+                count = len(visits)
+                for key, value in {'run': len(run_ids), 'setup': number, 'repeat': repeat}.items():
                     columns[key].append(np.full(count, value))
-                columns['index'].append(np.arange(count)[::direction])
-                columns['axis'].append(path.moved(direction))
-                columns['commanded'].append(path.positions[::direction])
-                run_ids.append(f'{name}/{repeat}/{"+" if direction > 0 else "-"}')
+                for key, values in (('direction', [v.direction for v in visits]), ('index', [v.index for v in visits]),
+                                    ('axis', [v.axis for v in visits]), ('commanded', [v.position for v in visits])):
+                    columns[key].append(np.array(values))
+                run_ids.append(f'{name}/{repeat}/{part.name}')
     c = {key: np.concatenate(parts) for key, parts in columns.items()}
     n, beams = len(c['run']), max(len(description.setups[name].beams) for name in names)
     begin = np.arange(n, dtype=np.int64) * 2 * STOP_NS
@@ -74,8 +75,8 @@ def observe(description: Description, table: StopTable, errors: GeometricErrors,
     """
     sensor = sensor or closed_form(description)
     n, beams = table.displacement.shape
-    point, attitude = tool_pose(errors, table.commanded, np.array(description.machine.tool),
-                                description.machine.chain)
+    tool = np.array([description.setups[name].tool_of(description.machine) for name in table.setup_names])[table.setup]
+    point, attitude = tool_pose(errors, table.commanded, tool, description.machine.chain)
     if shift is not None:
         point = point + shift
     if turn is not None:

@@ -27,7 +27,8 @@ class Sight:
     ``direction`` (3,) unit vector away from the source; ``positions`` (n, 3) [m] commanded,
     ``axis`` (n,) number of the axis that moved to reach a stop (255 at the first);
     ``beams`` (k, 2), ``psd_offset`` (2,) [m] along (u, v); ``standoff`` [m].  ``kind`` of a setup with a way of its
-    own (:attr:`~stepdiag_ros.model.description.Setup.kind`); empty for a short name.
+    own (:attr:`~stepdiag_ros.model.description.Setup.kind`); empty for a short name.  ``station``, ``tool`` (3,) [m]
+    where a beam follows a retroreflector from there; ``direction`` then says nothing.
     """
 
     name: str
@@ -38,6 +39,8 @@ class Sight:
     beams: tuple[tuple[float, float], ...] = ((0.0, 0.0),)
     psd_offset: tuple[float, float] = (0.0, 0.0)
     kind: str = ''
+    station: tuple[float, ...] | None = None
+    tool: tuple[float, ...] | None = None
 
     @property
     def triad(self) -> np.ndarray:
@@ -101,7 +104,8 @@ def sight_of(description: Description, name: str) -> Sight:
     """The line of sight of a setup of the cell description."""
     path, setup = stops(description, name), description.setups[name]
     return Sight(name, setup_direction(description.machine, setup), path.positions, path.axis,
-                 setup.standoff, setup.beams, setup.psd_offset, '' if setup.way is None else setup.kind)
+                 setup.standoff, setup.beams, setup.psd_offset, '' if setup.way is None else setup.kind,
+                 setup.station, setup.tool_of(description.machine) if setup.follows else None)
 
 
 def face_sight(machine: Machine, plane: str, sign: str, steps: int, standoff: float = 0.0) -> Sight:

@@ -106,17 +106,21 @@ def reduce_log(log: CalibrationLog, cut: bool = False) -> StopTable:
     dwell_ns, done_ns = begin + length * number // pieces, begin + length * (number + 1) // pieces
     first, stood = visits[:, 1], number > 0
     move_ns = np.where((visits[:, 0] >= 0) & ~stood, events.time_ns[visits[:, 0]], -1)
-    names = tuple(events.setup_names)
+    names, setups = tuple(events.setup_names), log.description.setups
     lengths = _average(log.displacement, dwell_ns, done_ns, events.setup[first], names,
                        log.displacement.health > 0)
-    spots = _average(log.spot, dwell_ns, done_ns, events.setup[first], names,
+    # What a detector streams in a setup that has none is no reading.
+    looks = np.array([name not in setups or setups[name].sees_tilt for name in names], bool)
+    spots = _average(log.spot, dwell_ns, done_ns, events.setup[first],
+                     tuple(name if looking else '' for name, looking in zip(names, looks, strict=True)),
                      np.ones(len(log.spot), bool))
     for topic, part, samples in (('interferometer/displacement', lengths, log.displacement),
                                  ('psd/spot', spots, log.spot)):
         if part.left_out:
             warnings.append(f'{log.source}: {topic}: {part.left_out} dwell samples without signal '
                             'or not a number were left out')
-        empty = int(np.sum(part.count == 0))
+        expected = looks[events.setup[first]] if samples is log.spot else np.ones(len(visits), bool)
+        empty = int(np.sum((part.count == 0) & expected))
         if empty and len(samples):
             warnings.append(f'{log.source}: {topic}: {empty} of {len(visits)} dwells hold no usable '
                             'sample; those stops are left out of this channel')

@@ -25,11 +25,14 @@ from stepdiag_ros.estimate.reduce import StopTable
 from stepdiag_ros.model.description import DIAGONALS, Description, path_of
 from stepdiag_ros.model.machine import AXES
 from stepdiag_ros.model.path import setup_direction, stops
+from stepdiag_ros.model.sensor import nominal_sight
 
 SCALE = 3e-3
 """Deviation of the gradient's component along the setup from 1 above which a scale is wrong."""
 ACROSS = 0.05
 """Size of the gradient's other components above which the beam does not lie along the setup."""
+ELSEWHERE = 0.3
+"""Share of the distances to a station by which they may differ from those to where it is said to stand."""
 STILL = 0.01
 """Size of the gradient below which the readings do not follow the machine."""
 LARGEST_SPOT_M = 0.1
@@ -54,7 +57,7 @@ def check_readings(description: Description, table: StopTable) -> list[Finding]:
         places = list(_places(description, table, setup, rows))
         found += places
         if not places:
-            found += _distances(description, table, setup, rows)
+            found += (_to_station if description.setups[setup].follows else _distances)(description, table, setup, rows)
     found += _spots(table)
     return _merged(found, len(np.unique(table.setup)))
 
@@ -157,6 +160,34 @@ def _distances(description: Description, table: StopTable, setup: str, rows: np.
     return [Finding('direction', f'setup {setup}: the reading changes by {_vector(seen)} m per metre of '
                     f'{_letters(moved)}, expected is {_vector(expected)}', 'no single mistake explains this; check '
                     'machine.volume, the setup\'s name and where the base unit stands')]
+
+
+def _to_station(description: Description, table: StopTable, setup: str, rows: np.ndarray) -> list[Finding]:
+    """What the readings of a setup with a station say against its nominal distances: sign, unit, and no change."""
+    rows = rows[np.isfinite(table.displacement[rows, 0])]
+    nominal, _ = nominal_sight(description.machine, description.setups[setup], table.commanded[rows])
+    length = table.displacement[rows, 0].copy()
+    for run in np.unique(table.run[rows]):
+        own = table.run[rows] == run
+        nominal[own] -= nominal[own].mean()
+        length[own] -= length[own].mean()
+    if not len(rows) or float(nominal @ nominal) < PLACE_M**2:
+        return []
+    scale = float(length @ nominal / (nominal @ nominal))
+    # A station that stands elsewhere than stated bends this, and is found by the estimate.
+    if np.linalg.norm(length - nominal) < ELSEWHERE * np.linalg.norm(nominal):
+        return []
+    if abs(scale) < STILL and np.linalg.norm(length) < STILL * np.linalg.norm(nominal):
+        return [Finding('still', f'setup {setup}: the reading hardly changes while the machine moves '
+                        f'{_reach(table, rows):.3g} m',
+                        'check that the beam follows the retroreflector and record this setup again')]
+    if np.linalg.norm(length - scale * nominal) < ELSEWHERE * np.linalg.norm(length) \
+            and any(abs(abs(scale) / factor - 1.0) < ELSEWHERE for factor in (1.0, *(f for f, *_ in FACTORS))):
+        near = min((1.0, *(f for f, *_ in FACTORS)), key=lambda factor: abs(np.log(abs(scale) / factor)))
+        return [_of_scale(setup, float(np.copysign(near, scale)))]
+    return [Finding('direction', f'setup {setup}: the readings are not the distances from the station at '
+                    f'{_vector(np.array(description.setups[setup].station))} m',
+                    f'check setups.{setup}.station, its tool and the order of the stations')]
 
 
 def _of_scale(setup: str, scale: float) -> Finding:

@@ -114,9 +114,13 @@ def _standoffs(description: Description, table: StopTable, noise: NoiseModel,
     """Reduced χ² with the one standoff put right that makes it fall most, and its finding; empty without any."""
     result, best = fit(description, table, noise, settled=ENOUGH), None
     for setup in result.parameters.setups:
+        if description.setups[setup].follows:
+            continue
         shift, sigma, fall = _shift(description, table, result, setup)
         if best is None or fall > best[0]:
             best = fall, setup, shift
+    if best is None:
+        return []
     name = best[1]
     changed, known = description, description.setups[name].standoff
     for sweep in range(SWEEPS):

@@ -156,7 +156,8 @@ class Solution:
                 'reference_temperature': None if tied is None else tied.reference_temperature,
                 'traceability': None if tied is None else tied.to_json_dict(),
                 'gauge': self.gauge, 'reduced_chi2': self.reduced_chi2, 'dof': self.dof,
-                'misalignments': {name: self._misaligned(name) for name in self.misalignments},
+                'misalignments': {name: self._misaligned(name) for name in self.misalignments
+                                  if name not in self.extra.get('stations', {})},
                 'noise': dict(self.noise), 'warnings': list(self.warnings),
                 'sanity': [finding.to_json_dict() for finding in self.sanity],
                 'closure': [one.to_json_dict() for one in self.closure],

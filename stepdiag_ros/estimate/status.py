@@ -57,13 +57,13 @@ def reasons(result: Fit, table: StopTable) -> list[str]:
 
 
 def without_tilts(result: Fit, table: StopTable) -> list[str]:
-    """Step diagonals whose stops have neither spots nor three beams."""
+    """Step diagonals with a detector or three beams whose stops have neither."""
     beams = table.displacement.shape[1]
     tilted = result.present[:, beams:].all(axis=1)
     if beams >= 3:
         tilted |= result.present[:, :3].all(axis=1)
     return [name for k, name in enumerate(table.setup_names)
-            if name not in result.parameters.straight and np.any(table.setup == k)
+            if name in result.parameters.tilted and np.any(table.setup == k)
             and np.mean(tilted[table.setup == k]) < LEAST_SPOTS]
 
 

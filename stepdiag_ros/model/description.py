@@ -9,6 +9,7 @@ import re
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
 import yaml
 
 from stepdiag_ros.errors import StepdiagError
@@ -22,8 +23,10 @@ from stepdiag_ros.model.surroundings import (
     scales_to_dict,
     workpiece_of,
 )
-from stepdiag_ros.model.way import TOGETHER, Way, problem
+from stepdiag_ros.model.way import AROUND, GRID, TOGETHER, Way, problem
 
+NEAREST_M = 0.02
+"""No interferometer follows a retroreflector that is nearer than this."""
 MADE_UP = 'made_up'
 """What ``times`` of a description says where a table had none."""
 SCHEMA = 1
@@ -71,7 +74,9 @@ class Setup:
     ``standoff`` [m] from the base unit to the mirror's reference point at stop 0;
     ``psd_offset`` [m] of the PSD's beam and ``beams`` [m] of the interferometer's,
     each along (u, v).  ``length`` [m] and ``stops`` belong to ``lin_x``, ``lin_y``, ``lin_z`` only; ``way`` to a setup
-    without a short name.  ``repeats``: of this setup, None: as many as the plan's.
+    without a short name.  ``repeats``: of this setup, None: as many as the plan's.  ``psd``: whether it has a detector.
+    ``station`` (3,) [m]: about where an interferometer stands that follows a retroreflector at the tool, instead of a
+    base unit and a mirror; ``tool`` (3,) [m] to that retroreflector, None: the machine's tool vector.
     """
 
     name: str
@@ -82,6 +87,28 @@ class Setup:
     stops: int | None = None
     way: Way | None = None
     repeats: int | None = None
+    psd: bool = True
+    station: tuple[float, ...] | None = None
+    tool: tuple[float, ...] | None = None
+
+    @property
+    def follows(self) -> bool:
+        """Whether a beam follows a retroreflector; else it stands still and meets a mirror."""
+        return self.station is not None
+
+    @property
+    def sees_tilt(self) -> bool:
+        """Whether a detector shows how the mirror tilts."""
+        return self.psd and not self.follows
+
+    @property
+    def overrun(self) -> float:
+        """[m] from beyond which each end is approached; 0: it is not."""
+        return 0.0 if self.way is None else self.way.overrun
+
+    def tool_of(self, machine: Machine) -> tuple[float, ...]:
+        """The tool vector (3,) [m] to what the beam meets."""
+        return machine.tool if self.tool is None else self.tool
 
     @property
     def is_linear(self) -> bool:
@@ -103,11 +130,13 @@ class Setup:
     @property
     def is_straight(self) -> bool:
         """Whether the machine moves along the beam, so that the beam's own direction shows to second order only."""
-        return self.is_linear if self.way is None else self.way.is_straight
+        return self.is_linear if self.way is None else self.way.is_straight and not self.follows
 
     @property
     def kind(self) -> str:
-        """``line``, ``face diagonal``, ``body diagonal``, or the latter two with ``step``."""
+        """``line``, ``face diagonal``, ``body diagonal``, the latter two with ``step``, or ``multilateration``."""
+        if self.follows:
+            return 'multilateration'
         if self.is_line:
             return 'line'
         return f'{"face" if len(self.axes) == 2 else "body"} {"" if self.is_straight else "step "}diagonal'
@@ -188,7 +217,7 @@ class Description:
                                     'them out or give it another name')
             if not own and short not in DIAGONALS + LINEAR or not OWN_NAME.fullmatch(short):
                 raise StepdiagError(f'{source}: unknown setup {name!r} in setups; {NAMING}')
-            setups[name] = _setup(get, name, get.mapping(body, f'setups.{name}'), machine)
+            setups[name] = _setup(get, name, get.mapping(body, f'setups.{name}'), machine, plan.steps)
         n = data.get('noise') or {}
         get.mapping(n, 'noise')
         noise = Noise(*(get.number(n, f'noise.{key}', default=value, minimum=0.0, maximum=limits.NOISE)
@@ -208,6 +237,12 @@ class Description:
             if s.way is not None:
                 setups[name] |= {'from': list(s.way.start), 'to': list(s.way.end), 'moves': s.way.moves}
                 setups[name] |= {} if s.way.steps is None else {'steps': s.way.steps}
+                setups[name] |= {} if not s.way.targets else {'targets': list(s.way.targets)}
+                setups[name] |= {} if not s.way.overrun else {'overrun': s.way.overrun}
+            setups[name] |= {key: list(value) for key, value in (('station', s.station), ('tool', s.tool))
+                             if value is not None}
+            if not s.psd:
+                setups[name]['psd'] = False
             if s.repeats is not None:
                 setups[name]['repeats'] = s.repeats
         machine = {'name': self.machine.name, 'chain': self.machine.chain,
@@ -235,7 +270,7 @@ class Description:
         return yaml.safe_dump(self.to_dict(), sort_keys=False, default_flow_style=None)
 
 
-def _setup(get: '_Getter', name: str, body: dict, machine: Machine) -> Setup:
+def _setup(get: '_Getter', name: str, body: dict, machine: Machine, steps: int) -> Setup:
     path = f'setups.{name}'
     standoff = get.number(body, f'{path}.standoff', default=0.0, minimum=0.0, maximum=limits.LENGTH_M)
     offset = get.vector(body, f'{path}.psd_offset', 2, default=(0.0, 0.0))
@@ -244,25 +279,65 @@ def _setup(get: '_Getter', name: str, body: dict, machine: Machine) -> Setup:
         raise StepdiagError(f'{get.source}: {path}.beams must be a list of 1 to {limits.BEAMS} [u, v] offsets '
                             'in metres')
     beams = tuple(get.vector({'beams': b}, f'{path}.beams', 2) for b in raw)
+    psd = body.get('psd', True)
+    if not isinstance(psd, bool):
+        raise StepdiagError(f'{get.source}: {path}.psd is {_short(psd)}; write true or false')
     repeats = None if body.get('repeats') is None else get.count(body, f'{path}.repeats', 1, limits.REPEATS)
-    if 'from' in body or 'to' in body:
-        return Setup(name, standoff, offset, beams, way=_way(get, path, body, machine), repeats=repeats)
-    if path_of(name) not in LINEAR:
-        return Setup(name, standoff, offset, beams, repeats=repeats)
-    length = get.number(body, f'{path}.length', minimum=0.0, maximum=limits.LENGTH_M,
-                        default=machine.volume['xyz'.index(path_of(name)[-1])])
-    return Setup(name, standoff, offset, beams, length, get.count(body, f'{path}.stops', 2, limits.STOPS, default=2),
-                 repeats=repeats)
-
-
-def _way(get: '_Getter', path: str, body: dict, machine: Machine) -> Way:
-    steps = None if body.get('steps') is None else get.count(body, f'{path}.steps', 1, limits.STEPS)
-    way = Way(get.vector(body, f'{path}.from', 3), get.vector(body, f'{path}.to', 3),
-              str(body.get('moves', TOGETHER)), steps)
-    wrong = problem(way, machine.volume)
+    station, tool = (None if body.get(key) is None else get.vector(body, f'{path}.{key}', 3)
+                     for key in ('station', 'tool'))
+    own = 'from' in body or 'to' in body
+    length = stops = None
+    if not own and path_of(name) in LINEAR:
+        length = get.number(body, f'{path}.length', minimum=0.0, maximum=limits.LENGTH_M,
+                            default=machine.volume['xyz'.index(path_of(name)[-1])])
+        stops = get.count(body, f'{path}.stops', 2, limits.STOPS, default=2)
+    setup = Setup(name, standoff, offset, beams, length, stops, _way(get, path, body) if own else None, repeats, psd,
+                  station, tool)
+    wrong = setup_problem(setup, machine, steps)
     if wrong is not None:
         raise StepdiagError(f'{get.source}: {path}.{wrong[0]} {wrong[1]}')
-    return way
+    return setup
+
+
+def _way(get: '_Getter', path: str, body: dict) -> Way:
+    targets = body.get('targets', [])
+    if not isinstance(targets, list) or len(targets) > limits.STOPS:
+        raise StepdiagError(f'{get.source}: {path}.targets is {_short(targets)}; give a list of distances [m]')
+    return Way(get.vector(body, f'{path}.from', 3), get.vector(body, f'{path}.to', 3),
+               str(body.get('moves', TOGETHER)),
+               None if body.get('steps') is None else get.count(body, f'{path}.steps', 1, limits.STEPS),
+               get.vector(body, f'{path}.targets', len(targets), default=()),
+               get.number(body, f'{path}.overrun', default=0.0, minimum=0.0, maximum=limits.LENGTH_M))
+
+
+def setup_problem(setup: Setup, machine: Machine, steps: int) -> tuple[str, str] | None:
+    """The key of a setup and what is wrong with it; None where it can be measured.  ``steps``: the plan's."""
+    way = setup.way
+    if way is None and (setup.follows or setup.tool is not None):
+        return 'station' if setup.follows else 'tool', \
+            'needs a way with from and to; a short name has a base unit and a mirror'
+    if way is None:
+        return None
+    if wrong := problem(way, machine.volume, steps):
+        return wrong
+    if way.moves in (GRID, AROUND) and not setup.follows:
+        return 'moves', f'is {way.moves}; a mirror cannot be followed there: give a station, or another way'
+    if setup.tool is not None and not setup.follows:
+        return 'tool', 'is for the retroreflector of a station; a mirror is at machine.tool'
+    if setup.follows:
+        return _of_station(setup, machine, steps)
+    return None
+
+
+def _of_station(setup: Setup, machine: Machine, steps: int) -> tuple[str, str] | None:
+    if len(setup.beams) > 1:
+        return 'beams', f'has {len(setup.beams)} beams; one follows the retroreflector'
+    stops = setup.way.stops(steps)[0] + np.array(setup.tool_of(machine))
+    nearest = float(np.linalg.norm(stops - np.array(setup.station), axis=1).min())
+    if nearest < NEAREST_M:
+        return 'station', (f'stands {1e3 * nearest:.3g} mm from a place of the retroreflector; '
+                           f'leave at least {1e3 * NEAREST_M:g} mm')
+    return None
 
 
 def _budget(raw: Any, source: str) -> Budget | None:

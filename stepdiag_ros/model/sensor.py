@@ -17,11 +17,12 @@ from stepdiag_ros.model.path import local_triad, setup_direction, start_corner
 
 @dataclass(frozen=True)
 class Misalignment:
-    """Small turns of one setup about its (u, v) [rad]: of the laser's beams and of the mirror's mount; or their
-    standard uncertainties."""
+    """Small turns of one setup about its (u, v) [rad]: of the laser's beams and of the mirror's mount; of a setup with
+    a station instead how far [m] it is from where it is said to stand; or the standard uncertainties of these."""
 
     laser: tuple[float, float] = (0.0, 0.0)
     mirror: tuple[float, float] = (0.0, 0.0)
+    station: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -44,6 +45,17 @@ def station(machine: Machine, setup: Setup) -> Station:
     d = setup_direction(machine, setup)
     origin = start_corner(machine, setup) + np.array(machine.tool) - setup.standoff * d
     return Station(local_triad(d), origin)
+
+
+def nominal_sight(machine: Machine, setup: Setup, commanded: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Distance (n,) [m] from source to mirror or retroreflector at ``commanded`` (n, 3) [m] of a perfect machine, and
+    the direction (n, 3) along which its moves lengthen it."""
+    if setup.follows:
+        arm = commanded + np.array(setup.tool_of(machine)) - setup.station
+        distance = np.linalg.norm(arm, axis=-1)
+        return distance, arm / distance[..., None]
+    d = setup_direction(machine, setup)
+    return setup.standoff + (commanded - start_corner(machine, setup)) @ d, np.broadcast_to(d, np.shape(commanded))
 
 
 def turned(triad: np.ndarray, angles: np.ndarray) -> np.ndarray:
@@ -79,12 +91,16 @@ def measure(machine: Machine, setup: Setup, misalignment: Misalignment,
     """Distances and spots of one setup for mirror poses.
 
     ``point`` (n, 3) [m], ``attitude`` (n, 3, 3) from :func:`~stepdiag_ros.model.machine.tool_pose`.
-    Returns absolute distances (n, beams) [m] (no reset taken off) and spots (n, 2) [m].
+    Returns absolute distances (n, beams) [m] (no reset taken off) and spots (n, 2) [m], NaN without a detector.
     """
+    if setup.follows:
+        arm = point - np.add(setup.station, misalignment.station)
+        return np.linalg.norm(arm, axis=-1)[:, None], np.full((len(point), 2), np.nan)
     base = station(machine, setup)
     beam = turned(base.triad, misalignment.laser)
     normal = attitude @ -turned(base.triad, misalignment.mirror)
     lengths = np.stack([distance(point, normal, start, beam)
                         for start in base.beam_origins(np.array(setup.beams))], axis=-1)
     start = base.beam_origins(np.array(setup.psd_offset))[0]
-    return lengths, spot(point, normal, start, np.broadcast_to(beam, point.shape), base.triad)
+    spots = spot(point, normal, start, np.broadcast_to(beam, point.shape), base.triad)
+    return lengths, spots if setup.psd else np.full_like(spots, np.nan)

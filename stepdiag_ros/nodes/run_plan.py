@@ -6,23 +6,25 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.model.cycle import cycle
 from stepdiag_ros.model.description import Description
-from stepdiag_ros.model.log import NONE
-from stepdiag_ros.model.path import stops
 
 
 @dataclass(frozen=True)
 class Stop:
-    """One stop of a run: its index along the path, the axis that moved to it, position (3,) [m]."""
+    """One stop of a run: its index along the path, the axis that moved to it, position (3,) [m], direction of the
+    traverse; ``beyond_m`` (3,): where the machine passes before it, None: nowhere."""
 
     index: int
     axis: int
     position_m: np.ndarray
+    direction: int = 1
+    beyond_m: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
 class Run:
-    """One traverse without a reset."""
+    """What is measured without a reset; ``direction`` of its first stop."""
 
     run_id: str
     setup: str
@@ -54,13 +56,11 @@ def planned_runs(description: Description, setups: Sequence[str] = (), repeats: 
         raise StepdiagError('a setup is named twice; repeats are asked for with the field repeats')
     runs = []
     for name in names:
-        path = stops(description, name)
-        forward = tuple(Stop(i, int(axis), position) for i, (axis, position)
-                        in enumerate(zip(path.axis, path.positions, strict=True)))
         begin = (first_repeat or {}).get(name, 0)
         for repeat in range(begin, begin + (repeats or description.repeats_of(name))):
-            runs.append(Run(f'{name}/{repeat}/+', name, repeat, 1, forward))
-            runs.append(Run(f'{name}/{repeat}/-', name, repeat, -1, _backward(forward)))
+            for part in cycle(description, name):
+                visits = tuple(Stop(v.index, v.axis, v.position, v.direction, v.beyond) for v in part.visits)
+                runs.append(Run(f'{name}/{repeat}/{part.name}', name, repeat, visits[0].direction, visits))
     return runs
 
 
@@ -95,10 +95,3 @@ def first_repeats(run_ids: Sequence[str]) -> dict[str, int]:
         if repeat.isdigit():
             found[setup] = min(int(repeat), found.get(setup, int(repeat)))
     return found
-
-
-def _backward(forward: tuple[Stop, ...]) -> tuple[Stop, ...]:
-    """The same stops in falling order: the axis is that of the step between two stops."""
-    axes = [NONE, *(stop.axis for stop in reversed(forward[1:]))]
-    return tuple(replace(stop, axis=axis)
-                 for stop, axis in zip(reversed(forward), axes, strict=True))

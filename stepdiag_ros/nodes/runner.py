@@ -5,6 +5,8 @@ from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 
+import numpy as np
+
 from stepdiag_ros.devices.base import MotionController
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.model.log import DONE, DWELL, MOVE, NONE
@@ -165,9 +167,14 @@ class Runner:
         self.caught_up(run.setup, done_ns)
 
     def _go(self, stop: Stop) -> None:
-        """Move there and wait until the control says in position."""
+        """Move there, past the place beyond it where it has one, and wait until the control says in position."""
+        if stop.beyond_m is not None:
+            self._move(stop, stop.beyond_m)
+        self._move(stop, stop.position_m)
+
+    def _move(self, stop: Stop, position_m: np.ndarray) -> None:
         self._breathe()
-        self.controller.move(stop.position_m, self.feed_m_s)
+        self.controller.move(position_m, self.feed_m_s)
         end = time.monotonic() + self.move_timeout_s
         while not self.controller.in_position():
             self._breathe()

@@ -476,6 +476,9 @@ class StepSequencer(StepdiagNode):
             if sensor == 'interferometer' and self._light is not None:
                 continue   # it is put to the setup when it has the light
             self._call(client, SelectSetup.Request(setup=setup), f'{sensor}/select_setup')
+        if SPOT in self.value('sources'):
+            # Where no detector looks its stream goes on, dark.
+            self._watch.expect(self.resolve_topic_name(SPOT), self.description.setups[setup].sees_tilt)
         self._watch.begin()
 
     def _zero(self) -> None:
@@ -532,7 +535,7 @@ class StepSequencer(StepdiagNode):
         x, y, z = (float(v) for v in stop.position_m)
         self._steps.publish(Step(
             header=Header(stamp=stamp_of(time_ns), frame_id=run.setup), run_id=run.run_id,
-            setup=run.setup, repeat=run.repeat, direction=run.direction, index=stop.index,
+            setup=run.setup, repeat=run.repeat, direction=stop.direction, index=stop.index,
             axis=stop.axis, commanded=Point(x=x, y=y, z=z), phase=phase))
         self._published += 1
         self._scene.announce(self.description, run.run_id, run.setup, (x, y, z), phase, time_ns)

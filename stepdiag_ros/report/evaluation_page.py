@@ -1,6 +1,8 @@
 """The page of an evaluation: the 21 errors, how well they are known, the residuals, what the log leaves open."""
 
+from collections.abc import Mapping
 from html import escape
+from typing import Any
 
 import matplotlib
 import numpy as np
@@ -12,6 +14,7 @@ from stepdiag_ros.estimate.solution import Solution
 from stepdiag_ros.estimate.traceability import WORDS
 from stepdiag_ros.model.description import Description
 from stepdiag_ros.model.machine import AXES, CURVES, SQUARENESS
+from stepdiag_ros.model.sensor import Misalignment
 from stepdiag_ros.report.closure_section import closure_section
 from stepdiag_ros.report.figures import draw_calibration
 from stepdiag_ros.report.gap_figures import AFTER, CHANNEL_NAMES, STYLE, svg
@@ -103,10 +106,26 @@ def _with_unit(solution: Solution, name: str) -> tuple[float, str, float]:
 
 
 def _misalignments(solution: Solution, description: Description) -> str:
-    if not solution.misalignments:
-        return ''
+    stations = solution.extra.get('stations', {})
+    mirrors = {name: m for name, m in solution.misalignments.items() if name not in stations}
+    return (_mirrors(mirrors, solution, description) if mirrors else '') \
+        + (_stations(stations, description) if stations else '')
+
+
+def _stations(stations: Mapping[str, Mapping[str, Any]], description: Description) -> str:
+    """Where stations were found to stand, their dead paths, with U by repeats."""
+    rows = [[escape(name), *(f'{1e3 * x:.4f} ± {2e3 * u:.2g} mm' for x, u in zip(
+        (*s['position_m'], s['dead_path_m']), (*s['sigma_m'], s['dead_path_sigma_m']), strict=True)),
+        ', '.join(f'{1e3 * v:g}' for v in description.setups[name].tool_of(description.machine)) + ' mm']
+        for name, s in stations.items()]
+    return ('<h2>Where the stations stood</h2><p>Found together with the errors, from changes of length alone; '
+            'U (k = 2) by repeats. The dead path is that of the first run.</p>'
+            + table(['setup', '>X', '>Y', '>Z', '>dead path', '>tool to the retroreflector'], rows))
+
+
+def _mirrors(mirrors: Mapping[str, Misalignment], solution: Solution, description: Description) -> str:
     rows = []
-    for name, m in solution.misalignments.items():
+    for name, m in mirrors.items():
         sigma = solution.misalignment_sigma.get(name)
         angles = ['not found'] * 4 if sigma is None else [
             quantity(angle, 'rad', 2.0 * s)

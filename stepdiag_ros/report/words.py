@@ -117,6 +117,9 @@ def setup_words(setup: Setup | str) -> str:
     again = '' if path == name else ', mounted once more'
     if isinstance(setup, Setup) and setup.way is not None:
         points = ' to '.join('(' + ', '.join(f'{1e3 * v:g}' for v in p) + ')' for p in (setup.way.start, setup.way.end))
+        if setup.station is not None:
+            place = ', '.join(f'{1e3 * v:g}' for v in setup.station)
+            return f'{setup.way.moves} from {points} mm, followed from a station at about ({place}) mm{again}'
         kind = f'line along {"XYZ"[setup.axes[0]]}' if setup.is_line else setup.kind
         moves = '' if setup.is_line else ', axes together' if setup.is_straight else f', moves {setup.way.moves}'
         return f'{kind} from {points} mm{moves}{again}'

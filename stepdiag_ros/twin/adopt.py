@@ -18,6 +18,7 @@ from stepdiag_ros.effects.base import Effect
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate.enhanced import Fit
 from stepdiag_ros.estimate.gauge import slope_weights
+from stepdiag_ros.estimate.parameters import STATION
 from stepdiag_ros.gap.diagnosis import Diagnosis
 from stepdiag_ros.gap.inference.averaged import averaged_fit
 from stepdiag_ros.gap.inference.joint import inverse
@@ -160,8 +161,11 @@ def _misalignments(fit: Fit, base: Mapping[str, Any] | None) -> dict[str, Any]:
     known = ((base or {}).get('misalignments') or {}).get('given') or {}
     result = {}
     for name, first in fit.parameters.setup_first.items():
-        angles = [float(a) for a in fit.theta[first:first + 4]]
-        result[name] = {'laser': angles[:2], 'mirror': angles[2:]}
+        found = [float(a) for a in fit.theta[first:first + len(fit.parameters.unknowns[name])]]
+        if fit.parameters.unknowns[name] == STATION:
+            result[name] = {'station': found}
+            continue
+        result[name] = {'laser': found[:2], 'mirror': found[2:]}
         if 'psd_zero' in known.get(name, {}):
             result[name]['psd_zero'] = known[name]['psd_zero']
     return result

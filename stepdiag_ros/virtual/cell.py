@@ -25,16 +25,18 @@ from stepdiag_ros.model.description import (
     Noise,
     Plan,
     Setup,
+    setup_problem,
 )
 from stepdiag_ros.model.machine import GeometricErrors
 from stepdiag_ros.model.sensor import Misalignment
-from stepdiag_ros.model.way import TOGETHER, Way, problem
+from stepdiag_ros.model.way import TOGETHER, Way
 from stepdiag_ros.virtual import drawn
 from stepdiag_ros.virtual.noise import NoiseLaw, NoiseLaws, Spread
 from stepdiag_ros.virtual.surroundings import BELIEVED, believed_air, budget, scales, workpiece
 from stepdiag_ros.virtual.yamlreader import Reader, parse_yaml, read_yaml
 
 SCHEMA = 1
+OWN_KEYS = ('from', 'to', 'moves', 'steps', 'targets', 'overrun', 'station', 'tool')
 
 
 @dataclass(frozen=True)
@@ -211,8 +213,9 @@ def _cell(top: Reader) -> Cell:
             raise top.fail(f'the key {needed!r} is missing; see cells/demo.yaml')
     seed = keys['seed'].count() if 'seed' in keys else 0
     machine = _machine(keys['machine'])
-    setups = _setups(keys['setups'], machine)
-    description = Description(machine, _plan(keys['plan']), setups, _noise(keys.get('noise')),
+    plan = _plan(keys['plan'])
+    setups = _setups(keys['setups'], machine, plan.steps)
+    description = Description(machine, plan, setups, _noise(keys.get('noise')),
                               believed_air(keys.get('air')), scales(keys.get('material')), budget(keys.get('budget')),
                               workpiece=workpiece(keys.get('material')))
     misalignments, zero = drawn.misalignments(keys.get('misalignments'), seed, tuple(setups))
@@ -258,14 +261,14 @@ def _plan(node: Reader) -> Plan:
     return Plan(keys['steps'].count(1, limits.STEPS), order, repeats)
 
 
-def _setups(node: Reader, machine: Machine) -> dict[str, Setup]:
+def _setups(node: Reader, machine: Machine, steps: int) -> dict[str, Setup]:
     setups = {}
     for name, child in node.mapping().items():
         linear, short = name in LINEAR, name in DIAGONALS + LINEAR
         if not short and not OWN_NAME.fullmatch(name):
             raise child.fail(f'is no name of a setup; {NAMING}')
-        keys = child.mapping(('standoff', 'psd_offset', 'beams', 'repeats')
-                             + (('length', 'stops') if linear else () if short else ('from', 'to', 'moves', 'steps')))
+        keys = child.mapping(('standoff', 'psd_offset', 'beams', 'repeats', 'psd')
+                             + (('length', 'stops') if linear else () if short else OWN_KEYS))
         if not short and not {'from', 'to'} <= set(keys):
             raise child.fail(f'is not a short name and lacks from or to; {NAMING}')
         standoff = keys['standoff'].number(minimum=0.0, maximum=limits.LENGTH_M, unit='m') if 'standoff' in keys \
@@ -281,21 +284,23 @@ def _setups(node: Reader, machine: Machine) -> dict[str, Setup]:
             length = keys['length'].number(above=0.0, maximum=travel, unit='m') \
                 if 'length' in keys else travel
             stops = keys['stops'].count(2, limits.STOPS) if 'stops' in keys else 2
-        setups[name] = Setup(name, standoff, offset, beams, length, stops, None if short else _way(keys, machine),
-                             keys['repeats'].count(1, limits.REPEATS) if 'repeats' in keys else None)
+        station, tool = (keys[key].vector(3, unit='m') if key in keys else None for key in ('station', 'tool'))
+        setups[name] = Setup(name, standoff, offset, beams, length, stops, None if short else _way(keys),
+                             keys['repeats'].count(1, limits.REPEATS) if 'repeats' in keys else None,
+                             keys['psd'].boolean() if 'psd' in keys else True, station, tool)
+        if wrong := setup_problem(setups[name], machine, steps):
+            raise keys.get(wrong[0], child).fail(wrong[1] if wrong[0] in keys else ' '.join(wrong))
     if not setups:
         raise node.fail(f'is empty; name at least one of {", ".join(DIAGONALS + LINEAR)}')
     return setups
 
 
-def _way(keys: Mapping[str, Reader], machine: Machine) -> Way:
+def _way(keys: Mapping[str, Reader]) -> Way:
     """From where to where a setup without a short name goes, and how."""
-    way = Way(keys['from'].vector(3), keys['to'].vector(3), keys['moves'].text() if 'moves' in keys else TOGETHER,
-              keys['steps'].count(1, limits.STEPS) if 'steps' in keys else None)
-    wrong = problem(way, machine.volume)
-    if wrong is not None:
-        raise keys[wrong[0]].fail(wrong[1])
-    return way
+    return Way(keys['from'].vector(3), keys['to'].vector(3), keys['moves'].text() if 'moves' in keys else TOGETHER,
+               keys['steps'].count(1, limits.STEPS) if 'steps' in keys else None,
+               tuple(item.number(unit='m') for item in keys['targets'].items()) if 'targets' in keys else (),
+               keys['overrun'].number(minimum=0.0, unit='m') if 'overrun' in keys else 0.0)
 
 
 def _noise(node: Reader | None) -> Noise:

@@ -19,6 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
+from stepdiag_ros.model.way import BEYOND_M
 from stepdiag_ros.virtual.cell import Cell
 from stepdiag_ros.virtual.faults import Faults
 from stepdiag_ros.virtual.history import SharedHistory, now_ns
@@ -35,8 +36,6 @@ from stepdiag_ros.virtual.serving import MOTION_FILE, announce, serve
 LEAD_NS = 4_000_000
 """A move begins so much later than its command: every reader has it in hand by then."""
 FIRST_SETUP_CODE = 101
-LIMIT_M = 1.0e-3
-"""The axes can go this far beyond the volume."""
 WATCH_S = 0.01
 """So often the control looks for its client and for moves whose turn it is."""
 PASSWORD, ENABLE_PASSWORD, NAME = 'EMC', 'EMCTOO', 'EMCNETSVR'
@@ -150,7 +149,7 @@ class Machine:
         if feed <= 0.0:
             raise ValueError('Cannot do a linear move with zero feed rate')
         for i, axis in enumerate('XYZ'):
-            if not -LIMIT_M <= target[i] <= self.cell.description.machine.volume[i] + LIMIT_M:
+            if not -BEYOND_M <= target[i] <= self.cell.description.machine.volume[i] + BEYOND_M:
                 side = 'negative' if target[i] < 0.0 else 'positive'
                 raise ValueError(f"Linear move in MDI would exceed {axis}'s {side} limit")
         limits = self.cell.motion

@@ -87,22 +87,26 @@ def _shape(seed: int, name: str, place: np.ndarray) -> np.ndarray:
 
 def misalignments(node: 'Reader | None', seed: int, setups: tuple[str, ...]
                   ) -> tuple[dict[str, Misalignment], dict[str, tuple[float, float]]]:
-    """Laser and mirror misalignments [rad] and PSD zero [m] by setup."""
+    """Laser and mirror misalignments [rad], how far stations stand elsewhere [m] and PSD zero [m], by setup."""
     keys = node.mapping(('drawn', 'given', 'seed')) if node is not None and not node.is_null else {}
     own_seed = keys['seed'].count() if 'seed' in keys else seed
-    sizes = {'laser': 0.0, 'mirror': 0.0, 'psd_zero': 0.0}
+    sizes = {'laser': 0.0, 'mirror': 0.0, 'psd_zero': 0.0, 'station': 0.0}
     if 'drawn' in keys:
         sizes |= {key: child.number(minimum=0.0)
                   for key, child in keys['drawn'].mapping(tuple(sizes)).items()}
     given = keys['given'].mapping(setups) if 'given' in keys else {}
     turns, zeros = {}, {}
     for name in setups:
-        values = {kind: tuple(size * normals(own_seed, f'misalignment/{kind}/{name}', 0, 1, 2)[0])
+        values = {kind: tuple(size * normals(own_seed, f'misalignment/{kind}/{name}', 0, 1, _parts(kind))[0])
                   for kind, size in sizes.items()}
         if name in given:
-            values |= {kind: child.vector(2, unit='m' if kind == 'psd_zero' else 'rad')
+            values |= {kind: child.vector(_parts(kind), unit='rad' if kind in ('laser', 'mirror') else 'm')
                        for kind, child in given[name].mapping(tuple(sizes)).items()}
-        pair = {kind: (float(v[0]), float(v[1])) for kind, v in values.items()}
-        turns[name] = Misalignment(pair['laser'], pair['mirror'])
-        zeros[name] = pair['psd_zero']
+        own = {kind: tuple(float(part) for part in value) for kind, value in values.items()}
+        turns[name] = Misalignment(own['laser'], own['mirror'], own['station'])
+        zeros[name] = own['psd_zero']
     return turns, zeros
+
+
+def _parts(kind: str) -> int:
+    return 3 if kind == 'station' else 2

@@ -11,6 +11,7 @@ from functools import lru_cache
 import numpy as np
 
 from stepdiag_ros.effects.base import Effect
+from stepdiag_ros.model.cycle import Traverse, cycle
 from stepdiag_ros.model.log import (
     DONE,
     DWELL,
@@ -20,7 +21,6 @@ from stepdiag_ros.model.log import (
     ScalarSeries,
     StepEvents,
 )
-from stepdiag_ros.model.path import SetupPath, stops
 from stepdiag_ros.virtual.air import environment
 from stepdiag_ros.virtual.cell import Cell, Motion
 from stepdiag_ros.virtual.draw import normals
@@ -42,18 +42,18 @@ DARK_V = 0.001
 
 @dataclass(frozen=True)
 class Run:
-    """One traverse: its place in the plan and its events' times [ns], (stops,) each."""
+    """One run: its place in the plan, its stops and its events' times [ns], (stops,) each."""
 
     setup: str
     repeat: int
-    direction: int
+    traverse: Traverse
     move_ns: np.ndarray
     dwell_ns: np.ndarray
     done_ns: np.ndarray
 
     @property
     def run_id(self) -> str:
-        return f'{self.setup}/{self.repeat}/{"+" if self.direction > 0 else "-"}'
+        return f'{self.setup}/{self.repeat}/{self.traverse.name}'
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,7 @@ def execute(cell: Cell, history: History, start_ns: int, setups: tuple[str, ...]
     # Power-up and each mounting of the mirror count as arrivals, as they do for the control.
     history.append(now, place, place, rest, -1)
     for setup in setups:
-        path = stops(cell.description, setup)
+        parts = cycle(cell.description, setup)
         number, visit = cell.setup_names.index(setup), (visits or {}).get(setup, Visit())
         now += COMMAND_DELAY_NS + round(visit.wait * 1e9)
         history.append(now, place, place, rest, number)
@@ -112,25 +112,32 @@ def execute(cell: Cell, history: History, start_ns: int, setups: tuple[str, ...]
         for repeat in range(repeats if visit.again is None else 2 * repeats):
             if repeat == repeats:
                 now += int(visit.again * 1e9)
-            for direction in (1, -1):
-                watch = visit.watch if (repeat, direction) == (0, 1) else 0.0
-                run = _run(cell.motion, history, now, place, path, number, setup, repeat, direction, watch)
+            for part in parts:
+                watch = visit.watch if repeat == 0 and part is parts[0] else 0.0
+                run = _run(cell.motion, history, now, place, part, number, setup, repeat, watch)
                 runs.append(run)
-                now, place = int(run.done_ns[-1]) + COMMAND_DELAY_NS, path.positions[
-                    -1 if direction > 0 else 0]
+                now, place = int(run.done_ns[-1]) + COMMAND_DELAY_NS, part.visits[-1].position
     return runs
 
 
-def _run(motion: Motion, history: History, now: int, place: np.ndarray, path: SetupPath,
-         number: int, setup: str, repeat: int, direction: int, watch: float) -> Run:
-    times = np.zeros((3, len(path)), np.int64)
-    for i, target in enumerate(path.positions[::direction]):
-        profile, settled = move(motion, float(np.linalg.norm(target - place)))
-        history.append(now, place, target, profile, number)
-        dwell = now + round(settled * 1e9) + (RESET_NS if i == 0 else 0)
-        times[:, i] = now, dwell, dwell + round((motion.dwell + (0.0 if i else watch)) * 1e9)
-        now, place = int(times[2, i]) + COMMAND_DELAY_NS, target
-    return Run(setup, repeat, direction, *times)
+def _run(motion: Motion, history: History, now: int, place: np.ndarray, traverse: Traverse,
+         number: int, setup: str, repeat: int, watch: float) -> Run:
+    times = np.zeros((3, len(traverse.visits)), np.int64)
+    for i, visit in enumerate(traverse.visits):
+        times[0, i] = now
+        if visit.beyond is not None:
+            now, place = _go(motion, history, now, place, visit.beyond, number) + COMMAND_DELAY_NS, visit.beyond
+        dwell = _go(motion, history, now, place, visit.position, number) + (RESET_NS if i == 0 else 0)
+        times[1:, i] = dwell, dwell + round((motion.dwell + (0.0 if i else watch)) * 1e9)
+        now, place = int(times[2, i]) + COMMAND_DELAY_NS, visit.position
+    return Run(setup, repeat, traverse, *times)
+
+
+def _go(motion: Motion, history: History, now: int, place: np.ndarray, target: np.ndarray, number: int) -> int:
+    """Append a move; returns when it is in position [ns]."""
+    profile, settled = move(motion, float(np.linalg.norm(target - place)))
+    history.append(now, place, target, profile, number)
+    return now + round(settled * 1e9)
 
 
 @lru_cache(maxsize=4096)
@@ -198,6 +205,10 @@ def _displacement(world: World, spans: list, rate: float, memory: dict) -> Sampl
 
 def _spot(world: World, spans: list, rate: float, memory: dict) -> Samples:
     late_ns = round(world.clock_offset('psd') * 1e9)
+    setups = world.cell.description.setups
+    spans = [span for span in spans if setups[span[0].setup].sees_tilt]
+    if not spans:
+        return Samples.empty(2)
 
     def look(times, run, first):
         reading = _read(world, times - late_ns - world.spot.delays_ns(first, len(times)), run.setup, memory)
@@ -220,17 +231,15 @@ def _events(cell: Cell, runs: list[Run]) -> StepEvents:
     columns: dict[str, list] = {key: [] for key in ('time', 'run', 'setup', 'repeat', 'direction',
                                                     'index', 'axis', 'commanded', 'phase')}
     for number, run in enumerate(runs):
-        path = stops(cell.description, run.setup)
-        n = len(path)
-        index = np.arange(n)[::run.direction]
-        repeated = {'run': number, 'setup': cell.setup_names.index(run.setup),
-                    'repeat': run.repeat, 'direction': run.direction}
+        visits = run.traverse.visits
+        n = len(visits)
+        repeated = {'run': number, 'setup': cell.setup_names.index(run.setup), 'repeat': run.repeat}
         for key, value in repeated.items():
             columns[key].append(np.full(3 * n, value))
         columns['time'].append(np.stack([run.move_ns, run.dwell_ns, run.done_ns], 1).ravel())
-        columns['index'].append(np.repeat(index, 3))
-        columns['axis'].append(np.repeat(path.moved(run.direction), 3))
-        columns['commanded'].append(np.repeat(path.positions[::run.direction], 3, axis=0))
+        for key, values in (('direction', [v.direction for v in visits]), ('index', [v.index for v in visits]),
+                            ('axis', [v.axis for v in visits]), ('commanded', [v.position for v in visits])):
+            columns[key].append(np.repeat(np.array(values), 3, axis=0))
         columns['phase'].append(np.tile([MOVE, DWELL, DONE], n))
     c = {key: np.concatenate(parts) for key, parts in columns.items()}
     return StepEvents(c['time'], tuple(run.run_id for run in runs), c['run'], cell.setup_names,

@@ -56,7 +56,8 @@ class Box:
         setup = self.world.setup_at(int(times[-1]))
         first, self._taken = self._taken, self._taken + len(times)
         inputs[:, self._channels] = DARK_V
-        if setup is not None and self.faults.kind != 'no_signal':
+        looks = setup is not None and self.cell.description.setups[setup].sees_tilt
+        if looks and self.faults.kind != 'no_signal':
             noise = self.world.spot
             reading = self._ahead.read(times - noise.delays_ns(first, len(times)), setup)
             spot = noise.readings(reading.spot, first)

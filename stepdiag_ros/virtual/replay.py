@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stepdiag_ros.effects.base import Effect
+from stepdiag_ros.model.cycle import cycle
 from stepdiag_ros.model.description import Noise, path_of
 from stepdiag_ros.model.log import DWELL, MOVE, CalibrationLog, StepEvents
 from stepdiag_ros.virtual.cell import Cell, Motion
@@ -80,7 +81,8 @@ def began(cell: Cell, log: CalibrationLog) -> int:
 
 @dataclass(frozen=True)
 class _Stop:
-    """Times [ns] of the move to a stop and of its dwell, where it was commanded to, numbers of its setup and run."""
+    """Times [ns] of the move to a stop and of its dwell, where it was commanded to, numbers of its setup and run, its
+    index and the direction of its traverse."""
 
     moved: int
     dwell: int
@@ -88,6 +90,8 @@ class _Stop:
     target: np.ndarray
     setup: int
     run: int
+    index: int
+    direction: int
 
 
 def _stops(steps: StepEvents) -> list[_Stop]:
@@ -99,7 +103,7 @@ def _stops(steps: StepEvents) -> list[_Stop]:
             moved = now
         elif steps.phase[k] == DWELL:
             stops.append(_Stop(now if moved is None else moved, now, now, steps.commanded[k], int(steps.setup[k]),
-                               int(steps.run[k])))
+                               int(steps.run[k]), int(steps.index[k]), int(steps.direction[k])))
             moved = None
         elif stops:
             stops[-1] = replace(stops[-1], done=now)
@@ -113,16 +117,24 @@ def _history(cell: Cell, steps: StepEvents, stops: list[_Stop], began_ns: int,
     history.append(began_ns, place, place, rest, -1)
     mounted = last = None
     free = began_ns
+    beyond = {(number, visit.index, visit.direction): visit.beyond for number, name in enumerate(cell.setup_names)
+              for part in cycle(cell.description, name) for visit in part.visits if visit.beyond is not None}
     for stop in stops:
         number = _number(cell, steps.setup_names[stop.setup])
         known = came or stop.setup == mounted
         if stop.setup != mounted:
             history.append(min(free + COMMAND_DELAY_NS, stop.moved), place, place, rest, number)
-        origin = place if known else stop.target
+        origin, moved = place if known else stop.target, stop.moved
+        passed = beyond.get((number, stop.index, stop.direction))
+        if passed is not None:
+            # No log tells when it was passed: at once, as early as it could.
+            fast = point_to_point(float(np.linalg.norm(passed - origin)), *AT_ONCE)
+            history.append(min(free + COMMAND_DELAY_NS, moved), origin, passed, fast, number)
+            origin, free = passed, min(free + COMMAND_DELAY_NS, moved) + round(fast.total_time * 1e9)
+            moved = max(moved, free)
         distance = float(np.linalg.norm(stop.target - origin))
-        took = stop.dwell - stop.moved
+        took = stop.dwell - moved
         if took >= LEAST_MOVE_NS:
-            moved = stop.moved
             profile = _profile(cell.motion, distance, (took - (RESET_NS if stop.run != last else 0)) * 1e-9)
         else:
             # Where a log says nothing of a move, or that it took no time, it came at once, as early as it could.

@@ -25,5 +25,13 @@ def truth(cell: Cell) -> dict[str, Any]:
             'errors': errors,
             'misalignments': {name: {'laser_rad': list(m.laser), 'mirror_rad': list(m.mirror),
                                      'psd_zero_m': list(cell.psd_zero[name])}
-                              for name, m in cell.misalignments.items()},
+                              for name, m in cell.misalignments.items() if not description.setups[name].follows},
+            **_stations(cell),
             'effects': {name: dict(parameters) for name, parameters in cell.effects.items()}}
+
+
+def _stations(cell: Cell) -> dict[str, Any]:
+    """Where the stations stand, where there are any."""
+    found = {name: {'position_m': [s + d for s, d in zip(setup.station, cell.misalignments[name].station, strict=True)]}
+             for name, setup in cell.description.setups.items() if setup.station is not None}
+    return {'stations': found} if found else {}

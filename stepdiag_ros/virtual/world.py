@@ -58,7 +58,7 @@ class World:
         # A standoff of 0 was not stated: no mirror stands in the laser.
         self._scenes = {name: SensorScene.of_setup(description.machine,
                                                    replace(setup, standoff=setup.standoff or UNTOLD_STANDOFF))
-                        for name, setup in description.setups.items()}
+                        for name, setup in description.setups.items() if not setup.follows}
         self.effects = create_effects(cell) if effects is None else list(effects)
         self._draws = {effect.name: Draws(cell.seed, effect.name) for effect in self.effects}
         self._known = 0
@@ -155,9 +155,10 @@ class World:
     def pose(self, moment: Moment, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Mirror's reference point (n, 3) [m] and attitude (n, 3, 3)."""
         machine = self.cell.description.machine
+        tool = self.cell.description.setups[moment.setup].tool_of(machine)
         motions = [self.cell.geometry.motions(axis, moment.position[:, axis]) for axis in range(3)]
         point, attitude = compose(machine.chain, np.array([shift for shift, _ in motions]),
-                                  np.array([turn for _, turn in motions]), machine.tool)
+                                  np.array([turn for _, turn in motions]), tool)
         return point + moment.shift, rotation(angle + moment.turn) @ attitude
 
     def read(self, time_ns: np.ndarray, setup: str) -> Reading:
@@ -168,6 +169,8 @@ class World:
         point, attitude = self.pose(moment, angle)
         self._act('before_light', moment)
         misalignment = cell.misalignments[setup]
+        if cell.description.setups[setup].follows:
+            return self._followed(moment, point)
         seen = self._scenes[setup].measure(
             point, attitude, beam_tilt=moment.laser + np.array(misalignment.laser),
             mirror_tilt=moment.mirror + np.array(misalignment.mirror), mirror_form=moment.form,
@@ -176,6 +179,17 @@ class World:
         moment.length, moment.spot = seen.distance, seen.spot
         moment.quality = CONTRAST * np.exp(-(walk / WALK_LIMIT) ** 2)
         moment.intensity = np.full(len(walk), cell.instruments.detector.sum_voltage)
+        self._act('after_light', moment)
+        return Reading(moment.length, moment.spot, moment.quality, moment.intensity, moment.divided)
+
+    def _followed(self, moment: Moment, point: np.ndarray) -> Reading:
+        """What a beam reads that follows the retroreflector at ``point`` (n, 3) from the setup's station."""
+        place = np.add(self.cell.description.setups[moment.setup].station,
+                       self.cell.misalignments[moment.setup].station)
+        moment.length = (moment.index * np.linalg.norm(point - place, axis=1))[:, None]
+        moment.spot = np.zeros((len(point), 2))
+        moment.quality = np.full(len(point), CONTRAST)
+        moment.intensity = np.zeros(len(point))
         self._act('after_light', moment)
         return Reading(moment.length, moment.spot, moment.quality, moment.intensity, moment.divided)
 

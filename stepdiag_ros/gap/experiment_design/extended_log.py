@@ -15,7 +15,7 @@ from stepdiag_ros.effects.base import Effect, Form, StopView
 from stepdiag_ros.estimate.enhanced import prior_precision
 from stepdiag_ros.estimate.forward import ForwardModel
 from stepdiag_ros.estimate.noise import whiteners
-from stepdiag_ros.estimate.parameters import parameters_of
+from stepdiag_ros.estimate.parameters import STATION, parameters_of
 from stepdiag_ros.estimate.planned import planned_table
 from stepdiag_ros.estimate.reduce import PIECES, StopTable
 from stepdiag_ros.gap.constants import PRIOR_RESET_M
@@ -122,7 +122,7 @@ class ExtendedLog:
         noise = replace(joint.noise, sensor=np.concatenate([joint.noise.sensor, new_noise]), spread=spread)
         parameters = parameters_of(log.description, table)
         first, new = old.parameters.offset_first, len(table.run_ids) - old.parameters.runs
-        mounted = [] if run.as_mounted else [0.0, 0.0, *run.mirror_turn_rad]
+        mounted = [] if run.as_mounted else [0.0] * len(STATION) if setup.follows else [0.0, 0.0, *run.mirror_turn_rad]
         theta = np.concatenate([old.theta[:first], mounted, old.theta[first:],
                                 np.zeros(new * old.parameters.beams)])
         model = ForwardModel(log.description, table, parameters)

@@ -16,7 +16,9 @@ from stepdiag_ros.estimate.metres import with_one_index
 from stepdiag_ros.estimate.noise import NoiseModel
 from stepdiag_ros.estimate.reduce import StopTable, reduce_log
 from stepdiag_ros.model.air import refractive_index
+from stepdiag_ros.model.description import Description
 from stepdiag_ros.model.log import CalibrationLog, ScalarSeries
+from stepdiag_ros.model.path import setup_direction
 
 BINS = 5
 SETTLED = 1e-2
@@ -88,7 +90,7 @@ def view_of(log: CalibrationLog, table: StopTable, nominal: Fit,
         log.description, table.run_ids, table.setup_names, table.time_s,
         _since(table.time_s, table.run), _since(table.time_s, table.setup),
         table.run, table.setup, table.repeat, table.direction, table.index, table.axis,
-        _approach(table), table.commanded, readings[:, :beams] - offsets, readings_of(table),
+        _approach(log.description, table), table.commanded, readings[:, :beams] - offsets, readings_of(table),
         readings, _strikes(table, nominal), local[:18], local[18:20], local[20:22],
         arrival[2:5], table.intensity, _quality(log, table), table.refractive_index,
         air, scales, bin_time, first_air, first_scales, _lead(log, table))
@@ -102,16 +104,22 @@ def _since(time: np.ndarray, group: np.ndarray) -> np.ndarray:
     return result
 
 
-def _approach(table: StopTable) -> np.ndarray:
+def _approach(description: Description, table: StopTable) -> np.ndarray:
     """Sign of each axis's last motion at each stop (n, 3), followed from stop to stop in a setup.
 
-    How the machine came to a setup's first stop is not in the log: 0 until an axis has moved.
+    How the machine came to a setup's first stop is not in the log: 0 until an axis has moved.  Where the ends are
+    approached from beyond, each stop was come to in the direction of its traverse.
     """
     sign = np.zeros((len(table), 3))
     step = np.sign(np.diff(table.commanded, axis=0, prepend=table.commanded[:1]))
     step[np.concatenate([[True], np.diff(table.setup) != 0])] = 0.0
-    for i in range(1, len(table)):
-        known = sign[i - 1] if table.setup[i] == table.setup[i - 1] else np.zeros(3)
+    for number, name in enumerate(table.setup_names):
+        if description.setups[name].overrun:
+            mine = table.setup == number
+            along = np.sign(np.round(setup_direction(description.machine, description.setups[name]), 9))
+            step[mine] = along * np.sign(table.direction[mine, None])
+    for i in range(len(table)):
+        known = sign[i - 1] if i and table.setup[i] == table.setup[i - 1] else np.zeros(3)
         sign[i] = np.where(step[i] != 0.0, step[i], known)
     return sign
 
@@ -128,6 +136,7 @@ def _strikes(table: StopTable, nominal: Fit) -> np.ndarray:
         length = np.sum((point - origin) * normal, -1) / np.sum(beam * normal, -1)
         strike = origin + length[:, None] * beam - point
         result[:, k] = np.einsum('nki,ni->nk', model._triad[:, :2], strike)
+    result[model.follows] = 0.0    # a retroreflector has no places
     return result
 
 

@@ -57,7 +57,8 @@ def _sheet(name: str, test: LinearTest, log: CalibrationLog, evaluation: Evaluat
     where = '' if log.description.setups[name].way is None else f', {setup_words(log.description.setups[name])}'
     return Sheet(f'Positioning of axis {letter}{where}', 'ISO 230-2', results,
                  conditions(log, evaluation, [name], source),
-                 [*shortfalls(name, axis.target_m, axis.runs), f'{name}: {NO_OVERRUN}'],
+                 [*shortfalls(name, axis.target_m, axis.runs),
+                  *([] if log.description.setups[name].overrun else [f'{name}: {NO_OVERRUN}'])],
                  partial(draw, axis, letter),
                  'Mean deviations of each direction with bands of ± 2 s, their mean dashed (mean bidirectional '
                  'deviation); dotted the limits whose distance is A (E where one cycle was run).',

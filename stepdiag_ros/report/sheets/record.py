@@ -7,6 +7,7 @@ import numpy as np
 from stepdiag_ros.estimate.evaluate import Evaluation
 from stepdiag_ros.estimate.reduce import StopTable
 from stepdiag_ros.estimate.traceability import WORDS
+from stepdiag_ros.model.description import Description
 from stepdiag_ros.model.log import CalibrationLog
 from stepdiag_ros.model.path import stops
 
@@ -23,7 +24,7 @@ def conditions(log: CalibrationLog, evaluation: Evaluation, names: list[str], so
     table = evaluation.metres.table
     mine = table.select(np.isin(table.setup, [table.setup_names.index(n) for n in names]))
     return [*_identity(log, mine, source), *_instrument(log), *_positions(log, names),
-            *_motion(mine, log.description.timed),
+            *_motion(mine, log.description.timed, _overrun(log.description, names)),
             *_surroundings(log, mine, names), *_corrections(evaluation, _axes(log, names))]
 
 
@@ -56,6 +57,12 @@ def _positions(log: CalibrationLog, names: list[str]) -> list[Row]:
     for name in names:
         setup, place = log.description.setups[name], stops(log.description, name).positions
         ends = ' to '.join('(' + ', '.join(f'{1e3 * v:.1f}' for v in end) + ')' for end in (place[0], place[-1]))
+        if setup.follows:
+            start, end, station, tool = ('(' + ', '.join(f'{1e3 * v:.1f}' for v in part) + ') mm' for part in (
+                setup.way.start, setup.way.end, setup.station, setup.tool_of(log.description.machine)))
+            rows.append((f'targets of {name}', f'{setup.way.moves} from {start} to {end} in X, Y, Z; station about '
+                         f'{station}; retroreflector {tool} from the tool reference'))
+            continue
         beside = '({}) mm'.format(', '.join(f'{1e3 * v:.1f}' for v in setup.beams[0]))
         dead = f'{1e3 * setup.standoff:.1f} mm' if setup.standoff else f'{NOT_STATED}, or 0 mm,'
         rows.append((f'measured line {name}', f'{ends} mm in X, Y, Z; {dead} from laser to mirror at the first '
@@ -63,11 +70,19 @@ def _positions(log: CalibrationLog, names: list[str]) -> list[Row]:
     return rows
 
 
-def _motion(table: StopTable, timed: bool) -> list[Row]:
+def _overrun(description: Description, names: list[str]) -> str:
+    """From how far beyond the end targets were approached."""
+    said = {name: description.setups[name].overrun for name in names}
+    if not any(said.values()):
+        return NOT_STATED
+    return ', '.join(f'{name} {1e3 * value:g} mm' if value else f'{name} none' for name, value in said.items())
+
+
+def _motion(table: StopTable, timed: bool, overrun: str) -> list[Row]:
     zero = ('zero of the readings', _resets(table))
     if not timed:
         return [('feed', NOT_STATED), ('dwell at a target', NOT_STATED),
-                ('overrun before the end targets', NOT_STATED), zero]
+                ('overrun before the end targets', overrun), zero]
     moved = np.flatnonzero((np.diff(table.run) == 0) & (table.move_ns[1:] > 0)) + 1
     feed = f'commanded feed {NOT_STATED}'
     if moved.size:
@@ -79,7 +94,7 @@ def _motion(table: StopTable, timed: bool) -> list[Row]:
     return [('feed', feed),
             ('dwell at a target', f'{np.median(dwell):.3f} s ({dwell.min():.3f} s to {dwell.max():.3f} s), '
              f'{int(np.median(table.displacement_count))} samples averaged (median)'),
-            ('overrun before the end targets', NOT_STATED), zero]
+            ('overrun before the end targets', overrun), zero]
 
 
 def _resets(table: StopTable) -> str:

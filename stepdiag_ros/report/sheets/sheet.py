@@ -19,7 +19,8 @@ class Grid:
 @dataclass(frozen=True)
 class Sheet:
     """One sheet: ``title``, the ``standard``, ``results``, ``conditions`` (what, value), ``shortfalls`` (sentences),
-    ``draw`` the picture with its ``caption``, ``details`` (tables of single targets), ``notes`` (sentences)."""
+    ``draw`` the picture with its ``caption``, ``details`` (tables of single targets), ``notes`` (sentences), ``enough``
+    (what is said where nothing falls short)."""
 
     title: str
     standard: str
@@ -30,6 +31,7 @@ class Sheet:
     caption: str
     details: list[Grid]
     notes: list[str]
+    enough: str = 'Targets and cycles are as many as the standard wants.'
 
 
 def micro(value: float | None, digits: int = 3) -> str:

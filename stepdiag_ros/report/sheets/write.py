@@ -17,18 +17,19 @@ from stepdiag_ros.report.sheets.diagonals import diagonal_sheets
 from stepdiag_ros.report.sheets.linear import linear_sheets
 from stepdiag_ros.report.sheets.paper import pages_of
 from stepdiag_ros.report.sheets.sheet import Grid, Sheet
+from stepdiag_ros.report.sheets.stations import station_sheets
 
 HTML, PDF = 'sheets.html', 'sheets.pdf'
-ENOUGH = 'Targets and cycles are as many as the standard wants.'
 
 
 def sheets_of(log: CalibrationLog, evaluation: Evaluation, source: str) -> list[Sheet]:
     """Every sheet that a log holds enough for; :class:`StepdiagError` where it holds none."""
     cell = readings_of_stops(log.description, evaluation.metres.table)
-    found = linear_sheets(log, evaluation, cell, source) + diagonal_sheets(log, evaluation, cell, source)
+    found = [*linear_sheets(log, evaluation, cell, source), *diagonal_sheets(log, evaluation, cell, source),
+             *station_sheets(log, evaluation, source)]
     if not found:
         raise StepdiagError(f'{log.source}: no sheet can be made: ISO 230-2 needs a linear setup run forward and '
-                            f'backward, ISO 230-6 a body diagonal{cell.why()}')
+                            f'backward, ISO 230-6 a body diagonal, multilateration a station{cell.why()}')
     return found
 
 
@@ -60,7 +61,7 @@ def _section(sheet: Sheet, source: str, number: int) -> str:
         drawing = svg(sheet.draw())
     short = ''.join(f'<li>{escape(sentence)}</li>' for sentence in sheet.shortfalls)
     said = (f'<div class="todo warn2"><b>Less than {sheet.standard} wants</b><ul>{short}</ul></div>' if short
-            else f'<p class="soft">{ENOUGH}</p>')
+            else f'<p class="soft">{sheet.enough}</p>')
     notes = ''.join(f'<p>{escape(note)}</p>' for note in sheet.notes)
     return (f'<header><div class="kicker">{escape(sheet.standard)} · log {escape(source)}</div>'
             f'<h1>{escape(sheet.title)}</h1></header>{said}{_grid(sheet.results)}'

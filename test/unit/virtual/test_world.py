@@ -45,7 +45,7 @@ def test_a_quiet_machine_at_rest_is_the_contract_s():
     cell = cell_of(QUIET)
     world, runs = ran(cell)
     for run in runs:
-        positions = stops(cell.description, run.setup).positions[::run.direction]
+        positions = np.array([visit.position for visit in run.traverse.visits])
         pose = tool_pose(cell.geometry, positions, np.array(cell.description.machine.tool))
         setup = cell.description.setups[run.setup]
         length, spot = measure(cell.description.machine, setup, cell.misalignments[run.setup], *pose)
@@ -119,7 +119,7 @@ def test_an_effect_acts():
     cell = cell_of(QUIET)
     world, runs = ran(cell)
     back = ran(replace(cell, effects={'backlash': {'B': [4e-6, 0.0, 0.0]}}))[0]
-    run = next(r for r in runs if r.setup == 'ppp' and r.direction == 1)
+    run = next(r for r in runs if r.setup == 'ppp' and r.traverse.name == '+')
     change = back.read(run.done_ns[1:], 'ppp').length - world.read(run.done_ns[1:], 'ppp').length
     direction = np.array(cell.description.machine.volume) / np.linalg.norm(cell.description.machine.volume)
     np.testing.assert_allclose(change[:, 0], -2e-6 * direction[0], rtol=2e-3)
