@@ -38,7 +38,7 @@ class PsdDriver(DriverNode):
         self.number('dark', 0.05, 'sum signal below which there is no spot', 0.0, 10.0, 'V')
         self._publisher = self.marked.publisher(SpotPosition, SPOT)
         self._timing = self.marked.publisher(SampleTiming, SPOT_TIMING)
-        self.serve_select('psd/select_setup')
+        self.serve()
         self._intensity = 0.0
         self._dark = 0
 
