@@ -100,7 +100,7 @@ class ClockComparison:
             return
         self._recorded_s = time.monotonic()
         with self._lock:
-            told = [(sensor, self._names[sensor], -match.ours(0.0), match.uncertainty(HOST.now()))
+            told = [(sensor, self._names[sensor], -match.ours(0.0), match.uncertainty(HOST.now() - match.ours(0.0)))
                     for sensor, match in self._matches.items() if match.known]
         for sensor, name, offset_s, uncertainty_s in told:
             self._records.publish(ClockOffset(
