@@ -63,10 +63,10 @@ def test_a_multiplexer_that_dies_is_started_again_and_never_two_have_the_light(p
     def measure(name: str) -> None:
         def feedback(told) -> None:
             # The first that measures has the light; the other waits for it.
-            if told.stop >= 3 and told.doing.startswith(('X to', 'Y to', 'Z to')) and not killed_s:
+            if told.stop >= 1 and told.doing.startswith(('X to', 'Y to', 'Z to')) and not killed_s:
                 killed_s.append(time.monotonic())
                 os.kill(cell.pids()['multiplexer'], signal.SIGKILL)
-        outcomes[name] = cell.operator_of(f'/{name}').calibrate(dwell_s=0.8, feedback=feedback)
+        outcomes[name] = cell.operator_of(f'/{name}').calibrate(dwell_s=3.0, feedback=feedback)
     threads = [threading.Thread(target=measure, args=(name,)) for name in ('left', 'right')]
     for thread in threads:
         thread.start()
