@@ -10,7 +10,15 @@ import numpy as np
 
 from stepdiag_ros.bag.blocks import SECOND, stamps_ns, text
 from stepdiag_ros.bag.clocksteps import set_stamps, shift_ns, steps_of
-from stepdiag_ros.bag.schemas import CLOCK_OFFSET, CLOCK_STEP, DISPLACEMENT, DISPLACEMENT_TIMING, SPOT, SPOT_TIMING, TOPICS
+from stepdiag_ros.bag.schemas import (
+    CLOCK_OFFSET,
+    CLOCK_STEP,
+    DISPLACEMENT,
+    DISPLACEMENT_TIMING,
+    SPOT,
+    SPOT_TIMING,
+    TOPICS,
+)
 from stepdiag_ros.bag.tables import TopicTable
 
 #: What is stamped by a sensor's clock.
@@ -33,7 +41,8 @@ class ClockOffsets:
 
     def ahead_ns(self, stamp_ns: np.ndarray) -> np.ndarray:
         """What to take off stamps (k,) of the sensor; before the first and after the last comparison it stays."""
-        return self._between(stamp_ns - self.time_ns[0], self.time_ns - self.time_ns[0] + self.offset_ns, self.offset_ns)
+        begin = self.time_ns[0]
+        return self._between(stamp_ns - begin, self.time_ns - begin + self.offset_ns, self.offset_ns)
 
     def uncertainty_at(self, time_ns: np.ndarray) -> np.ndarray:
         """By how much stamps (k,) that were put right can be off at most because of it [ns]."""
@@ -107,8 +116,9 @@ def put_on_one_clock(tables: dict[str, TopicTable | None], offsets: dict[str, Cl
                 stamp = np.concatenate([stamps_ns(group.values) for group in table.groups])
                 set_stamps(table, stamp - clock.ahead_ns(stamp))
         first, last = (clock.offset_ns[k] / 1e6 for k in (0, -1))
-        drift = '' if abs(last - first) <= 2.0 * clock.uncertainty_ns.max() / 1e6 else f' at first and {last:+.3f} ms at last'
-        said.append(f"{sensor}: its clock was {first:+.3f} ms{drift} ahead of the sequencer's, ± "
-                    f'{clock.uncertainty_ns.max() / 1e6:.3f} ms at most, as measured while the log was recorded; '
+        bound = clock.uncertainty_ns.max() / 1e6
+        drift = '' if abs(last - first) <= 2.0 * bound else f' at first and {last:+.3f} ms at last'
+        said.append(f"{sensor}: its clock was {first:+.3f} ms{drift} ahead of the sequencer's, "
+                    f'± {bound:.3f} ms at most, as measured while the log was recorded; '
                     "its stamps are put onto the sequencer's clock")
     return said

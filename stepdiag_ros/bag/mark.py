@@ -1,8 +1,8 @@
 """Which bag a recorder is writing, so that one that is started again after its death finds it.
 
 A hidden file in the folder of the bags names the bag, the process that writes it and that process's parent.  Where the
-writer is dead and the same parent (``ros2 launch``, systemd, a shell's loop) starts another, that one goes on in the bag; the
-file of a parent that has ended too, or of before the computer's start, means nothing.
+writer is dead and the same parent (``ros2 launch``, systemd, a shell's loop) starts another, that one goes on in the
+bag; the file of a parent that has ended too, or of before the computer's start, means nothing.
 """
 
 import json

@@ -40,7 +40,8 @@ def weigh(result: Fit, reporting: np.ndarray, columns: np.ndarray, misfit: float
     normal = normal_equations(result.jacobian, result.whiteners) / misfit**2
     weighted = _over_noise(result, columns) / misfit**2
     across = result.jacobian.T @ weighted
-    matrix = np.block([[normal + result.precision, across], [across.T, np.eye(columns.shape[1]) + columns.T @ weighted]])
+    matrix = np.block([[normal + result.precision, across],
+                       [across.T, np.eye(columns.shape[1]) + columns.T @ weighted]])
     found = reporting @ inverse(*factored(0.5 * (matrix + matrix.T)))[:len(normal)]
     half, shared = np.split(found, [len(normal)], axis=1)
     gain = np.zeros((len(half), result.jacobian.shape[0]))

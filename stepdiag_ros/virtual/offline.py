@@ -167,8 +167,8 @@ def _collect(world: World, spans: list, rate: float, columns: int, look) -> Samp
     count = sum((end - begin) * 1e-9 * rate for _, begin, end in spans)
     if count > limits.SIMULATED_SAMPLES:
         raise StepdiagError(f'{world.cell.source}: one sensor would have {count:.2g} samples, more than '
-                            f'{limits.SIMULATED_SAMPLES:.0g}; shorten the dwells, lower the sample rate, or let the axes '
-                            'move faster (feed, acceleration, jerk)')
+                            f'{limits.SIMULATED_SAMPLES:.0g}; shorten the dwells, lower the sample rate, or let the '
+                            'axes move faster (feed, acceleration, jerk)')
     parts, first, blocks = [], 0, 0
     for run, begin, end in spans:
         times, block = _grid(world, begin, end, rate)

@@ -52,7 +52,8 @@ class Apart(Bringup):
 
     def _command(self, machine, node):
         command = super()._command(machine, node)
-        return ['env', *(f'{k}={v}' for k, v in self._elsewhere.items()), *command] if node in self._shifted else command
+        there = ['env', *(f'{k}={v}' for k, v in self._elsewhere.items())] if node in self._shifted else []
+        return [*there, *command]
 
 
 def calibrate(folder: Path, shim: Path, offset_s: float, shifted: tuple[str, ...]) -> Path:
@@ -64,7 +65,8 @@ def calibrate(folder: Path, shim: Path, offset_s: float, shifted: tuple[str, ...
     file.write_text(CELL, encoding='utf-8')
     clock.write_bytes(struct.pack('q', round(offset_s * 1e9)))
     with Apart(file, bag=folder / 'log', runtime=folder / 'run', shifted=shifted,
-               elsewhere={'LD_PRELOAD': str(shim), 'CLOCK_SHIM_FILE': str(clock), 'CLOCK_SHIM_NAME': str(name)}) as cell:
+               elsewhere={'LD_PRELOAD': str(shim), 'CLOCK_SHIM_FILE': str(clock),
+                          'CLOCK_SHIM_NAME': str(name)}) as cell:
         outcome = cell.operator.calibrate(meanwhile=cell.watch)
     assert outcome.succeeded, outcome.message
     return folder / 'log'

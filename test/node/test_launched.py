@@ -94,7 +94,7 @@ def test_a_calibration_goes_on_where_a_node_that_launch_started_dies(ros_domain:
             outcome = operator.calibrate(setups=['ppp'], feedback=kill, meanwhile=launched.watch)
             assert operator.recorder.bag == bag
     assert killed and outcome.succeeded, outcome.message
-    assert [run_id for run_id in outcome.run_ids] == ['ppp/0/+', 'ppp/0/-/2']
+    assert list(outcome.run_ids) == ['ppp/0/+', 'ppp/0/-/2']
     log = read_log(bag)
     assert any(w.startswith('run ppp/0/- was broken off and repeated as ppp/0/-/2') for w in log.warnings)
     assert len(open_bag(Path(bag)).files) == (2 if node == 'recorder' else 1)

@@ -21,8 +21,8 @@ ALONE = 0.25
 MOST_KNOWN = 0.9
 """Share of the samples whose time is known better than what a sensor's latency is taken to be."""
 MOST_OUTSIDE = 0.2
-"""Share of the moves that may seem to go on outside their time on one side more than on the other: a clock that is off moves
-all of them to one side, noise shows them on both."""
+"""Share of the moves that may seem to go on outside their time on one side more than on the other: a clock that is off
+moves all of them to one side, noise shows them on both."""
 WORSE = 4.0
 """Mean square of a channel's residuals at the stops by which clocks put right may leave more than they found."""
 

@@ -1,4 +1,4 @@
-"""Offsets between clocks, measured while a log is recorded, are taken off its stamps; steps of either clock beside them."""
+"""Offsets between clocks, measured while a log is recorded, are taken off its stamps; so are steps of either clock."""
 
 import numpy as np
 
@@ -66,8 +66,9 @@ def test_steps_of_either_clock_are_none_of_the_offset():
     stamp = seen.copy()
     stamp[6:] += 3600 * SECOND
     number = np.arange(8) * 10
-    steps = table(CLOCK_STEP, [seen[3] - 5 * SECOND, stamp[6]], [25, 59], **{'header.frame_id': [b'psd_driver', b'seq']},
-                  step=[-5.0, 3600.0], topic=[SPOT.encode(), CLOCK_OFFSET.encode()], published=[0, 6])
+    steps = table(CLOCK_STEP, [seen[3] - 5 * SECOND, stamp[6]], [25, 59],
+                  **{'header.frame_id': [b'psd_driver', b'step_sequencer']}, step=[-5.0, 3600.0],
+                  topic=[SPOT.encode(), CLOCK_OFFSET.encode()], published=[0, 6])
     found = offsets_of({CLOCK_OFFSET: records(stamp, number, offset), CLOCK_STEP: steps})['psd']
     np.testing.assert_array_equal(found.time_ns, np.delete(seen, 3))
     assert np.abs(found.offset_ns - 40_000_000).max() <= 1000
