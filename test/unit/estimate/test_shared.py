@@ -1,4 +1,4 @@
-"""Errors that many readings share: as unknowns beside the others, against the textbook's covariance; without noise, too."""
+"""Errors that many readings share: as unknowns beside the others, against the textbook; and almost without noise."""
 
 from types import SimpleNamespace
 
@@ -41,8 +41,8 @@ def fitted(sigma: float) -> tuple[SimpleNamespace, np.ndarray]:
     jacobian, columns = rng.normal(size=(40, 7)), rng.normal(size=(40, 3))
     halves = [SimpleNamespace(rows=np.arange(a, a + 20), factor=sigma * np.eye(20)) for a in (0, 20)]
     return SimpleNamespace(
-        present=np.ones((20, 2), bool), jacobian=sparse.csr_array(jacobian), whiteners=halves, precision=0.1 * np.eye(7),
-        residual=rng.normal(size=(20, 2)) * sigma, theta=rng.normal(size=7)), columns
+        present=np.ones((20, 2), bool), jacobian=sparse.csr_array(jacobian), whiteners=halves,
+        precision=0.1 * np.eye(7), residual=rng.normal(size=(20, 2)) * sigma, theta=rng.normal(size=7)), columns
 
 
 def test_it_is_the_best_estimate_under_both_kinds_of_error():
