@@ -109,7 +109,8 @@ def _put_right(messages: list[Message]) -> list[Message]:
 
 
 def _stamped(message: Message, stamp_ns: int) -> Message:
-    """The message with another stamp."""
+    """The message with another stamp, as far as a stamp reaches: seconds are 32 bits."""
+    stamp_ns = min(max(stamp_ns, -2**31 * SECOND), 2**31 * SECOND - 1)
     order = '<iI' if message.cdr[1] & 1 else '>iI'
     cdr = message.cdr[:4] + struct.pack(order, *divmod(stamp_ns, SECOND)) + message.cdr[12:]
     return replace(message, stamp_ns=stamp_ns, cdr=cdr)
