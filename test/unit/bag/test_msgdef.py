@@ -20,7 +20,7 @@ def without_comments(text: str) -> list[str]:
     return [line.replace(' = ', '=') for line in lines if line]
 
 
-@pytest.mark.parametrize('name', ['ClockStep', 'Displacement', 'SpotPosition', 'Step'])
+@pytest.mark.parametrize('name', ['ClockOffset', 'ClockStep', 'Displacement', 'SampleTiming', 'SpotPosition', 'Step'])
 def test_built_in_definitions_are_those_of_msg_defs(name):
     text = (ROOT / 'msg_defs' / 'msg' / f'{name}.msg').read_text()
     assert without_comments(DEFINITIONS[f'stepdiag_msgs/msg/{name}']) == without_comments(text)
