@@ -153,7 +153,7 @@ def live(path: Path, arguments: list[str]) -> None:
         took, cpu = time.monotonic() - began, _cpu_s(hall) - cpu
         results = json.loads(command.stdout.read())
         usage = {v.key: v.value for v in hall.source.operator.health('multiplexer').values}
-        light, lost = 0.0, 0
+        light, lost, ends = 0.0, 0, []
         for name, result in results.items():
             if not result['stops']:
                 print(f'{name}: {result["outcome"]}: {result["message"]}')
@@ -161,11 +161,17 @@ def live(path: Path, arguments: list[str]) -> None:
             log = read_log(result['bag'])
             spans = [np.ptp(log.steps.time_ns[log.steps.run == n]) * 1e-9 for n in set(log.steps.run)]
             light += sum(spans)
+            ends += [log.steps.time_ns[log.steps.run == n][[0, -1]] for n in set(log.steps.run)]
             lost += sum('dwell' in w or 'hold no usable' in w for w in log.warnings)
             print(f'{name}: {result["outcome"]}: {result["message"]}; {len(spans)} runs, {sum(spans):.1f} s of light')
         print(f'{machines} machines, {took:.0f} s; light needed {light:.1f} s; held {usage["held_s"]} s, idle though '
               f'wanted {usage["idle_s"]} s ({100 * float(usage["idle_share"]):.1f} %), {usage["grants"]} grants, '
               f'handover {usage["handover_s"]} s')
+        # No schedule can do with less than the light's own work and a handover between two runs.
+        least = light + (len(ends) - 1) * float(usage['handover_s'])
+        measured = (max(end for _, end in ends) - min(begin for begin, _ in ends)) * 1e-9
+        print(f'{len(ends)} runs from first to last {measured:.1f} s, least of any schedule {least:.1f} s: '
+              f'{measured / least:.3f}')
         print(f'memory {memory / machines:.0f} MiB a machine (proportional set size, the source\'s share included), '
               f'processor {cpu / took / machines:.2f} a machine; warnings of lost dwells: {lost}; load {os.getloadavg()}')
 

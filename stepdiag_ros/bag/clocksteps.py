@@ -18,13 +18,15 @@ _FIELDS = ('header.stamp.sec', 'header.stamp.nanosec')
 
 @dataclass(frozen=True)
 class ClockStep:
-    """One step as one topic shows it: ``stamp_ns`` by the clock after it, ``step_ns``, ``published`` before."""
+    """One step as one topic shows it: ``stamp_ns`` by the clock after it, ``step_ns``, ``published`` before;
+    ``number``: place in the log."""
 
     topic: str
     stamp_ns: int
     step_ns: int
     published: int
     node: str = ''
+    number: int = 0
 
 
 def shift_ns(stamp: np.ndarray, sequence: np.ndarray, number: np.ndarray,
@@ -52,12 +54,22 @@ def steps_of(table: TopicTable | None) -> list[ClockStep]:
     for group in table.groups if table is not None else ():
         values = group.values
         stamp = stamps_ns(values)
-        found += [(int(group.number[i]), ClockStep(
+        found += [ClockStep(
             bytes(values['topic'][i]).decode('utf-8', 'replace'), int(stamp[i]),
             round(float(values['step'][i]) * SECOND), int(values['published'][i]),
-            bytes(values['header.frame_id'][i]).decode('utf-8', 'replace')))
+            bytes(values['header.frame_id'][i]).decode('utf-8', 'replace'), int(group.number[i]))
             for i in range(len(stamp)) if np.isfinite(values['step'][i]) and abs(values['step'][i]) < 1e9]
-    return [step for _, step in sorted(found, key=lambda one: one[0])]
+    return sorted(found, key=lambda step: step.number)
+
+
+def set_stamps(table: TopicTable, stamp_ns: np.ndarray) -> None:
+    """Give the messages of a table other stamps (n,), in the order of its groups."""
+    begin = 0
+    for group in table.groups:
+        mine = stamp_ns[begin:begin + len(group.number)]
+        begin += len(mine)
+        # Columns of a decoded message may look at the file's own bytes: new ones take their place.
+        group.values[_FIELDS[0]], group.values[_FIELDS[1]] = mine // SECOND, mine % SECOND
 
 
 def put_right(tables: dict[str, TopicTable | None]) -> list[str]:
@@ -71,12 +83,7 @@ def put_right(tables: dict[str, TopicTable | None]) -> list[str]:
         right = stamp + shift_ns(stamp, np.concatenate([group.sequence for group in table.groups]),
                                  np.concatenate([group.number for group in table.groups]),
                                  [step for step in steps if step.topic == topic])
-        begin = 0
-        for group in table.groups:
-            mine = right[begin:begin + len(group.number)]
-            begin += len(mine)
-            # Columns of a decoded message may look at the file's own bytes: new ones take their place.
-            group.values[_FIELDS[0]], group.values[_FIELDS[1]] = mine // SECOND, mine % SECOND
+        set_stamps(table, right)
     said = {(step.node, round(step.step_ns, -6)): step for step in reversed(steps)}
     return [f'{step.node}: the system clock was set by {step.step_ns / SECOND:+.3f} s while the log was '
             'recorded; later stamps are put back onto the time scale of its beginning'

@@ -5,6 +5,7 @@ the reading with one line and the remedy; what a lab can get wrong in a sound fi
 is left out and kept in ``CalibrationLog.warnings``.
 """
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ from stepdiag_ros.bag.blocks import (
     text,
 )
 from stepdiag_ros.bag.check import lost_messages, stop_warnings
+from stepdiag_ros.bag.clockoffsets import ClockOffsets, offsets_of, put_on_one_clock
 from stepdiag_ros.bag.clocksteps import put_right
 from stepdiag_ros.bag.schemas import (
     DESCRIPTION,
@@ -98,6 +100,7 @@ def build_log(source: BagSource, tables: Tables, namespace: str | None = None,
     mine = {relative: tables.topics.get(f'{name}/{relative}' if name else relative)
             or tables.topics.get(f'/{relative}' if not name else f'{name}/{relative}')
             for relative in TOPICS}
+    measured = offsets_of(mine)
     warnings = [*source.warnings, *tables.warnings, *_wrong_counts(source, tables), *_notes(source),
                 *put_right(mine)]
     if not tables.checked:
@@ -116,6 +119,8 @@ def build_log(source: BagSource, tables: Tables, namespace: str | None = None,
     steps, notes = _steps(tables_of[STEP], setup_names)
     warnings += notes
     warnings += _repeated(steps.run_ids)
+    offsets = {sensor: clock.until(int(steps.time_ns[-1])) for sensor, clock in measured.items()} if len(steps) else {}
+    warnings += put_on_one_clock(mine, offsets)
     displacement, notes = displacement_samples(tables_of[DISPLACEMENT], setup_names, mine[DISPLACEMENT_TIMING])
     warnings += notes
     for found, relative in ((steps, STEP), (displacement, DISPLACEMENT)):
@@ -142,8 +147,18 @@ def build_log(source: BagSource, tables: Tables, namespace: str | None = None,
             warnings.append(f'{table.topic}: {lost} message(s) were lost before the recorder '
                             '(gaps in the sequence numbers)')
     warnings += stop_warnings(description, steps, displacement, spot)
+    displacement, spot = (_less_certain(samples, offsets.get(sensor))
+                          for sensor, samples in (('interferometer', displacement), ('psd', spot)))
     return CalibrationLog(description, steps, displacement, spot, environment, str(source.path),
                           name, tuple(warnings), _clocks(mine))
+
+
+def _less_certain(samples: Samples, clock: ClockOffsets | None) -> Samples:
+    """Samples that were put onto the sequencer's clock: to what is known of their times adds what is known of it."""
+    known = samples.uncertainty_ns
+    if clock is None or clock.one or known is None:
+        return samples
+    return replace(samples, uncertainty_ns=np.where(known >= 0, known + clock.uncertainty_at(samples.time_ns), known))
 
 
 def _clocks(mine: dict[str, TopicTable | None]) -> dict[str, str]:

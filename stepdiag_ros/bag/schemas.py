@@ -27,6 +27,8 @@ DEFINITIONS = {
     'stepdiag_msgs/msg/SpotPosition':
         'std_msgs/Header header\nfloat64 sample_period\nfloat64[] x\nfloat64[] y\n'
         'float64[] intensity\n',
+    'stepdiag_msgs/msg/ClockOffset':
+        'std_msgs/Header header\nstring clock\nstring reference\nfloat64 offset\nfloat64 uncertainty\n',
     'stepdiag_msgs/msg/ClockStep': 'std_msgs/Header header\nfloat64 step\nstring topic\nuint64 published\n',
     'stepdiag_msgs/msg/Step':
         'uint8 MOVE=0\nuint8 DWELL=1\nuint8 DONE=2\nuint8 NONE=255\nstd_msgs/Header header\n'
@@ -45,6 +47,9 @@ DISPLACEMENT_TIMING = 'interferometer/timing'
 SPOT_TIMING = 'psd/timing'
 STEP_TIMING = 'sequencer/timing'
 CLOCK_STEP = 'clock_step'
+CLOCK_OFFSET = 'clock_offset'
+#: Topics that most logs lack and do not miss.
+OCCASIONAL = (CLOCK_STEP, CLOCK_OFFSET)
 
 #: Contract topics, relative to a machine's namespace, and their types.
 TOPICS = {
@@ -60,6 +65,7 @@ TOPICS = {
     SPOT_TIMING: 'stepdiag_msgs/msg/SampleTiming',
     STEP_TIMING: 'stepdiag_msgs/msg/SampleTiming',
     CLOCK_STEP: 'stepdiag_msgs/msg/ClockStep',
+    CLOCK_OFFSET: 'stepdiag_msgs/msg/ClockOffset',
 }
 
 #: The scalar of each environment type, and the key of ``CalibrationLog.environment``.

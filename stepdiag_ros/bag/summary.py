@@ -7,7 +7,7 @@ import numpy as np
 
 from stepdiag_ros.bag.check import dwell_spans, lost_messages, samples_in_dwells, traverses
 from stepdiag_ros.bag.reader import build_log, namespaces
-from stepdiag_ros.bag.schemas import CLOCK_STEP, TOPICS, split_topic
+from stepdiag_ros.bag.schemas import OCCASIONAL, TOPICS, split_topic
 from stepdiag_ros.bag.source import open_bag
 from stepdiag_ros.bag.tables import Tables, collect
 from stepdiag_ros.errors import StepdiagError
@@ -55,7 +55,7 @@ def _topic(tables: Tables, name: str) -> dict[str, Any]:
 def _machine(source, tables: Tables, name: str) -> dict[str, Any]:
     there = {split[1] for t, table in tables.topics.items()
              if (split := split_topic(t)) is not None and split[0] == name and table.count}
-    absent = [topic for topic in TOPICS if topic not in there and topic != CLOCK_STEP]
+    absent = [topic for topic in TOPICS if topic not in there and topic not in OCCASIONAL]
     result: dict[str, Any] = {'namespace': name, 'absent_topics': absent}
     try:
         log = build_log(source, tables, name)

@@ -29,6 +29,7 @@ WANTED = {
                                        'refractive_index', 'quality'),
     'stepdiag_msgs/msg/SpotPosition': (*_STAMP, 'sample_period', 'x', 'y', 'intensity'),
     'stepdiag_msgs/msg/SampleTiming': (*_STAMP, 'taken', 'uncertainty', 'clock'),
+    'stepdiag_msgs/msg/ClockOffset': (*_STAMP, 'clock', 'reference', 'offset', 'uncertainty'),
     'stepdiag_msgs/msg/ClockStep': (*_STAMP, 'step', 'topic', 'published'),
     'sensor_msgs/msg/Temperature': (*_STAMP, 'temperature', 'variance'),
     'sensor_msgs/msg/FluidPressure': (*_STAMP, 'fluid_pressure', 'variance'),

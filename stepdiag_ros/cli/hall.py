@@ -27,7 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--bag-folder', type=Path, default=Path('.'), help='where bags are made (default: here)')
     parser.add_argument('--runtime', type=Path, metavar='DIR',
                         help='directory for logs and parameters, a folder a machine (default: a temporary one)')
-    add_most(parser)
+    add_most(parser, sharing=True)
 
 
 def run(args: argparse.Namespace) -> int:

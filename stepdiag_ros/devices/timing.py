@@ -120,6 +120,11 @@ class ClockMatch:
     def known(self) -> bool:
         return np.isfinite(self._high - self._low)
 
+    @property
+    def may_be_one(self) -> bool:
+        """Whether what is known allows that the other clock is ours."""
+        return self._low <= 0.0 <= self._high
+
     def ours(self, other_s: float) -> float:
         """Our time [s] at which the other clock shows ``other_s``."""
         return other_s + 0.5 * (self._low + self._high)

@@ -215,8 +215,12 @@ class _ClosedForm:
         setup = self.setups[name]
         if setup.spot_m is None:
             raise StepdiagError(f'enhanced_dahlem: setup {name} has no psd/spot; layout b needs it')
-        return setup.sight.standoff + (setup.sight.positions - setup.sight.positions[0]) \
+        lengths = setup.sight.standoff + (setup.sight.positions - setup.sight.positions[0]) \
             @ setup.sight.direction
+        if not np.all(lengths > 0.0):
+            raise StepdiagError(f'enhanced_dahlem: setup {name} has a mirror at the detector itself (standoff '
+                                f'{setup.sight.standoff:g} m), where a spot tells no angle')
+        return lengths
 
     def _check_beams(self) -> None:
         self.offset = float(np.ptp([b for s in self.setups.values() for b in s.sight.beams]))

@@ -2,14 +2,15 @@
 
 The fit weighs with what differs from arrival to arrival and from sample to sample.  Detector zero, gain and rotation,
 cosine errors and air that varies are alike over many readings; a fit that does not know it may get more certain by
-having less data.  Let the columns B (n·c, k) of independent variates of standard deviation 1 be those errors, Σ the
+having less data.  Let the columns B (n·c, k) of independent variates b of standard deviation 1 be those errors, Σ the
 covariance that the fit weighs with, J its Jacobian and P the precision of its priors.  With errors Σ + B Bᵀ the best
-linear estimate is a step away from the fit,
+linear estimate (Aitken; Rao and Toutenburg, Linear Models, 1995) is a step away from the fit.  It is the one in which b
+are unknowns beside θ,
 
-    M = Σ⁻¹ − Σ⁻¹B (I + BᵀΣ⁻¹B)⁻¹ BᵀΣ⁻¹        C = (JᵀMJ + P)⁻¹        δθ = C (JᵀM r − P θ)
+    [C D; Dᵀ E] = [JᵀΣ⁻¹J + P, JᵀΣ⁻¹B; BᵀΣ⁻¹J, I + BᵀΣ⁻¹B]⁻¹        G = (C Jᵀ + D Bᵀ) Σ⁻¹        δθ = G r − C P θ
 
-and its gain is C JᵀM (Aitken; Rao and Toutenburg, Linear Models, 1995).  What is best cannot get better by leaving
-readings out.
+with the gain G.  (To eliminate b beforehand is the same but for rounding: of readings almost without noise it takes the
+difference of two large numbers.)  What is best cannot get better by leaving readings out.
 """
 
 from dataclasses import dataclass
@@ -38,16 +39,16 @@ def weigh(result: Fit, reporting: np.ndarray, columns: np.ndarray, misfit: float
     columns = np.where(result.present.ravel()[:, None], columns, 0.0)
     normal = normal_equations(result.jacobian, result.whiteners) / misfit**2
     weighted = _over_noise(result, columns) / misfit**2
-    inner = linalg.cho_factor(np.eye(columns.shape[1]) + columns.T @ weighted, lower=True)
     across = result.jacobian.T @ weighted
-    matrix = normal - across @ linalg.cho_solve(inner, across.T) + result.precision
-    covariance = inverse(*factored(0.5 * (matrix + matrix.T)))
-    half = reporting @ covariance
+    matrix = np.block([[normal + result.precision, across],
+                       [across.T, np.eye(columns.shape[1]) + columns.T @ weighted]])
+    found = reporting @ inverse(*factored(0.5 * (matrix + matrix.T)))[:len(normal)]
+    half, shared = np.split(found, [len(normal)], axis=1)
     gain = np.zeros((len(half), result.jacobian.shape[0]))
     for white in result.whiteners:
         block = result.jacobian[white.rows] @ half.T
         gain[:, white.rows] = linalg.cho_solve((white.factor, True), block, check_finite=False).T / misfit**2
-    gain -= linalg.cho_solve(inner, across.T @ half.T).T @ weighted.T
+    gain += shared @ weighted.T
     residual = np.where(result.present, result.residual, 0.0).ravel()
     return Weighed(gain, half, gain @ residual - half @ (result.precision @ result.theta))
 

@@ -91,8 +91,10 @@ def solution(method: str, positions: Mapping[str, np.ndarray], curves: Mapping[s
     value = np.concatenate(values)
     matrix = np.concatenate(rows)
     spread = np.zeros(matrix.shape[1]) if variance is None else variance
+    with np.errstate(invalid='ignore', over='ignore'):   # of readings beyond all numbers the uncertainty is none
+        covariance = (matrix * spread) @ matrix.T
     return Solution(method, {n: np.asarray(positions[n]) for n in order}, tuple(names), value,
-                    (matrix * spread) @ matrix.T, gauge=GAUGE, unidentifiable=unidentifiable,
+                    covariance, gauge=GAUGE, unidentifiable=unidentifiable,
                     misalignments=misalignments or {}, **more)
 
 

@@ -43,6 +43,10 @@ STOPS = 3 * STEPS + 1
 BEAMS = 3
 LENGTH_M = 100.0
 """Of a working volume, a tool, a standoff or an offset."""
+ANGLE_RAD = 1.0
+"""Of a misalignment."""
+SLOWEST = 1.0e-9
+"""Of feed, acceleration and jerk [m/s, m/s², m/s³]: with less no axis arrives in a lifetime."""
 NUMBER = 1.0e15
 """Any number of a cell file."""
 NOISE = 1.0
@@ -60,6 +64,9 @@ NAMES_LISTED = 3
 
 LOG_S = 1.0e8
 """Of one log: three years."""
+
+SIMULATED_SAMPLES = 10_000_000
+"""Of one sensor in a simulated log: three hours of dwells at 1 kHz."""
 
 # Measured values.  What is beyond is no reading of these instruments.
 DISPLACEMENT_M = 1000.0

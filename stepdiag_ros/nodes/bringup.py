@@ -48,8 +48,10 @@ GRACE_S = 15.0
 LOOK_AROUND_S = 1.5
 #: A node that dies this often within a minute is left alone.
 RESTARTS_A_MINUTE = 5
-#: Measured by bench/bench_hall.py: more, and the instruments' samples are late.
-MACHINES_A_PROCESSOR = 2
+#: Measured by bench/bench_machines.py: one that measures at 1 kHz takes 0.8 of a processor.
+MACHINES_A_PROCESSOR = 1
+#: Of machines that share a laser one measures at a time.
+SHARING_A_PROCESSOR = 2
 _PR_SET_PDEATHSIG = 1
 _LIBC = ctypes.CDLL(None, use_errno=True)
 
@@ -368,15 +370,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                              'give only files that you trust')
 
 
-def machines_carried() -> int:
-    """How many machines this computer carries by what was measured."""
-    return MACHINES_A_PROCESSOR * len(os.sched_getaffinity(0))
+def machines_carried(sharing: bool = False) -> int:
+    """How many machines this computer carries by what was measured; ``sharing``: that share a laser."""
+    return (SHARING_A_PROCESSOR if sharing else MACHINES_A_PROCESSOR) * len(os.sched_getaffinity(0))
 
 
-def add_most(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument('--most', type=int, metavar='N', default=machines_carried(),
+def add_most(parser: argparse.ArgumentParser, sharing: bool = False) -> None:
+    carried = machines_carried(sharing)
+    parser.add_argument('--most', type=int, metavar='N', default=carried,
                         help='refuse to have more machines up on this computer (default: what one of its processors '
-                             f'was measured to carry, {MACHINES_A_PROCESSOR}, times its processors: %(default)s)')
+                             f'was measured to carry{" of those that share a laser" if sharing else ""}, times its '
+                             'processors: %(default)s)')
 
 
 def refuse_too_many(more: int, most: int, what: str) -> None:

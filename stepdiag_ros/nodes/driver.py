@@ -14,6 +14,7 @@ from stepdiag_ros.devices.registry import DEFAULT, Driver, driver
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.nodes.acquisition import Acquisition
 from stepdiag_ros.nodes.base import ERROR, OK, WARN, Health, StepdiagNode
+from stepdiag_ros.nodes.clocks import answer_clock
 from stepdiag_ros.nodes.marked import Marked
 from stepdiag_ros.nodes.stamps import clock_name, stamp_of
 
@@ -75,11 +76,13 @@ class DriverNode(StepdiagNode):
     def lost(self) -> None:
         """The connection broke (in the acquisition's thread)."""
 
-    def serve_select(self, name: str, prefix: str = '') -> None:
-        """Offer the service that changes the setup (of the machine below ``prefix``)."""
+    def serve(self, prefix: str = '') -> None:
+        """Offer the service that changes the setup (of the machine below ``prefix``), and tell the clock's time."""
+        answer_clock(self, self.sensor, prefix)
+
         def answer(request, response):
             return self.between_blocks(lambda: self.select(request.setup, prefix), response)
-        self.create_service(SelectSetup, name, answer)
+        self.create_service(SelectSetup, f'{prefix}{self.sensor}/select_setup', answer)
 
     def select(self, setup: str, prefix: str) -> None:
         """Another setup from the next block on (in the acquisition's thread); empty: none is needed."""

@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 
 from rclpy.serialization import deserialize_message
 
-from stepdiag_ros.bag.schemas import CLOCK_STEP, DESCRIPTION, STEP
+from stepdiag_ros.bag.schemas import CLOCK_OFFSET, CLOCK_STEP, DESCRIPTION, STEP
 from stepdiag_ros.model.log import DONE
 
 #: Samples so long before a run's first step, and so long after its last, are kept.
@@ -41,7 +41,7 @@ class IdleFilter:
             self._release(now)
             under_way = deserialize_message(cdr, self._step_class).phase != DONE
             self._until_s = now + (LONGEST_STOP_S if under_way else TAIL_S)
-        if topic in (STEP, DESCRIPTION, CLOCK_STEP) or now < self._until_s:
+        if topic in (STEP, DESCRIPTION, CLOCK_STEP, CLOCK_OFFSET) or now < self._until_s:
             self._keep(topic, cdr, sequence)
             return
         waiting = self._waiting.setdefault(topic, deque())

@@ -69,7 +69,7 @@ class InterferometerDriver(DriverNode):
         #: Whose the readings are; ``None``: nobody's.
         self._prefix: str | None = None if served and any(served) else next(iter(self._machines))
         for prefix in self._machines:
-            self.serve_select(f'{prefix}interferometer/select_setup', prefix)
+            self.serve(prefix)
             self.create_service(
                 ResetDisplacement, f'{prefix}interferometer/reset',
                 lambda request, response, prefix=prefix: self._on_reset(prefix, response))

@@ -51,7 +51,6 @@ class ListenerNode(StepdiagNode):
 
     def activate(self) -> None:
         self._begin_log()
-        self._running.clear()
         self._subscription = RawSubscription(self, TOPICS | {RECORDER: 'stepdiag_msgs/msg/RecorderStatus'}, self._keep,
                           latched=(DESCRIPTION,))
         self._subscription.start()

@@ -4,6 +4,9 @@ Machines ask by the action ``use_source`` and have the light while their goal is
 the queue and the expected wait.  Who asks or holds renews its lease on ``use_source/lease``; what is not renewed in
 time is taken back.  Before the switch moves, the interferometer's driver is told that its readings are nobody's, and
 afterwards whose they are (service ``interferometer/route``); so no reading is ever published under a wrong name.
+
+Its queue is kept in memory.  One that starts gives nobody the light for the time of one lease: a predecessor that died
+may have given it to a machine that still counts on it, which by then knows better and asks anew.
 """
 
 import sys
@@ -57,7 +60,7 @@ class Multiplexer(StepdiagNode):
         self._queue = SourceQueue(self.value('lease'), time.monotonic)
         self._goals: dict[bytes, _Goal] = {}
         self._switch: OpticalSwitch | None = None
-        self._lit = ''
+        self._lit, self._free_s = '', 0.0
         self._trouble = ''
         self._leave = threading.Event()
         self._worker: threading.Thread | None = None
@@ -79,6 +82,7 @@ class Multiplexer(StepdiagNode):
 
     def activate(self) -> None:
         self._queue.lease_s = self.value('lease')
+        self._free_s = time.monotonic() + self._queue.lease_s
         self._leave.clear()
         self._worker = threading.Thread(target=self._work, name='queue', daemon=True)
         self._worker.start()
@@ -148,7 +152,7 @@ class Multiplexer(StepdiagNode):
                 cancelled = [key for key, goal in self._goals.items() if goal.handle.is_cancel_requested]
                 given_back = [request for key in cancelled if (request := self._queue.release(key))]
                 taken_back = self._queue.expire()
-                picked = self._queue.next()
+                picked = self._queue.next() if time.monotonic() >= self._free_s else None
             for request in given_back:
                 self._end(request, 'canceled', 'given back')
             for request in taken_back:

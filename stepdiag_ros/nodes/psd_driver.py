@@ -43,7 +43,7 @@ class PsdDriver(DriverNode):
         self._mean = self.create_lifecycle_publisher(SpotMean, SPOT_MEAN, reliable(),
                                                      qos_overriding_options=overridable())
         self._decimator = Decimator()
-        self.serve_select('psd/select_setup')
+        self.serve()
         self._intensity = 0.0
         self._dark = 0
 

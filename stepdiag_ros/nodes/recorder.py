@@ -3,7 +3,8 @@
 Active is recording: activating opens a bag, deactivating closes it.  ``recorder/status``
 says five times a second what is received and what was lost by sequence number.  On SIGTERM it
 stops taking in, drains what has arrived and closes; ``kill -9`` costs what came in
-since the writer's last flush, a quarter of a second.
+since the writer's last flush, a quarter of a second.  Whoever starts it again, it goes on in the bag
+that it tore (:mod:`stepdiag_ros.bag.mark`).
 """
 
 import sys
@@ -15,6 +16,7 @@ from rclpy.parameter import Parameter
 
 from stepdiag_msgs.msg import RecorderStatus
 from stepdiag_ros.bag.append import go_on
+from stepdiag_ros.bag.mark import Mark
 from stepdiag_ros.bag.qos import LATCHED, RELIABLE, qos_profile, qos_yaml
 from stepdiag_ros.bag.schemas import DESCRIPTION, TOPICS
 from stepdiag_ros.bag.shown import SHOWN
@@ -50,15 +52,17 @@ class Recorder(StepdiagNode):
         self._announced: set[str] = set()
 
     def configure(self) -> None:
+        self._mark = Mark(Path(self.value('bag_folder')).expanduser().absolute(), self._machine())
         if self.value('compression') not in COMPRESSIONS:
             raise StepdiagError(f'recorder: parameter compression is {self.value("compression")!r}; '
                                 f'choose one of {", ".join(COMPRESSIONS)}')
 
     def activate(self) -> None:
-        path = self._path()
+        torn = self._mark.torn()
+        path = torn or self._path()
         self._announced = set()
         self._earlier = {}
-        if self.value('go_on') and path.exists():
+        if torn is not None or self.value('go_on') and path.exists():
             continued = go_on(path, self.value('compression'))
             self._writer, self._earlier = continued.writer, continued.received
             for name in continued.mended:
@@ -68,6 +72,7 @@ class Recorder(StepdiagNode):
             self.set_parameters([Parameter('go_on', value=False)])
         else:
             self._writer = BagWriter(path, compression=self.value('compression'))
+        self._mark.put(path)
         self._file = self._writer.number
         self._bag = str(path)
         self._subscription = RawSubscription(self, RECORDED, self._write, latched=(DESCRIPTION,),
@@ -80,6 +85,7 @@ class Recorder(StepdiagNode):
             self._subscription.close()
         if self._writer is not None:
             self._writer.close()
+            self._mark.remove()
             self._writer = None
             self.get_logger().info(f'closed {self._bag}: {sum(self._subscription.received.values())} messages, '
                                    f'{sum(self._subscription.lost.values())} lost')
@@ -89,6 +95,9 @@ class Recorder(StepdiagNode):
         self.deactivate()
         self._subscription = None
 
+    def _machine(self) -> str:
+        return self.get_namespace().strip('/').replace('/', '_') or 'machine'
+
     def _path(self) -> Path:
         if self.value('bag') and not self._bag:
             return Path(self.value('bag')).expanduser().absolute()
@@ -97,8 +106,7 @@ class Recorder(StepdiagNode):
             if Path(name).name != name or not name.isprintable():
                 raise StepdiagError(f'recorder: parameter name is {name!r}; give a name without a folder')
             return folder / name
-        machine = self.get_namespace().strip('/').replace('/', '_') or 'machine'
-        name = f'{machine}_{datetime.now():%Y%m%d_%H%M%S}'
+        name = f'{self._machine()}_{datetime.now():%Y%m%d_%H%M%S}'
         # Two bags may be begun in one second.
         candidates = [folder / name, *(folder / f'{name}_{i}' for i in range(2, 100))]
         return next(path for path in candidates if not path.exists())

@@ -1,7 +1,7 @@
 """A bag's messages in the order (stamp, machine, sequence), for replay.
 
 Never through an executor: executors promise no order.  Where the system clock was set while the bag was
-recorded, stamps are put right first.
+recorded, or a driver's clock was not the sequencer's, stamps are put right first.
 """
 
 import struct
@@ -11,10 +11,11 @@ from pathlib import Path
 
 import numpy as np
 
+from stepdiag_ros.bag.clockoffsets import STAMPED, offsets_of
 from stepdiag_ros.bag.clocksteps import shift_ns, steps_of
 from stepdiag_ros.bag.msgdef import contract_fields, layout
 from stepdiag_ros.bag.scan import HEADER_SIZE, McapFile
-from stepdiag_ros.bag.schemas import CLOCK_STEP, DESCRIPTION, TOPICS, split_topic
+from stepdiag_ros.bag.schemas import CLOCK_OFFSET, CLOCK_STEP, DESCRIPTION, OCCASIONAL, STEP, TOPICS, split_topic
 from stepdiag_ros.bag.source import open_bag
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.nodes.assembler import LogAssembler, table_of
@@ -76,11 +77,15 @@ def read_messages(path: str | Path, namespace: str | None = None) -> tuple[str, 
 
 
 def _put_right(messages: list[Message]) -> list[Message]:
-    """The messages without their ``clock_step``, stamps of a step's topics on the log's first time scale."""
-    said = [(m.place, m.sequence, m.cdr) for m in messages if m.topic == CLOCK_STEP]
-    if not said:
+    """The messages without their ``clock_step``, all stamps on the time scale on which the sequencer's began.
+
+    What is left of ``clock_offset`` says that nothing is to be taken off any more, and how well that is known.
+    """
+    tables = {topic: table_of(topic, TOPICS[topic], said) for topic in OCCASIONAL
+              if (said := [(m.place, m.sequence, m.cdr) for m in messages if m.topic == topic])}
+    if not tables:
         return messages
-    steps = steps_of(table_of(CLOCK_STEP, TOPICS[CLOCK_STEP], said))
+    steps, offsets = steps_of(tables.get(CLOCK_STEP)), offsets_of(tables)
     right = {m.place: m for m in messages if m.topic != CLOCK_STEP}
     for topic in {step.topic for step in steps}:
         mine = [m for m in right.values() if m.topic == topic and m.stamp_ns >= 0]
@@ -89,11 +94,32 @@ def _put_right(messages: list[Message]) -> list[Message]:
                          [step for step in steps if step.topic == topic])
         for message, by in zip(mine, shift, strict=True):
             if by:
-                stamp = message.stamp_ns + int(by)
-                order = '<iI' if message.cdr[1] & 1 else '>iI'
-                cdr = message.cdr[:4] + struct.pack(order, *divmod(stamp, SECOND)) + message.cdr[12:]
-                right[message.place] = replace(message, stamp_ns=stamp, cdr=cdr)
-    return list(right.values())
+                right[message.place] = _stamped(message, message.stamp_ns + int(by))
+    end_ns = max((m.stamp_ns for m in right.values() if m.topic == STEP), default=0)
+    left: dict[int, Message] = {}
+    for sensor, known in offsets.items():
+        clock = known.until(end_ns)
+        if not clock.one:
+            for message in [m for m in right.values() if m.topic in STAMPED[sensor]]:
+                ahead = int(clock.ahead_ns(np.array([message.stamp_ns]))[0])
+                right[message.place] = _stamped(message, message.stamp_ns - ahead)
+        for place, offset_ns in zip(known.number.tolist(), known.offset_ns.tolist(), strict=True):
+            left[place] = _saying(right[place], offset_ns / SECOND if clock.one else 0.0)
+    return [left.get(m.place, m) for m in right.values() if m.topic != CLOCK_OFFSET or m.place in left]
+
+
+def _stamped(message: Message, stamp_ns: int) -> Message:
+    """The message with another stamp, as far as a stamp reaches: seconds are 32 bits."""
+    stamp_ns = min(max(stamp_ns, -2**31 * SECOND), 2**31 * SECOND - 1)
+    order = '<iI' if message.cdr[1] & 1 else '>iI'
+    cdr = message.cdr[:4] + struct.pack(order, *divmod(stamp_ns, SECOND)) + message.cdr[12:]
+    return replace(message, stamp_ns=stamp_ns, cdr=cdr)
+
+
+def _saying(message: Message, offset_s: float) -> Message:
+    """A ``clock_offset`` with another offset: the last number but one of its two."""
+    return replace(message, cdr=message.cdr[:-16] + struct.pack('<d' if message.cdr[1] & 1 else '>d', offset_s)
+                   + message.cdr[-8:])
 
 
 def _contract_topic(file: McapFile, channel_id: int) -> tuple[str, str] | None:

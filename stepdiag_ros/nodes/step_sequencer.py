@@ -40,6 +40,7 @@ from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.model.description import Description
 from stepdiag_ros.model.log import NONE
 from stepdiag_ros.nodes.base import ERROR, OK, Health, StepdiagNode, overridable, reliable, run_node
+from stepdiag_ros.nodes.clocks import ASK_S, ClockComparison
 from stepdiag_ros.nodes.futures import ended
 from stepdiag_ros.nodes.light import Light
 from stepdiag_ros.nodes.marked import Marked
@@ -117,6 +118,8 @@ class StepSequencer(StepdiagNode):
         self._steps = self._marked.publisher(Step, STEP)
         self._timing = self._marked.publisher(SampleTiming, STEP_TIMING)
         self._scene = SceneTopics(self)
+        self._clocks = ClockComparison(self, self._marked, {topic.partition('/')[0] for topic in self.value('sources')})
+        self._clock_timer = self.every(ASK_S, self._compare_clocks)
         self._description_publisher: Publisher | None = None
         self._select = {sensor: self.create_client(SelectSetup, f'{sensor}/select_setup')
                         for sensor in ('interferometer', 'psd')}
@@ -235,10 +238,21 @@ class StepSequencer(StepdiagNode):
         self._note(SPOT, message, len(message.x), any(x == x for x in message.x))
 
     def _note(self, topic: str, message, samples: int, signal: bool) -> None:
-        begin = ns_of(message.header.stamp)
+        begin = ns_of(message.header.stamp) - self._clocks.offset_ns(topic.partition('/')[0])
         self._watch.block(self.resolve_topic_name(topic), begin,
                           begin + round(samples * message.sample_period * 1e9), signal,
                           message.header.frame_id)
+
+    def _compare_clocks(self) -> None:
+        if self._worker is not None:
+            self._clocks.ask()
+
+    def _follow_clock(self) -> float:
+        """Follow the system's clock; the step [s] that it has made."""
+        step_s = self._marked.follow_clock()
+        if step_s:
+            self._clocks.shift(step_s)
+        return step_s
 
     def _on_recorder(self, status: RecorderStatus) -> None:
         self._watch.recorder(Recording(
@@ -305,7 +319,7 @@ class StepSequencer(StepdiagNode):
                 f'refused: {goal.steps} steps were asked for and the cell description that is being '
                 f'recorded says {self.description.plan.steps}; set the parameter steps of '
                 f'{self.get_name()} and begin a new bag (stepdiag calibrate --steps does both)')
-        self._marked.follow_clock()
+        self._follow_clock()
         self._clock_steps = []
         asked = planned_runs(self.description, goal.setups)   # unknown setups are refused at once
         with self._lit(asked[0].setup, READY_S, handle):
@@ -483,12 +497,14 @@ class StepSequencer(StepdiagNode):
 
     def _zero(self) -> None:
         self._timing.publish(SampleTiming(header=Header(stamp=stamp_of(HOST.now_ns())), clock=clock_name()))
+        self._clocks.record(now=True)
         self._call(self._reset, ResetDisplacement.Request(), 'interferometer/reset')
         self._watch.begin()
 
     def _check(self, bag: str, setup: str) -> float:
         """Raise :class:`Interrupted` if a run has lost something; returns by how much [s] the clock was set since."""
-        step_s = self._marked.follow_clock()
+        step_s = self._follow_clock()
+        self._clocks.record(now=False)
         if step_s:
             self._clock_steps.append(step_s)
             self._watch.begin()

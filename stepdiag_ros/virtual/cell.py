@@ -220,8 +220,9 @@ def _cell(top: Reader) -> Cell:
                               workpiece=workpiece(keys.get('material')))
     misalignments, zero = drawn.misalignments(keys.get('misalignments'), seed, tuple(setups))
     motion = _fill(Motion, keys.get('motion'), {
-        'feed': {'above': 0.0, 'unit': 'm/s'}, 'acceleration': {'above': 0.0, 'unit': 'm/s²'},
-        'jerk': {'above': 0.0, 'unit': 'm/s³'}, 'in_position': {'above': 0.0, 'unit': 'm'},
+        'feed': {'above': 0.0, 'minimum': limits.SLOWEST, 'unit': 'm/s'},
+        'acceleration': {'above': 0.0, 'minimum': limits.SLOWEST, 'unit': 'm/s²'},
+        'jerk': {'above': 0.0, 'minimum': limits.SLOWEST, 'unit': 'm/s³'}, 'in_position': {'above': 0.0, 'unit': 'm'},
         'settling': {'minimum': 0.0, 'unit': 's'}, 'dwell': {'above': 0.0, 'unit': 's'},
         'stand': {'minimum': 0.0, 'maximum': 3600.0, 'unit': 's'}, 'mount': {'minimum': 0.0, 'unit': 's'}})
     return Cell(source=top.source, seed=seed, description=description,

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from stepdiag_ros.guard import limits
 from stepdiag_ros.model.description import Description
 from stepdiag_ros.model.machine import AXES, CURVES, SQUARENESS, Curve, GeometricErrors
 from stepdiag_ros.model.sensor import Misalignment
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
 
 SIZES = {'positioning': 8.0e-6, 'straightness': 4.0e-6, 'angle': 2.0e-5, 'squareness': 1.5e-5}
 """Sizes [m, m, rad, rad] when a cell says ``drawn`` without numbers."""
+MOST = {'positioning': limits.LENGTH_M, 'straightness': limits.LENGTH_M, 'psd_zero': limits.LENGTH_M,
+        **dict.fromkeys(('angle', 'squareness', 'laser', 'mirror'), limits.ANGLE_RAD)}
 WAVES = 3
 
 
@@ -34,7 +37,7 @@ def geometry(node: 'Reader | None', seed: int, description: Description) -> Geom
     if 'drawn' in keys:
         sizes = dict(SIZES)
         if not keys['drawn'].is_null:
-            sizes |= {key: child.number(minimum=0.0)
+            sizes |= {key: child.number(minimum=0.0, maximum=MOST[key])
                       for key, child in keys['drawn'].mapping(tuple(SIZES)).items()}
     per_step = keys['knots'].count(1) if 'knots' in keys else 1
     curves, square = {}, {}
@@ -92,7 +95,7 @@ def misalignments(node: 'Reader | None', seed: int, setups: tuple[str, ...]
     own_seed = keys['seed'].count() if 'seed' in keys else seed
     sizes = {'laser': 0.0, 'mirror': 0.0, 'psd_zero': 0.0, 'station': 0.0}
     if 'drawn' in keys:
-        sizes |= {key: child.number(minimum=0.0)
+        sizes |= {key: child.number(minimum=0.0, maximum=MOST[key])
                   for key, child in keys['drawn'].mapping(tuple(sizes)).items()}
     given = keys['given'].mapping(setups) if 'given' in keys else {}
     turns, zeros = {}, {}

@@ -11,6 +11,8 @@ from functools import lru_cache
 import numpy as np
 
 from stepdiag_ros.effects.base import Effect
+from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.guard import limits
 from stepdiag_ros.model.cycle import Traverse, cycle
 from stepdiag_ros.model.log import (
     DONE,
@@ -169,6 +171,11 @@ def _grid(world: World, begin: int, end: int, rate: float) -> tuple[np.ndarray, 
 def _collect(world: World, spans: list, rate: float, columns: int, look) -> Samples:
     """Lay the samples of all spans end to end; ``look(times, run, first)`` gives values, health, index."""
     names = world.cell.setup_names
+    count = sum((end - begin) * 1e-9 * rate for _, begin, end in spans)
+    if count > limits.SIMULATED_SAMPLES:
+        raise StepdiagError(f'{world.cell.source}: one sensor would have {count:.2g} samples, more than '
+                            f'{limits.SIMULATED_SAMPLES:.0g}; shorten the dwells, lower the sample rate, or let the '
+                            'axes move faster (feed, acceleration, jerk)')
     parts, first, blocks = [], 0, 0
     for run, begin, end in spans:
         times, block = _grid(world, begin, end, rate)

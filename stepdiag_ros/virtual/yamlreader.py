@@ -132,6 +132,6 @@ class Reader:
         items = self.items()
         if len(items) != size:
             raise self.fail(f'has {len(items)} items; give {size} numbers [{unit}]')
-        most = limits.LENGTH_M if unit == 'm' else None
+        most = {'m': limits.LENGTH_M, 'rad': limits.ANGLE_RAD}.get(unit)
         return tuple(item.number(above=above, minimum=None if most is None or above is not None else -most,
                                  maximum=most, unit=unit) for item in items)

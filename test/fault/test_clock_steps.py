@@ -4,9 +4,7 @@ The clock is set by a library (``clock_shim.c``) that is preloaded into all proc
 clock of this computer stays as it is.
 """
 
-import shutil
 import struct
-import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +20,6 @@ from stepdiag_ros.model.log import DONE, DWELL  # noqa: E402
 from stepdiag_ros.nodes.bringup import Bringup  # noqa: E402
 from stepdiag_ros.nodes.replaying import assemble  # noqa: E402
 
-COMPILER = shutil.which('cc') or shutil.which('gcc') or shutil.which('g++')
 CELL = """
 schema: 1
 seed: 7
@@ -35,17 +32,6 @@ air: {period: 1.0}
 motion: {feed: 0.2, acceleration: 8.0, jerk: 800.0, in_position: 5.0e-8, settling: 0.002, dwell: 0.4}
 sampling: {interferometer: 200.0, psd: 200.0, block: 0.05}
 """
-
-
-@pytest.fixture(scope='module')
-def shim(tmp_path_factory) -> Path:
-    """The library that sets a process's clock."""
-    if COMPILER is None:
-        pytest.skip('no C compiler for clock_shim.c (apt-get install gcc)')
-    library = tmp_path_factory.mktemp('shim') / 'clock_shim.so'
-    subprocess.run([COMPILER, '-x', 'c', '-shared', '-fPIC', '-O1', '-o', str(library),
-                    str(Path(__file__).with_name('clock_shim.c')), '-ldl', '-lpthread'], check=True)
-    return library
 
 
 def calibrate(folder: Path, monkeypatch, shim: Path, step_s: float = 0.0) -> object:
@@ -67,10 +53,10 @@ def calibrate(folder: Path, monkeypatch, shim: Path, step_s: float = 0.0) -> obj
 
 
 @pytest.mark.parametrize('seconds', [-5.0, 3600.0, -3600.0])
-def test_a_step_of_the_clock_is_marked_and_the_run_goes_on(ros_domain, tmp_path, monkeypatch, shim, seconds):
-    still = calibrate(tmp_path / 'still', monkeypatch, shim)
+def test_a_step_of_the_clock_is_marked_and_the_run_goes_on(ros_domain, tmp_path, monkeypatch, clock_shim, seconds):
+    still = calibrate(tmp_path / 'still', monkeypatch, clock_shim)
     assert still.succeeded, still.message
-    outcome = calibrate(tmp_path / 'stepped', monkeypatch, shim, seconds)
+    outcome = calibrate(tmp_path / 'stepped', monkeypatch, clock_shim, seconds)
     assert outcome.succeeded, outcome.message
     assert f'the system clock was set by {seconds:+.3f} s' in outcome.message
     log = read_log(tmp_path / 'stepped' / 'log')

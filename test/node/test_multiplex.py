@@ -1,6 +1,9 @@
 """Two machines behind one laser: each in its namespace, one at a time."""
 
+import os
+import signal
 import threading
+import time
 
 import pytest
 
@@ -49,3 +52,42 @@ def test_machines_take_turns(pair):
     spans.sort()
     assert all(end <= begin for (_, end), (begin, _) in zip(spans, spans[1:], strict=False))
     assert read_log(folder / 'log_right').namespace == '/right'
+
+
+def test_a_multiplexer_that_dies_is_started_again_and_never_two_have_the_light(pair):
+    """Its queue dies with it: the holder's run is broken off and repeated, who waits asks anew, nobody is forgotten."""
+    cell, folder = pair
+    killed_s: list[float] = []
+    outcomes = {}
+
+    def measure(name: str) -> None:
+        def feedback(told) -> None:
+            # The first that measures has the light; the other waits for it.
+            if told.stop >= 1 and told.doing.startswith(('X to', 'Y to', 'Z to')) and not killed_s:
+                killed_s.append(time.monotonic())
+                os.kill(cell.pids()['multiplexer'], signal.SIGKILL)
+        outcomes[name] = cell.operator_of(f'/{name}').calibrate(dwell_s=3.0, feedback=feedback)
+    threads = [threading.Thread(target=measure, args=(name,)) for name in ('left', 'right')]
+    for thread in threads:
+        thread.start()
+    while any(thread.is_alive() for thread in threads):
+        cell.watch()
+        time.sleep(0.1)
+    assert killed_s and cell.restarts == 1
+    assert {name: outcome.how for name, outcome in outcomes.items()} == {'left': 'succeeded', 'right': 'succeeded'}, \
+        {name: outcome.message for name, outcome in outcomes.items()}
+    assert any('broken off' in outcome.message for outcome in outcomes.values())
+    spans = []
+    for name in ('left', 'right'):
+        cell.operator_of(f'/{name}').bring('recorder', 'inactive')
+        log = read_log(folder / ('log' if name == 'left' else 'log_right'))
+        assert log.namespace == f'/{name}'
+        # Each reading with a signal is of a run of its own machine: never two had the light.
+        seen = log.displacement.time_ns[log.displacement.health > 0]
+        times, run = log.steps.time_ns, log.steps.run
+        spans += [(times[run == n].min(), times[run == n].max(), name) for n in sorted(set(run))]
+        assert len(seen)
+        assert {run_id.rsplit('/', 1)[0] if run_id.count('/') == 3 else run_id for run_id in log.steps.run_ids} == {
+            'ppp/0/+', 'ppp/0/-', 'lin_x/0/+', 'lin_x/0/-'}
+    spans.sort()
+    assert all(end <= begin for (_, end, _), (begin, _, _) in zip(spans, spans[1:], strict=False)), spans

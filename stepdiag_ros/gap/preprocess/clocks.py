@@ -20,6 +20,9 @@ ALONE = 0.25
 """Share of the difference of two clocks below which the nearer one is taken for right."""
 MOST_KNOWN = 0.9
 """Share of the samples whose time is known better than what a sensor's latency is taken to be."""
+MOST_OUTSIDE = 0.2
+"""Share of the moves that may seem to go on outside their time on one side more than on the other: a clock that is off
+moves all of them to one side, noise shows them on both."""
 WORSE = 4.0
 """Mean square of a channel's residuals at the stops by which clocks put right may leave more than they found."""
 
@@ -89,7 +92,7 @@ def late_clocks(clocks: Mapping[str, Timing | None], between: tuple[float, float
         drifts = abs(clock.drift) > max(DRIFT_SIGMAS * clock.drift_sigma, least_drift)
         significant = abs(clock.offset) > max(CLOCK_SIGMAS * clock.sigma, LEAST_CLOCK_S + own)
         acausal = significant and (clock.sooner > LEAST_SOONER_S + own or (
-            clock.before > 0.2 if clock.offset < 0 else clock.after > 0.2))
+            (clock.before - clock.after) * -np.sign(clock.offset) > MOST_OUTSIDE))
         if drifts or acausal:
             found[name] = Late(_start(clock), clock.sigma, clock.drift if drifts else 0.0, clock.drift_sigma,
                                0.99 if drifts and acausal else 0.95)

@@ -6,7 +6,7 @@ import pytest
 
 from stepdiag_ros.cli.main import main
 from stepdiag_ros.errors import StepdiagError
-from stepdiag_ros.nodes.bringup import MACHINES_A_PROCESSOR, machines_carried, refuse_too_many
+from stepdiag_ros.nodes.bringup import MACHINES_A_PROCESSOR, SHARING_A_PROCESSOR, machines_carried, refuse_too_many
 from stepdiag_ros.nodes.ownership import CELL, SEQUENCER, Ownership, machines_up
 
 CELLS = Path(__file__).resolve().parents[3] / 'cells'
@@ -43,6 +43,7 @@ def test_more_machines_than_the_computer_carries_are_refused(domain):
 def test_the_limit_grows_with_the_processors(monkeypatch):
     monkeypatch.setattr('os.sched_getaffinity', lambda _process: {0, 1, 2})
     assert machines_carried() == 3 * MACHINES_A_PROCESSOR
+    assert machines_carried(sharing=True) == 3 * SHARING_A_PROCESSOR > machines_carried()
 
 
 @pytest.mark.parametrize('command', [['hall', str(CELLS / 'hall.yaml'), '--most', '3'],
