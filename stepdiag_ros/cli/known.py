@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from stepdiag_ros.gap.inference.joint import Active
 
 K = 2.0
-AIR, SCALES = 'air_refraction_drift', 'scale_thermal_expansion'
-"""Effects that the environment topics take out of the lengths by themselves."""
 
 
 @dataclass(frozen=True)
@@ -69,9 +67,8 @@ def _without_causes(log: CalibrationLog, diagnosis: 'Diagnosis') -> Solution:
 
     joint, stops = diagnosis.joint, reduce_log(log)
     metres = in_metres(log, stops)
-    done = {AIR} if metres.air in (TOPICS, CELL) else set()
-    done |= {SCALES} if any(metres.conditions.referred) else set()
-    added = _on_stops([active for active in joint.active if active.effect.name not in done],
+    done = {'air': metres.air in (TOPICS, CELL), 'scales': any(metres.conditions.referred)}
+    added = _on_stops([active for active in joint.active if not done.get(active.effect.corrected)],
                       joint.observation.table, stops)
     solution = evaluate_in_full(log, stops=replace(stops, displacement=stops.displacement - added[:, :-2],
                                                    spot=stops.spot - added[:, -2:])).solution

@@ -29,6 +29,7 @@ NOTICEABLE = 2.0e-8
 class AirRefractionDrift(Effect):
     name = 'air_refraction_drift'
     short = 'Air along the laser beam changes'
+    corrected = 'air'
     needs_times = True
     title = 'The air changes while the laser measures, and the reading is not corrected for it.'
     parameters = (Parameter('dT', 'K', -5.0, 5.0, meaning='rise of the air temperature in the end'),

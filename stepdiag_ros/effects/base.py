@@ -225,6 +225,8 @@ class Effect:
     """Whether its time profile is what it is known by: of a log whose times were made up, no claim."""
     file: str = ''
     """The Python file of the user's own that holds it; empty: it is one of the vocabulary."""
+    corrected: str = ''
+    """By which topics of the environment, ``air`` or ``scales``, the evaluation takes it out of the lengths; empty: none."""
     by_chance: bool = False
     """Whether it acts with a phase of its own in each log, so that a cell that has it cannot take it off."""
     not_adopted: str = ''

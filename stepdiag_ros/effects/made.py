@@ -34,8 +34,10 @@ class Made(NDArrayOperatorsMixin):
     def __getitem__(self, key: Any) -> np.ndarray:
         return np.asarray(self)[key]
 
-    def reshape(self, *shape: Any) -> np.ndarray:
-        return np.asarray(self).reshape(*shape)
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith('_'):   # how NumPy asks what this is
+            raise AttributeError(name)
+        return getattr(np.asarray(self), name)
 
     def same(self, other: object) -> bool:
         """Whether ``other`` is made in the same way of the same parts."""

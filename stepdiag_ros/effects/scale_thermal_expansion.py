@@ -26,6 +26,7 @@ NOTICEABLE = 0.03
 class ScaleThermalExpansion(Effect):
     name = 'scale_thermal_expansion'
     short = "An axis's scale warms up"
+    corrected = 'scales'
     needs_times = True
     title = "An axis's scale warms up and grows while the log is taken."
     parameters = (Parameter('alpha', '1/K', 0.0, 2e-5, 3, 'expansion coefficient of the scales of X, Y, Z'),

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 SIZES = {'positioning': 8.0e-6, 'straightness': 4.0e-6, 'angle': 2.0e-5, 'squareness': 1.5e-5}
 """Sizes [m, m, rad, rad] when a cell says ``drawn`` without numbers."""
-MOST = {'positioning': limits.LENGTH_M, 'straightness': limits.LENGTH_M, 'psd_zero': limits.LENGTH_M,
+MOST = {**dict.fromkeys(('positioning', 'straightness', 'psd_zero', 'station'), limits.LENGTH_M),
         **dict.fromkeys(('angle', 'squareness', 'laser', 'mirror'), limits.ANGLE_RAD)}
 WAVES = 3
 

@@ -26,7 +26,7 @@ from stepdiag_ros.bag.codec import (
     encode_string,
 )
 from stepdiag_ros.bag.qos import LATCHED, RELIABLE, parse_qos
-from stepdiag_ros.bag.schemas import CLOCK_STEP, DEFINITIONS, DESCRIPTION, DISPLACEMENT, SPOT, STEP, TOPICS
+from stepdiag_ros.bag.schemas import DEFINITIONS, DESCRIPTION, DISPLACEMENT, OCCASIONAL, SPOT, STEP, TOPICS
 from stepdiag_ros.bag.writer import BagWriter
 
 HERE = Path(__file__).parent
@@ -34,7 +34,7 @@ START = 1_790_000_000_000_000_000
 BLOCKS, SAMPLES, PERIOD = 120, 25, 400_000    # 25 samples at 2.5 kHz a block
 NAMESPACE = '/cell1'
 # All topics of the contract but those that tell of clocks, which only running nodes write.
-WRITTEN = {topic: kind for topic, kind in TOPICS.items() if topic != CLOCK_STEP and not topic.endswith('/timing')}
+WRITTEN = {topic: kind for topic, kind in TOPICS.items() if topic not in OCCASIONAL and not topic.endswith('/timing')}
 
 
 @pytest.fixture(scope='module', params=['none', 'zstd', 'lz4'])

@@ -19,6 +19,7 @@ def test_it_is_taken_wherever_an_array_is():
     np.testing.assert_array_equal(np.concatenate([made, written]), np.concatenate([written, written]))
     np.testing.assert_array_equal(np.tensordot(a, made, axes=1), a @ written)
     np.testing.assert_array_equal(made.reshape(3, -1), written)
+    assert made.any() and made.sum() == written.sum() and made.T.shape == (4, 3)
     np.testing.assert_array_equal(joined([made, written]), np.concatenate([written, written]))
 
 
