@@ -226,7 +226,7 @@ class Effect:
     file: str = ''
     """The Python file of the user's own that holds it; empty: it is one of the vocabulary."""
     corrected: str = ''
-    """By which topics of the environment, ``air`` or ``scales``, the evaluation takes it out of the lengths; empty: none."""
+    """By which topics of the environment (``air``, ``scales``) the evaluation takes it out of lengths; empty: none."""
     by_chance: bool = False
     """Whether it acts with a phase of its own in each log, so that a cell that has it cannot take it off."""
     not_adopted: str = ''
