@@ -11,6 +11,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from stepdiag_ros.guard.jsontext import to_json
+
 
 class Mark:
     """The mark of ``machine``'s recorder in ``folder``."""
@@ -33,7 +35,7 @@ class Mark:
         """This process is writing ``bag``."""
         said = {'bag': str(bag), 'writer': os.getpid(), 'began': _began(os.getpid()), 'parent': _parent()}
         with suppress(OSError):     # a folder that cannot be written to: whoever dies there starts a new bag
-            self._file.write_text(json.dumps(said), encoding='utf-8')
+            self._file.write_text(to_json(said), encoding='utf-8')
 
     def remove(self) -> None:
         """The bag is closed."""
