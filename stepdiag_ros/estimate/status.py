@@ -40,7 +40,7 @@ def reasons(result: Fit, table: StopTable) -> list[str]:
     """What keeps a fit from being ok, one clause each; empty where nothing does."""
     found = []
     if not result.converged:
-        found.append('not converged: the model does not describe this log')
+        found.append('not converged: the steps of the estimate came to no end; its errors are those of the last')
     if result.dof < LEAST_DOF:
         found.append(f'{max(result.dof, 0)} degrees of freedom: nothing checks the model; measure repeats or further '
                      'diagonals')
