@@ -131,7 +131,7 @@ def test_lengths_that_are_not_metres_make_no_table():
 
 
 def test_an_evaluation_that_did_not_converge_makes_no_table():
-    found = compensation(replace(made(1), status='not converged: the steps of the estimate came to no end'), machine_of(),
+    found = compensation(replace(made(1), status='not converged: its steps came to no end'), machine_of(),
                          CONTROLS['isg'], ORIGIN)
     assert found.files == {} and any('not converged' in reason for reason in found.refusals)
 
