@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
+from stepdiag_ros.effects.made import Made
 from stepdiag_ros.errors import StepdiagError
 
 CHANGED = ('position', 'shift', 'turn', 'laser', 'mirror', 'index', 'divided', 'length', 'spot', 'intensity', 'quality')
@@ -150,8 +151,9 @@ def _array(where: str, what: str, value: object, shape: tuple[int, ...], do: str
     except (TypeError, ValueError):
         raise StepdiagError(f'{where}: {what} is {type(value).__name__}, no array of numbers; wanted is the shape '
                             f'{shape}: {do}') from None
-    if numbers.shape != shape or not isinstance(value, np.ndarray):
-        got = numbers.shape if isinstance(value, np.ndarray) else f'{type(value).__name__} of shape {numbers.shape}'
+    an_array = isinstance(value, np.ndarray | Made)
+    if numbers.shape != shape or not an_array:
+        got = numbers.shape if an_array else f'{type(value).__name__} of shape {numbers.shape}'
         raise StepdiagError(f'{where}: {what} is {got}, wanted is an array of shape {shape}; {do}')
     bad = ~(np.isfinite(numbers) | spared)
     if np.any(bad):
