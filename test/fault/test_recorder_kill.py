@@ -72,6 +72,11 @@ class Source:
         self._stop.set()
         self._thread.join()
 
+    def acknowledged(self) -> None:
+        from rclpy.duration import Duration
+        for publisher in self._publishers.values():
+            assert publisher.wait_for_all_acked(Duration(seconds=30))
+
     def close(self) -> None:
         self._stop.set()
         if self._thread.is_alive():
@@ -119,7 +124,7 @@ def test_terminate_drains_and_closes(recording):
     process, source, bag = recording
     time.sleep(1.0)
     source.stop()
-    time.sleep(0.2)    # what was sent is on the loopback, not yet necessarily taken in
+    source.acknowledged()    # what was sent has reached the recorder's process, not yet necessarily the bag
     process.terminate()
     assert process.wait(30) == 0
     sent = [stamp for stamp, _ in source.sent]
