@@ -15,10 +15,14 @@ from stepdiag_ros.guard.jsontext import to_json
 
 
 class Mark:
-    """The mark of ``machine``'s recorder in ``folder``."""
+    """The mark of ``machine``'s recorder in ``folder``; ``asked`` is the bag that its command names, where it names one.
 
-    def __init__(self, folder: Path, machine: str):
+    A parent that starts another recorder with another bag does not start the dead one again.
+    """
+
+    def __init__(self, folder: Path, machine: str, asked: str = ''):
         self._file = folder / f'.{machine}.recording'
+        self._asked = asked
 
     def torn(self) -> Path | None:
         """The bag that a predecessor was writing when it died; ``None``: there is none."""
@@ -27,13 +31,13 @@ class Mark:
             bag, writer, parent = Path(said['bag']), int(said['writer']), said['parent']
         except (OSError, ValueError, KeyError, TypeError):
             return None
-        if parent != _parent() or _lives(writer, said.get('began')) or not bag.is_dir():
+        if parent != _parent() or said.get('asked') != self._asked or _lives(writer, said.get('began')) or not bag.is_dir():
             return None
         return bag
 
     def put(self, bag: Path) -> None:
         """This process is writing ``bag``."""
-        said = {'bag': str(bag), 'writer': os.getpid(), 'began': _began(os.getpid()), 'parent': _parent()}
+        said = {'bag': str(bag), 'asked': self._asked, 'writer': os.getpid(), 'began': _began(os.getpid()), 'parent': _parent()}
         with suppress(OSError):     # a folder that cannot be written to: whoever dies there starts a new bag
             self._file.write_text(to_json(said), encoding='utf-8')
 

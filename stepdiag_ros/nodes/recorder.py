@@ -52,7 +52,7 @@ class Recorder(StepdiagNode):
         self._announced: set[str] = set()
 
     def configure(self) -> None:
-        self._mark = Mark(Path(self.value('bag_folder')).expanduser().absolute(), self._machine())
+        self._mark = Mark(Path(self.value('bag_folder')).expanduser().absolute(), self._machine(), self.value('bag'))
         if self.value('compression') not in COMPRESSIONS:
             raise StepdiagError(f'recorder: parameter compression is {self.value("compression")!r}; '
                                 f'choose one of {", ".join(COMPRESSIONS)}')

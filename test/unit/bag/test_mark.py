@@ -38,6 +38,19 @@ def test_it_is_found_by_the_next_of_the_same_parent_alone(tmp_path):
     assert started(tmp_path, 'closes') == ['None', 'None']
 
 
+def test_one_that_is_to_write_another_bag_is_not_the_one_that_died(tmp_path):
+    (tmp_path / 'log').mkdir()
+    write = "Path(sys.argv[1]), 'mill', {})"
+    first, other = (WRITE.replace("Path(sys.argv[1]), 'mill')", write.format(f'str(Path(sys.argv[1]) / "{name}")'), 1)
+                    for name in ('log', 'second'))
+    parent = "import subprocess, sys\nfor code in sys.argv[1:3]:\n" \
+             "    subprocess.run([sys.executable, '-c', code, *sys.argv[3:]])\n"
+    for codes, found in ((first, other), 'None'), ((first, first), str(tmp_path / 'log')):
+        said = subprocess.run([sys.executable, '-c', parent, *codes, str(tmp_path), 'dies'],
+                              capture_output=True, text=True).stdout.split()
+        assert said == ['None', found]
+
+
 def test_a_writer_that_lives_keeps_its_bag(tmp_path):
     from stepdiag_ros.bag.mark import Mark
     (tmp_path / 'log').mkdir()
