@@ -15,7 +15,7 @@ from stepdiag_ros.guard.jsontext import to_json
 
 
 class Mark:
-    """The mark of ``machine``'s recorder in ``folder``; ``asked`` is the bag that its command names, where it names one.
+    """The mark of ``machine``'s recorder in ``folder``; ``asked``: the bag that its command names, if any.
 
     A parent that starts another recorder with another bag does not start the dead one again.
     """
@@ -31,13 +31,13 @@ class Mark:
             bag, writer, parent = Path(said['bag']), int(said['writer']), said['parent']
         except (OSError, ValueError, KeyError, TypeError):
             return None
-        if parent != _parent() or said.get('asked') != self._asked or _lives(writer, said.get('began')) or not bag.is_dir():
-            return None
-        return bag
+        same = parent == _parent() and said.get('asked') == self._asked
+        return bag if same and not _lives(writer, said.get('began')) and bag.is_dir() else None
 
     def put(self, bag: Path) -> None:
         """This process is writing ``bag``."""
-        said = {'bag': str(bag), 'asked': self._asked, 'writer': os.getpid(), 'began': _began(os.getpid()), 'parent': _parent()}
+        said = {'bag': str(bag), 'asked': self._asked, 'writer': os.getpid(), 'began': _began(os.getpid()),
+                'parent': _parent()}
         with suppress(OSError):     # a folder that cannot be written to: whoever dies there starts a new bag
             self._file.write_text(to_json(said), encoding='utf-8')
 

@@ -92,7 +92,8 @@ def recording(ros_domain, tmp_path: Path):
     log = open(tmp_path / 'recorder.log', 'wb')
     process = subprocess.Popen(
         [sys.executable, '-m', 'stepdiag_ros.nodes.recorder', '--ros-args', '-r', '__ns:=/kill',
-         '-p', f'bag:={bag}', '-p', f'bag_folder:={bag.parent}', '-p', 'autostart:=true'], stdout=log, stderr=subprocess.STDOUT)
+         '-p', f'bag:={bag}', '-p', f'bag_folder:={bag.parent}', '-p', 'autostart:=true'],
+        stdout=log, stderr=subprocess.STDOUT)
     log.close()
     source = Source()
     try:
