@@ -109,11 +109,13 @@ class Brought:
                 full[np.ix_(block.rows, block.places[begin:end] - part.start)] = block.columns[:, begin:end]
         return full
 
-    def times(self, directions: np.ndarray) -> np.ndarray:
-        """Products (r, K) of ``directions`` (M, r) with all columns."""
+    def times(self, directions: np.ndarray, wanted: slice) -> np.ndarray:
+        """Products (r, K) of ``directions`` (M, r) with the ``wanted`` ones of all columns; zero of the others."""
         result = np.zeros((directions.shape[1], self.width))
         for block in (*self.blocks, *self.own):
-            result[:, block.places] += directions[block.rows].T @ block.columns
+            begin, end = np.searchsorted(block.places, [wanted.start, wanted.stop])
+            if end > begin:
+                result[:, block.places[begin:end]] += directions[block.rows].T @ block.columns[:, begin:end]
         return result
 
 

@@ -208,7 +208,8 @@ class Screen:
         correction = _Correction.by(self._brought.own, basis, self.data, taken, self._brought.width)
         total = float(self.data @ self.data - taken @ taken) - correction.total
         dof = sum(self.parity.dof) - float(np.sum(basis[:self.parity.size]**2))
-        overlap = self._brought.times(basis)
+        parts = [self._slices[i] for i in np.flatnonzero(open_)]
+        overlap = self._brought.times(basis, slice(min(p.start for p in parts), max(p.stop for p in parts)))
         for alike in self._alike:
             chosen = open_[alike.numbers]
             cross = (overlap[:, alike.places[chosen]] * alike.ratios[chosen]).transpose(1, 2, 0)
