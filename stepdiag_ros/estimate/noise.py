@@ -22,6 +22,7 @@ from scipy import linalg
 
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate.reduce import MOVED_M, StopTable
+from stepdiag_ros.estimate.triangular import forward
 from stepdiag_ros.model.description import Noise
 from stepdiag_ros.model.log import NONE, STOOD
 
@@ -105,8 +106,7 @@ class Whitener:
 
     def __call__(self, values: np.ndarray) -> np.ndarray:
         """White version of the readings or Jacobian rows, all of the log's given: (N, …) → (k, …)."""
-        return linalg.solve_triangular(self.factor, values[self.rows], lower=True,
-                                       check_finite=False)
+        return forward(self.factor, values[self.rows])
 
 
 def sensor_noise(table: StopTable, belief: Noise) -> np.ndarray:

@@ -17,6 +17,7 @@ from scipy import linalg
 from stepdiag_ros.effects.base import Form
 from stepdiag_ros.estimate.enhanced import Fit
 from stepdiag_ros.estimate.noise import NoiseModel, Whitener, loudness, whiteners
+from stepdiag_ros.estimate.triangular import forward
 from stepdiag_ros.gap.preprocess.observe import Observation
 from stepdiag_ros.model.log import STOOD
 
@@ -86,8 +87,7 @@ class Parity:
             # A run's rows lie side by side in every column: gathered so, they are read in order.
             part = flat[:, white.rows].T
             there = np.flatnonzero(part.any(axis=0))
-            yield rows, there, linalg.solve_triangular(
-                white.factor, part[:, there], lower=True, overwrite_b=True, check_finite=False)
+            yield rows, there, forward(white.factor, part[:, there])
 
     def absorbed(self, white: np.ndarray, rows: slice = slice(None)) -> np.ndarray:
         """Coordinates (r, k) of white columns, zero but in ``rows``, in what the fit can imitate."""
