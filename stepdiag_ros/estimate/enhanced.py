@@ -52,6 +52,8 @@ FRAME_SLOPES = ('EYX', 'EZX', 'EZY')
 MAX_ITERATIONS = 100
 SETTLED = 1e-8
 """The iteration ends where a step promises less than this fall of the objective (χ² units)."""
+SHARE = 1e-6
+"""… times this share of the objective, where that is more than one …"""
 STALLED, STALLED_OVER = 1e-3, 6
 """… or where that many steps together made it fall by less than this: a hundredth of a σ is left …"""
 MOST_DAMPING = 1e12
@@ -150,12 +152,13 @@ def start(parameters: Parameters, model: ForwardModel, table: StopTable,
 
 def fit(description: Description, table: StopTable, noise: NoiseModel | None = None,
         readings: np.ndarray | None = None, theta: np.ndarray | None = None,
-        parameters: Parameters | None = None, settled: float = SETTLED,
+        parameters: Parameters | None = None, settled: float = SETTLED, share: float = SHARE,
         linear_laser: float = PRIOR_LASER_RAD, centre: np.ndarray | None = None) -> Fit:
     """Solve for all unknowns of the stops in ``table``.
 
     ``noise`` is estimated from the table when not given; ``readings`` replaces the table's own
-    (n, beams + 2); ``theta`` starts the iteration, ``settled`` [χ²] ends it.  ``linear_laser`` [rad]: how
+    (n, beams + 2); ``theta`` starts the iteration, ``settled`` [χ²] ends it, in units of
+    a ``share`` of χ² where that is more than one.  ``linear_laser`` [rad]: how
     well the beams of the linear setups are known to lie along their axes (their cosine error).  ``centre``
     (size,): what the priors hold to, an ideal machine when not given.
     """
@@ -190,7 +193,7 @@ def fit(description: Description, table: StopTable, noise: NoiseModel | None = N
     while iterations < MAX_ITERATIONS:
         iterations += 1
         steps.at(jacobian, np.where(present, readings - predicted, 0.0).ravel(), precision @ (theta - centre))
-        unit = max(1.0, 1e-6 * value)
+        unit = max(1.0, share * value)
         while True:
             step, promised = steps.step(damping)
             trial = theta + step

@@ -25,8 +25,9 @@ from stepdiag_ros.estimate.sanity import check_readings
 from stepdiag_ros.estimate.status import chi2_limit
 from stepdiag_ros.model.description import Description
 
-ENOUGH = 10.0
-"""Fall of χ² [1] below which a fit is not worth a further step: what is looked for makes it fall by thousands."""
+ENOUGH, SHARE = 10.0, 1e-3
+"""Fall of χ² [1], or in shares of it, below which a fit is not worth a further step: what is looked for makes it fall
+tenfold, and a model that is wrong creeps along its valleys for a hundred steps."""
 FALLS = 10.0
 """How many times χ² must fall …"""
 ALONE = 3.0
@@ -68,16 +69,17 @@ def check_fit(description: Description, table: StopTable, result: Fit) -> list[F
     if result.dof < 1 or result.chi2 <= chi2_limit(result) * result.dof:
         return []
     part, noise = _part(table, result.noise)
-    bad, limit = _reduced(description, part, noise), chi2_limit(result)
-    if bad is None or bad <= limit:
+    begin, limit = _fitted(description, part, noise), chi2_limit(result)
+    bad = _reduced(begin)
+    if begin is None or bad <= limit:
         return []   # what shows only between directions or repeats is no mistake of this kind
     tried: list[tuple[float, Finding]] = []
     if np.isfinite(part.spot).all(axis=1).sum() >= 4:
         for name, back, words, change in SPOTS:
-            reduced = _reduced(description, replace(part, spot=part.spot @ np.array(back, float).T), noise)
-            if reduced is not None:
+            reduced = _reduced(_fitted(description, replace(part, spot=part.spot @ np.array(back, float).T), noise))
+            if np.isfinite(reduced):
                 tried.append((reduced, Finding(name, _sentence('psd/spot', words, bad, reduced), change)))
-    tried += _standoffs(description, part, noise, bad)
+    tried += _standoffs(description, part, begin)
     tried.sort(key=lambda entry: entry[0])
     if not tried or tried[0][0] > min(limit, bad / FALLS):
         return []
@@ -100,19 +102,25 @@ def _part(table: StopTable, noise: NoiseModel) -> tuple[StopTable, NoiseModel]:
     return table.select(rows), replace(noise, sensor=noise.sensor[rows])
 
 
-def _reduced(description: Description, table: StopTable, noise: NoiseModel) -> float | None:
-    """Reduced χ² of a fit; None where there is none."""
+def _fitted(description: Description, table: StopTable, noise: NoiseModel) -> Fit | None:
+    """A fit, near enough for a decision; None where there is none."""
     try:
-        result = fit(description, table, noise, settled=ENOUGH)
+        return fit(description, table, noise, settled=ENOUGH, share=SHARE)
     except (StepdiagError, ValueError, FloatingPointError, np.linalg.LinAlgError):
         return None
-    return result.chi2 / result.dof if result.dof > 0 and np.isfinite(result.chi2) else None
 
 
-def _standoffs(description: Description, table: StopTable, noise: NoiseModel,
-               bad: float) -> list[tuple[float, Finding]]:
-    """Reduced χ² with the one standoff put right that makes it fall most, and its finding; empty without any."""
-    result, best = fit(description, table, noise, settled=ENOUGH), None
+def _reduced(result: Fit | None) -> float:
+    """Reduced χ² of a fit; infinite where there is none."""
+    return result.chi2 / result.dof if result and result.dof > 0 and np.isfinite(result.chi2) else np.inf
+
+
+def _standoffs(description: Description, table: StopTable, result: Fit) -> list[tuple[float, Finding]]:
+    """Reduced χ² with the one standoff put right that makes it fall most, and its finding; empty without any.
+
+    ``result``: the fit before.
+    """
+    best, bad = None, _reduced(result)
     for setup in result.parameters.setups:
         if description.setups[setup].follows:
             continue
@@ -131,10 +139,10 @@ def _standoffs(description: Description, table: StopTable, noise: NoiseModel,
             return []
         changed = replace(description, setups={**description.setups,
                                                name: replace(description.setups[name], standoff=value)})
-        result = fit(changed, table, noise, settled=ENOUGH)
+        result = fit(changed, table, result.noise, theta=result.theta, settled=ENOUGH, share=SHARE)
     if abs(value - known) < max(LEAST_M, CERTAIN * sigma) or result.dof < 1:
         return []
-    reduced = result.chi2 / result.dof
+    reduced = _reduced(result)
     what = f'the readings contradict setups.{name}.standoff'
     words = f'they fit {value:.3f} ± {2.0 * sigma:.2g} m (k = 2), the cell says {known:g} m'
     return [(reduced, Finding('standoff', _sentence(what, words, bad, reduced),
