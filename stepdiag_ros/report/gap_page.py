@@ -254,7 +254,7 @@ def _pictures(diagnosis: Diagnosis) -> str:
             gap_figures.along_stops(parts, stops, True),
             f'Points: the machine, after its 21 errors and the misalignments have been taken off. Line: the '
             f'simulator with {who}. Length, and the two coordinates of the light spot, at each stop of '
-            'each setup, all runs.', 1)
+            'each setup, all runs.')
         caption = 'Log minus simulator, without and with what was found.'
     else:
         caption = 'Log minus simulator. Where nothing is wrong the points fill the band of the noise evenly.'
@@ -262,7 +262,7 @@ def _pictures(diagnosis: Diagnosis) -> str:
             + figure(gap_figures.along_stops(parts, stops, False), caption, 2)
             + '<h3>Residuals over time</h3>'
             + figure(gap_figures.over_time(parts, stops),
-                     'The same, in the order in which it was measured.', 3) + _inside(diagnosis) + _swings(diagnosis))
+                     'The same, in the order in which it was measured.') + _inside(diagnosis) + _swings(diagnosis))
 
 
 def _again(diagnosis: Diagnosis, parts: Series | None) -> str:
@@ -274,9 +274,9 @@ def _again(diagnosis: Diagnosis, parts: Series | None) -> str:
             'with the errors, misalignments and effects of its file.</p>'
             + figure(gap_figures.along_stops(parts, stops, True),
                      'Points: the machine, less the simulator without its effects. Line: what the simulator\'s '
-                     'effects do.', 7)
+                     'effects do.')
             + figure(gap_figures.along_stops(parts, stops, False),
-                     'Log minus simulator: before, without effects, as it was fitted; after, as it was adopted.', 8))
+                     'Log minus simulator: before, without effects, as it was fitted; after, as it was adopted.'))
 
 
 def _inside(diagnosis: Diagnosis) -> str:
@@ -287,7 +287,7 @@ def _inside(diagnosis: Diagnosis) -> str:
     return '<h3>While the machine stands still</h3>' + figure(
         gap_figures.inside_stops(inside(diagnosis), diagnosis.nominal.table),
         'How the reading moves from the beginning of a stop to its end. Points: the machine; line: the '
-        'simulator with what was found.', 5)
+        'simulator with what was found.')
 
 
 def _swings(diagnosis: Diagnosis) -> str:
@@ -296,7 +296,7 @@ def _swings(diagnosis: Diagnosis) -> str:
     return '' if not found else '<h3>What swings while the machine stands still</h3>' + figure(
         gap_figures.spectra(found),
         'What keeps its phase through a run, all runs together. The marked line is the swing; those beside it, at the '
-        'pace of the stops, are its shadows.', 6)
+        'pace of the stops, are its shadows.')
 
 
 def _errors(diagnosis: Diagnosis) -> str:
@@ -304,7 +304,7 @@ def _errors(diagnosis: Diagnosis) -> str:
     if not diagnosis.joint.active:
         return text + ('<p>There is nothing to take out: these are the errors of the machine, with bands of '
                        'k = 2.</p>') + figure(gap_figures.errors_before_after(diagnosis.plain, None),
-                                              'The 18 error curves and the three squareness errors.', 4)
+                                              'The 18 error curves and the three squareness errors.')
     freed = diagnosis.solution
     moved = [row for row in gap_words.changes(diagnosis.plain, freed) if row[2] > 2.0]
     if moved:
@@ -320,7 +320,7 @@ def _errors(diagnosis: Diagnosis) -> str:
                  'out: a plain evaluation of this log was not misled.</p>')
     text += f'<p>{escape(gap_words.volume_words(diagnosis.volume_change))}</p>'
     return text + figure(gap_figures.errors_before_after(diagnosis.plain, freed),
-                         'The 18 error curves and the three squareness errors, bands k = 2.', 4)
+                         'The 18 error curves and the three squareness errors, bands k = 2.')
 
 
 # ---- the end --------------------------------------------------------------------------------------

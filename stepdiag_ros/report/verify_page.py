@@ -10,7 +10,7 @@ from stepdiag_ros.compensate.verified import CONFORMS, FAILS, UNDECIDED, VOLUMET
 from stepdiag_ros.estimate.solution import Solution
 from stepdiag_ros.report.compensation_figure import draw_planes
 from stepdiag_ros.report.figures import draw_calibration
-from stepdiag_ros.report.gap_figures import STYLE, svg
+from stepdiag_ros.report.plots import STYLE, svg
 from stepdiag_ros.report.page import figure, page, table
 
 BADGE = {CONFORMS: 'good', UNDECIDED: 'warn', FAILS: 'bad'}
