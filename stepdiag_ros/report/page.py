@@ -51,7 +51,16 @@ details{margin:8px 0}summary{cursor:pointer;color:var(--after)}
 code{font:13px ui-monospace,Menlo,Consolas,monospace}
 footer{margin-top:40px;padding-top:12px;border-top:1px solid var(--rule);color:var(--soft);font-size:12.5px}
 footer p{max-width:80em}
-@media (max-width:900px){main{padding:20px}.cols{grid-template-columns:1fr}}
+.first{display:grid;grid-template-columns:max-content minmax(0,1fr);gap:2px 16px;margin:10px 0;max-width:62em}
+.first dt{color:var(--soft)}.first dd{margin:0}
+.narrow{display:none}
+@media (max-width:900px){main{padding:20px}.cols{grid-template-columns:minmax(0,1fr);gap:12px}}
+@media (max-width:600px){main{padding:16px}h1{font-size:20px}h2{margin-top:26px}.first{grid-template-columns:1fr;gap:0}
+.first dd{margin-bottom:6px}.broad{display:none}.narrow{display:block}.heat th,.heat td{white-space:nowrap}
+.bars,.sides .bars{grid-template-columns:1fr max-content}.bars>span:nth-child(3n+1){grid-column:1/-1;margin-top:3px}
+.causes thead{display:none}.causes>tbody>tr>td{display:block;border:0;padding:3px 0}
+.causes>tbody>tr{display:block;border-bottom:1px solid var(--rule);padding:6px 0}
+.causes>tbody>tr>td:last-child::before{content:"What to do: ";color:var(--soft)}.nums td{white-space:normal}}
 @media print{body{background:#fff}main{box-shadow:none;max-width:none;padding:0}
 h2{break-after:avoid}figure,tr{break-inside:avoid}}
 """
