@@ -17,8 +17,8 @@ from stepdiag_ros.model.machine import AXES, CURVES, SQUARENESS
 from stepdiag_ros.model.sensor import Misalignment
 from stepdiag_ros.report.closure_section import closure_section
 from stepdiag_ros.report.figures import draw_calibration
-from stepdiag_ros.report.plots import AFTER, STYLE, svg
 from stepdiag_ros.report.page import figure, page, table
+from stepdiag_ros.report.plots import AFTER, STYLE, svg
 from stepdiag_ros.report.words import CHANNEL_NAMES, plain, quantity, setup_words
 
 GOOD, DOUBTFUL = 1.15, 1.5

@@ -266,9 +266,10 @@ def over_setups_words(diagnosis: Diagnosis) -> str:
         return ''
     if not diagnosis.joint.active:
         return (f'Where whole setups are held out, each predicted from the others, they differ by '
-                f'{micrometres(over.before_m)}; {_expected(over.gap)}.')
+                f'{micrometres(over.before_m)} (noise alone: {micrometres(over.floor_m)}; no other setup tells how a '
+                'setup\'s own laser and mirror are mounted).')
     return (f'Where whole setups are held out, each predicted from the others, the gap falls from '
-            f'{micrometres(over.before_m)} to {micrometres(over.after_m)}; {_expected(over.gap)}.')
+            f'{micrometres(over.before_m)} to {micrometres(over.after_m)} (noise alone: {micrometres(over.floor_m)}).')
 
 
 def _expected(gap: Distance) -> str:
