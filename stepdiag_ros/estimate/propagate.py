@@ -17,7 +17,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import linalg, sparse, stats
+from scipy import linalg, sparse, special
 
 from stepdiag_ros.estimate.columns import STOPWISE, Setting, arrival_columns, systematic, turn_columns
 from stepdiag_ros.estimate.conditions import ANY_SCALE, UNREFERRED, Conditions
@@ -206,8 +206,8 @@ def coverage_factor(dof: np.ndarray, probability: float = 0.9545) -> np.ndarray:
     """k of a two-sided interval; 2 for infinite degrees of freedom."""
     dof = np.asarray(dof, float)
     finite = np.isfinite(dof)
-    return np.where(finite, stats.t.ppf(0.5 + probability / 2.0, np.where(finite, dof, 1e9)),
-                    stats.norm.ppf(0.5 + probability / 2.0))
+    return np.where(finite, special.stdtrit(np.where(finite, dof, 1e9), 0.5 + probability / 2.0),
+                    special.ndtri(0.5 + probability / 2.0))
 
 
 def error_slopes(cause: Cause, solution: Solution) -> np.ndarray:

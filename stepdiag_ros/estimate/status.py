@@ -11,7 +11,7 @@ which :data:`HEAVY_TAILS` allows.  Noise that is only believed may be wrong by a
 """
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from stepdiag_ros.estimate.enhanced import Fit
 from stepdiag_ros.estimate.reduce import StopTable
@@ -32,8 +32,8 @@ def chi2_limit(result: Fit) -> float:
         return np.inf
     known = max(result.noise.dof) if result.noise.source == 'repeats' else 0
     if known < 1:
-        return float(HEAVY_TAILS * BELIEF**2 * stats.chi2.isf(FALSE_ALARM, result.dof) / result.dof)
-    return float(HEAVY_TAILS * stats.f.isf(FALSE_ALARM, result.dof, known))
+        return float(HEAVY_TAILS * BELIEF**2 * special.chdtri(result.dof, FALSE_ALARM) / result.dof)
+    return float(HEAVY_TAILS * special.fdtri(result.dof, known, 1.0 - FALSE_ALARM))
 
 
 def reasons(result: Fit, table: StopTable) -> list[str]:

@@ -86,7 +86,7 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
         unmodelled = _without_pattern(joint, how_far, bool(found))
     if unmodelled and UNKNOWN not in best.key and not untimed:
         outside[UNKNOWN] = BEYOND_PATTERNS
-    if found and not unmodelled and (how_far.left > LEAST_LEFT and how_far.after > 1.0
+    if found and not unmodelled and (how_far.left > LEAST_LEFT and how_far.beyond_chance
                                      or how_far.after > LARGE_RESIDUAL**2):
         unmodelled = (f'{100.0 * how_far.left:.2g} % of the gap does not follow the forms known of what was named '
                     f'({np.sqrt(how_far.after):.2g} times the noise is left)')

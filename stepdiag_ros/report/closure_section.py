@@ -9,9 +9,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from stepdiag_ros.estimate.closure import Closure, said
-from stepdiag_ros.report.gap_figures import AFTER, BEFORE, STYLE, svg
 from stepdiag_ros.report.legends import legend_outside
 from stepdiag_ros.report.page import figure, table
+from stepdiag_ros.report.plots import AFTER, BEFORE, STYLE, svg
 from stepdiag_ros.report.words import plain, quantity
 
 

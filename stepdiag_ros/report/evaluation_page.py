@@ -17,9 +17,9 @@ from stepdiag_ros.model.machine import AXES, CURVES, SQUARENESS
 from stepdiag_ros.model.sensor import Misalignment
 from stepdiag_ros.report.closure_section import closure_section
 from stepdiag_ros.report.figures import draw_calibration
-from stepdiag_ros.report.gap_figures import AFTER, CHANNEL_NAMES, STYLE, svg
 from stepdiag_ros.report.page import figure, page, table
-from stepdiag_ros.report.words import plain, quantity, setup_words
+from stepdiag_ros.report.plots import AFTER, STYLE, svg
+from stepdiag_ros.report.words import CHANNEL_NAMES, plain, quantity, setup_words
 
 GOOD, DOUBTFUL = 1.15, 1.5
 """Reduced χ² up to which a log agrees with the model, and from which it clearly does not."""

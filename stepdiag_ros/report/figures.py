@@ -10,8 +10,9 @@ from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate.gauge import to_reference_lines
 from stepdiag_ros.estimate.solution import Solution
 from stepdiag_ros.model.machine import CURVES, SQUARENESS, GeometricErrors
-from stepdiag_ros.report.gap_figures import AFTER, INK, SOFT, STYLE, K
 from stepdiag_ros.report.legends import legend_outside
+from stepdiag_ros.report.plots import AFTER, INK, SOFT, STYLE
+from stepdiag_ros.report.words import K
 
 MOTIONS = {'X': 'along X', 'Y': 'along Y', 'Z': 'along Z', 'A': 'turn about X', 'B': 'turn about Y',
            'C': 'turn about Z'}

@@ -1,54 +1,31 @@
-"""The pictures of a diagnosis, as SVG text that needs nothing from outside."""
+"""The pictures of a diagnosis, as HTML with SVG that needs nothing from outside."""
 
-import io
-import re
 from collections.abc import Mapping, Sequence
 
-import matplotlib
 import numpy as np
-from matplotlib.figure import Figure
 
 from stepdiag_ros.estimate.reduce import StopTable
 from stepdiag_ros.estimate.solution import Solution
 from stepdiag_ros.gap.noise.coherent_lines import Spectrum
 from stepdiag_ros.model.description import Setup
 from stepdiag_ros.model.machine import CURVES, SQUARENESS
-from stepdiag_ros.report.legends import legend_outside
+from stepdiag_ros.report.panels import DOT, LEFT, RIGHT, Panel, legend, picture, side_by_side, span, wide
 from stepdiag_ros.report.series import Inside, Series
-from stepdiag_ros.report.words import setup_words
+from stepdiag_ros.report.words import CHANNEL_NAMES, K, quantity, setup_words
 
-INK, SOFT, GRID = '#22282e', '#6b747c', '#e4e7ea'
-BEFORE, AFTER, NOISE, REAL = '#c2572f', '#17688a', '#dfe5e9', '#22282e'
-STYLE = {'font.family': 'sans-serif', 'font.size': 8.5, 'text.color': INK, 'axes.edgecolor': '#aab2b8',
-         'axes.labelcolor': SOFT, 'xtick.color': SOFT, 'ytick.color': SOFT, 'axes.linewidth': 0.7,
-         'axes.spines.top': False, 'axes.spines.right': False, 'axes.grid': True, 'grid.color': GRID,
-         'grid.linewidth': 0.6, 'axes.axisbelow': True, 'svg.hashsalt': 'stepdiag', 'svg.fonttype': 'path',
-         'axes.titlesize': 9, 'axes.titleweight': 'bold', 'axes.titlelocation': 'left',
-         'xtick.major.size': 2.5, 'ytick.major.size': 2.5, 'legend.frameon': False}
-CHANNEL_NAMES = ('length', 'spot x', 'spot y')
-K = 2.0
 MEAN_OF = 8
 UNKNOWN_SIGMA = 3e-4
 """A standard deviation [m, rad] near the prior that a curve is held to: the log does not tell it."""
 ASTRAY = 6.0
 """A curve this much wider than the right one is let out of its panel."""
-
-
-def svg(figure: Figure) -> str:
-    """A figure as an ``<svg>`` element."""
-    buffer = io.StringIO()
-    figure.savefig(buffer, format='svg', metadata={'Date': None, 'Creator': None}, transparent=True)
-    text = re.sub(r'<metadata>.*?</metadata>', '', buffer.getvalue(), flags=re.S)
-    return re.sub(r' (width|height)="[\d.]+pt"', '', text[text.index('<svg'):], count=2)
-
-
-def styled(draw):
-    """A drawing function under the pages' style, back as SVG text."""
-    def drawn(*args, **kwargs) -> str:
-        with matplotlib.rc_context(STYLE):
-            return svg(draw(*args, **kwargs))
-    drawn.__doc__ = draw.__doc__
-    return drawn
+WIDTH, LEAST_WIDTH = 1092.0, 940.0
+"""Width of a picture over the whole page, and that below which it scrolls [px]."""
+MARGIN, GAP, EDGE = 62.0, 13.0, 6.0
+"""Room left of a picture for the numbers, between panels, at the right edge [px]."""
+FEWEST = 9
+"""A setup of fewer stops is drawn as wide as one of so many."""
+LETTER = 6.2
+"""Width of a letter [px]."""
 
 
 def _scale(values: np.ndarray) -> tuple[float, str]:
@@ -56,58 +33,48 @@ def _scale(values: np.ndarray) -> tuple[float, str]:
     return (1e3, 'mm') if size > 2e-3 else (1e6, 'µm') if size > 2e-7 else (1e9, 'nm')
 
 
-@styled
-def along_stops(parts: Series, table: StopTable, overlay: bool) -> Figure:
+def along_stops(parts: Series, table: StopTable, overlay: bool) -> str:
     """Panels channel × setup over the stop's number, forward ▸ and backward ◂.
 
     ``overlay``: log and simulator over each other, causes left in; else the residuals before and after.
     """
-    names = table.setup_names
-    # Where nothing was added there is no before and after.
-    alone = not overlay and np.array_equal(parts.before, parts.after, equal_nan=True)
+    names, present, alone = table.setup_names, _present(parts), not overlay and _unchanged(parts)
+    shown = (parts.real, parts.simulated) if overlay else (parts.before, parts.after)
     counts = [int(table.index[table.setup == s].max()) + 1 for s in range(len(names))]
-    present = _present(parts)
-    figure = Figure(figsize=(11.5, 0.8 + 1.6 * len(present)), layout='constrained')
-    axes = figure.subplots(len(present), len(names), sharey='row', squeeze=False,
-                           gridspec_kw={'width_ratios': [max(c, 9) for c in counts]})
+    wanted = np.array([max(count, FEWEST) for count in counts], dtype=float)
+    width = max(WIDTH, MARGIN + 60.0 * len(names))
+    widths = wanted * ((width - MARGIN - EDGE - GAP * (len(names) - 1)) / wanted.sum())
+    lefts = MARGIN + np.concatenate([[0.0], np.cumsum(widths + GAP)[:-1]])
+    panels = []
     for place, row in enumerate(present):
-        channel = CHANNEL_NAMES[row]
-        shown = (parts.real, parts.simulated) if overlay else (parts.before, parts.after)
         factor, unit = _scale(np.stack(shown)[:, :, row])
-        for s in range(len(names)):
-            ax = axes[place, s]
-            mine = table.setup == s
+        noise = [] if overlay else [K * factor * parts.sigma[:, row], -K * factor * parts.sigma[:, row]]
+        y = span(*(factor * part[:, row] for part in shown), *noise)
+        for s, count in enumerate(counts):
+            spare = max(FEWEST - count, 0) / 8.0
+            panel = Panel(lefts[s], 20.0 + 118.0 * place, widths[s], 104.0, (-0.6 - spare, count - 0.4 + spare), y)
+            panel.frame(names[s] if place == 0 else '', '' if row != present[-1] else 'stop',
+                        f'{CHANNEL_NAMES[row]} [{unit}]' if s == 0 else '',
+                        ('x' if row == present[-1] else '') + ('y' if s == 0 else ''), most=min(count, 6),
+                        counted=(0.0, max(count - 1.0, 0.5)))
+            mine = np.flatnonzero(table.setup == s)
+            mine = mine[np.lexsort((table.index[mine], table.direction[mine], table.repeat[mine], table.run[mine]))]
             if not overlay:
-                _noise_band(ax, table.index[mine], parts.sigma[mine, row] * K * factor)
-            for run in np.unique(table.run[mine]):
-                for repeat, way in sorted({(int(r), int(d)) for r, d in zip(
-                        table.repeat[table.run == run], table.direction[table.run == run], strict=True)}):
-                    rows = np.flatnonzero((table.run == run) & (table.repeat == repeat)
-                                          & (table.direction == way))
-                    _panel_lines(ax, table.index[rows], [part[rows, row] * factor for part in shown],
-                                 way, overlay, alone)
-            ax.tick_params(labelsize=7)
-            if counts[s] < 9:
-                ax.set_xticks(range(0, counts[s], max(1, counts[s] - 1)))
-                ax.set_xlim(-0.4 - (9 - counts[s]) / 8, counts[s] - 0.6 + (9 - counts[s]) / 8)
-            if place == 0:
-                ax.set_title(names[s], fontsize=8.5)
-            if row == present[-1]:
-                ax.set_xlabel('stop' if counts[s] >= 9 else '', fontsize=7.5)
-        axes[place, 0].set_ylabel(f'{channel}  [{unit}]')
+                _noise_band(panel, table.index[mine], parts.sigma[mine, row] * K * factor)
+            _stops(panel, table, mine, [factor * part[mine, row] for part in shown], overlay, alone)
+            panels.append(panel)
+    height = 20.0 + 118.0 * len(present) + 16.0
     if overlay:
-        handles = [_mark(REAL, 'o'), _line(AFTER)]
-        labels = ['machine (log, rigid-body machine taken off)', 'simulator with what was found']
+        said = [(DOT, 'real', 'machine (log, rigid-body machine taken off)'),
+                ('line', 'after', 'simulator with what was found')]
     elif alone:
-        handles = [_mark(AFTER, '>'), _mark(AFTER, '<'), matplotlib.patches.Patch(color=NOISE)]
-        labels = ['forward', 'backward', 'noise, ± 2σ']
+        said = [(RIGHT, 'after', 'forward'), (LEFT, 'after', 'backward'), ('band', 'noise', 'noise, ± 2σ')]
     else:
-        handles = [_mark(BEFORE, '>'), _mark(BEFORE, '<'), _mark(AFTER, 'o'),
-                   matplotlib.patches.Patch(color=NOISE)]
-        labels = ['before, forward', 'before, backward', 'after (what was found is in the simulator)',
-                  'noise, ± 2σ']
-    legend_outside(figure, handles, labels, 'upper left', ncols=4, fontsize=8.5)
-    return figure
+        said = [(RIGHT, 'before', 'before, forward'), (LEFT, 'before', 'before, backward'),
+                (DOT, 'after', 'after (what was found is in the simulator)'), ('band', 'noise', 'noise, ± 2σ')]
+    what = 'Machine and simulator' if overlay else 'Residuals'
+    label = f'{what} at each stop: {", ".join(CHANNEL_NAMES[row] for row in present)} in {", ".join(names)}'
+    return legend(said) + wide(picture(panels, width, height, label), max(LEAST_WIDTH, width - WIDTH + LEAST_WIDTH))
 
 
 def _present(parts: Series) -> list[int]:
@@ -115,73 +82,81 @@ def _present(parts: Series) -> list[int]:
     return [c for c in range(3) if np.isfinite(parts.before[:, c]).any()]
 
 
-def _mark(colour: str, shape: str):
-    return matplotlib.lines.Line2D([], [], color=colour, marker=shape, linestyle='', markersize=4)
+def _unchanged(parts: Series) -> bool:
+    """Whether nothing was added, so that there is no before and after."""
+    return np.array_equal(parts.before, parts.after, equal_nan=True)
 
 
-def _line(colour: str):
-    return matplotlib.lines.Line2D([], [], color=colour, linewidth=1.6)
-
-
-def _noise_band(ax, stop: np.ndarray, half: np.ndarray) -> None:
+def _noise_band(panel: Panel, stop: np.ndarray, half: np.ndarray) -> None:
     """The noise at each stop: the spot's grows with the distance."""
-    places = np.unique(stop[np.isfinite(half)])
+    known = np.isfinite(half)
+    places, of = np.unique(stop[known], return_inverse=True)
     if not len(places):
         return
-    size = np.array([np.nanmean(half[stop == p]) for p in places])
-    if len(places) == 1:
-        places, size = places[0] + np.array([-0.5, 0.5]), np.repeat(size, 2)
-    ax.fill_between(places, -size, size, color=NOISE, linewidth=0, zorder=0.5)
+    size = np.bincount(of, half[known]) / np.bincount(of)
+    places = np.concatenate([[places[0] - 0.4], places, [places[-1] + 0.4]])
+    size = np.concatenate([size[:1], size, size[-1:]])
+    panel.band(places, -size, size, 'noise')
 
 
-def _panel_lines(ax, stop: np.ndarray, values: list[np.ndarray], way: int, overlay: bool,
-                 alone: bool) -> None:
-    order = np.argsort(stop)
-    stop, (first, second) = stop[order], [v[order] for v in values]
+def _stops(panel: Panel, table: StopTable, rows: np.ndarray, values: list[np.ndarray], overlay: bool,
+           alone: bool) -> None:
+    """The readings of a setup's stops, sorted by run, repeat and direction."""
+    stop, way, (first, second) = table.index[rows], table.direction[rows], values
+    passes = 4 * table.run[rows] + way + 4 * (int(table.run.max()) + 1) * table.repeat[rows]
     if overlay:
-        ax.plot(stop, first, 'o', color=REAL, markersize=1.7, alpha=0.75, markeredgewidth=0)
-        ax.plot(stop, second, '-', color=AFTER, linewidth=1.0, alpha=0.9)
-    elif alone:
-        ax.plot(stop, second, '>' if way > 0 else '<', color=AFTER, markersize=2.4, alpha=0.9, markeredgewidth=0)
-    else:
-        ax.plot(stop, first, '-', color=BEFORE, linewidth=0.5, alpha=0.45)
-        ax.plot(stop, first, '>' if way > 0 else '<', color=BEFORE, markersize=2.2, alpha=0.85,
-                markeredgewidth=0)
-        ax.plot(stop, second, 'o', color=AFTER, markersize=1.6, alpha=0.85, markeredgewidth=0)
+        panel.points(stop, first, 'real', 2.2)
+        panel.line(stop, second, 'after', 1.1, passes)
+        return
+    if not alone:
+        panel.line(stop, first, 'before faint', 0.6, passes)
+    for shape, mine in ((RIGHT, way > 0), (LEFT, way <= 0)):
+        panel.points(stop[mine], (second if alone else first)[mine], 'after' if alone else 'before', shape=shape)
+    if not alone:
+        panel.points(stop, second, 'after', 2.2)
 
 
-@styled
-def over_time(parts: Series, table: StopTable) -> Figure:
+def over_time(parts: Series, table: StopTable) -> str:
     """Residuals before and after over the log's time; setups marked."""
-    present = _present(parts)
-    figure = Figure(figsize=(11.5, 0.6 + 1.2 * len(present)), layout='constrained')
-    axes = figure.subplots(len(present), 1, sharex=True, squeeze=False)[:, 0]
+    present, alone, panels = _present(parts), _unchanged(parts), []
     minutes = _pauses_cut(table.time_s) / 60.0
-    for ax, row in zip(axes, present, strict=True):
-        channel = CHANNEL_NAMES[row]
+    firsts = sorted(int(np.flatnonzero(table.setup == s)[0]) for s in np.unique(table.setup))
+    for place, row in enumerate(present):
         factor, unit = _scale(np.stack([parts.before[:, row], parts.after[:, row]]))
-        known = parts.sigma[np.isfinite(parts.sigma[:, row]), row]
-        if len(known):
-            noise = K * float(known.mean()) * factor
-            ax.axhspan(-noise, noise, color=NOISE, linewidth=0, zorder=0.5)
-        ax.plot(minutes, parts.before[:, row] * factor, '.', color=BEFORE, markersize=3.2, markeredgewidth=0,
-                label='before')
-        ax.plot(minutes, parts.after[:, row] * factor, '.', color=AFTER, markersize=3.2, markeredgewidth=0,
-                label='after')
-        ax.set_ylabel(f'{channel}  [{unit}]')
-        ax.grid(axis='x', visible=False)
-        for s in np.unique(table.setup):
-            first = int(np.flatnonzero(table.setup == s)[0])
-            begin = minutes[first]
-            ax.axvline(begin, color='#c4cbd0', linewidth=0.7)
-            if row == present[0]:
-                said = f' {table.setup_names[s]}'
-                if np.ptp(minutes[table.setup == s]) > 0.09 * np.ptp(minutes):
-                    said += f', after {table.time_s[first] / 60:.0f} min'
-                ax.annotate(said, (begin, 1.0), xycoords=('data', 'axes fraction'), fontsize=7.5,
-                            color=SOFT, va='bottom')
-    axes[-1].set_xlabel('time of measuring  [min]; pauses are cut short, above: when each setup began')
-    return figure
+        before, after = parts.before[:, row] * factor, parts.after[:, row] * factor
+        noise = K * factor * parts.sigma[np.isfinite(parts.sigma[:, row]), row]
+        noise = float(noise.mean()) if len(noise) else 0.0
+        panel = Panel(MARGIN, 20.0 + 98.0 * place, WIDTH - MARGIN - EDGE, 84.0, span(minutes, room=0.02),
+                      span(before, after, np.array([noise, -noise])))
+        last = place == len(present) - 1
+        panel.frame('', 'time of measuring [min]; pauses are cut short, above: when each setup began' if last else '',
+                    f'{CHANNEL_NAMES[row]} [{unit}]', 'xy' if last else 'y', most=12)
+        panel.band(np.array(panel.x), np.full(2, -noise), np.full(2, noise), 'noise')
+        for first in firsts:
+            panel.upright(minutes[first])
+        if place == 0:
+            _begins(panel, table, firsts, minutes)
+        if not alone:
+            panel.points(minutes, before, 'before', 2.6)
+        panel.points(minutes, after, 'after', 2.6)
+        panels.append(panel)
+    said = [] if alone else [(DOT, 'before', 'before'), (DOT, 'after', 'after (what was found is in the simulator)')]
+    label = f'Residuals over time: {", ".join(CHANNEL_NAMES[row] for row in present)}'
+    return legend([*said, ('band', 'noise', 'noise, ± 2σ (mean)')]) + wide(
+        picture(panels, WIDTH, 20.0 + 98.0 * len(present) + 16.0, label), LEAST_WIDTH)
+
+
+def _begins(panel: Panel, table: StopTable, firsts: list[int], minutes: np.ndarray) -> None:
+    """When each setup began, said above as far as there is room."""
+    places = [*(float(panel.across(minutes[first])) for first in firsts), panel.width + EDGE]
+    free = 0.0
+    for first, at, end in zip(firsts, places, places[1:], strict=False):
+        name = table.setup_names[table.setup[first]]
+        for said in (f'{name}, after {table.time_s[first] / 60:.0f} min', name):
+            if at >= free and (LETTER * len(said) < end - at or said == name):
+                panel.say(at + 2.0, -6.0, said, 'ink')
+                free = at + LETTER * len(said)
+                break
 
 
 def _pauses_cut(time_s: np.ndarray) -> np.ndarray:
@@ -194,8 +169,7 @@ def _pauses_cut(time_s: np.ndarray) -> np.ndarray:
     return cut
 
 
-@styled
-def inside_stops(parts: Inside, table: StopTable) -> Figure:
+def inside_stops(parts: Inside, table: StopTable) -> str:
     """How readings move while the machine stands still: mean profile by axis moved where that shows what was
     found, else the rate over the log; the channels in which it shows."""
     size = np.abs(np.nan_to_num(parts.simulated_profile)).max(axis=(0, 1))
@@ -205,55 +179,60 @@ def inside_stops(parts: Inside, table: StopTable) -> Figure:
     return _rates(parts, table)
 
 
-@styled
-def spectra(found: Mapping[int, Spectrum]) -> Figure:
+def spectra(found: Mapping[int, Spectrum]) -> str:
     """Power over that of most frequencies in the dwells of a channel each; the line that stands out is marked."""
-    figure = Figure(figsize=(11.5, 0.4 + 2.0 * len(found)), layout='constrained')
-    for ax, (channel, one) in zip(figure.subplots(len(found), 1, squeeze=False)[:, 0], found.items(), strict=True):
+    panels = []
+    for place, (channel, one) in enumerate(found.items()):
         power, k = one.over_median, one.strongest
-        ax.axhspan(0.0, 1.0, color=NOISE, linewidth=0, zorder=0.5)
-        ax.plot(one.hertz, power, '-', color=AFTER, linewidth=0.8)
-        ax.annotate(f'{one.hertz[k]:.3g} Hz', (one.hertz[k], power[k]), xytext=(4, -6), textcoords='offset points',
-                    color=INK)
-        ax.set(xlim=(0.0, float(one.hertz[-1])), xlabel='frequency as sampled  [Hz]',
-               ylabel=f'{CHANNEL_NAMES[channel]}  [power / median]')
-        ax.set_ylim(0.0, 1.1 * float(power.max()))
-    return figure
+        panel = Panel(MARGIN, 10.0 + 160.0 * place, WIDTH - MARGIN - EDGE, 118.0, (0.0, float(one.hertz[-1])),
+                      (0.0, 1.1 * float(power.max())))
+        panel.frame('', 'frequency as sampled [Hz]', f'{CHANNEL_NAMES[channel]} [power / median]')
+        panel.band(np.array(panel.x), np.zeros(2), np.ones(2), 'noise')
+        panel.line(one.hertz, power, 'after', 1.0)
+        at = float(panel.across(one.hertz[k]))
+        left = at > 0.9 * panel.width
+        panel.say(at + (-4.0 if left else 4.0), float(panel.down(power[k])) + 9.0, f'{one.hertz[k]:.3g} Hz', 'ink',
+                  'end' if left else 'start', 11.0)
+        panels.append(panel)
+    label = f'Spectrum while the machine stands still: {", ".join(CHANNEL_NAMES[channel] for channel in found)}'
+    return wide(picture(panels, WIDTH, 10.0 + 160.0 * len(panels), label), LEAST_WIDTH)
 
 
-def _courses(parts: Inside) -> Figure:
-    figure = Figure(figsize=(11.5, 2.6), layout='constrained')
+def _courses(parts: Inside) -> str:
     channel = int(np.argmax(np.abs(np.nan_to_num(parts.simulated_profile)).max(axis=(0, 1))))
-    factor, unit = _scale(np.stack([parts.profile, parts.simulated_profile])[..., channel])
-    for k, (ax, letter) in enumerate(zip(figure.subplots(1, 3, sharey=True), 'XYZ', strict=True)):
-        ax.plot(parts.time * 1e3, parts.profile[k, :, channel] * factor, 'o', color=REAL, markersize=5,
-                markeredgewidth=0)
-        ax.plot(parts.time * 1e3, parts.simulated_profile[k, :, channel] * factor, '-', color=AFTER, linewidth=1.5)
-        ax.set_title(f'{CHANNEL_NAMES[channel]} after a move of {letter}  [{unit}]')
-        ax.set_xlabel('after the stop began [ms]')
-    return figure
+    both = np.stack([parts.profile, parts.simulated_profile])[..., channel]
+    factor, unit = _scale(both)
+    drawings = []
+    for k, letter in enumerate('XYZ'):
+        panel = Panel(46.0, 20.0, 296.0, 130.0, span(parts.time * 1e3), span(both * factor))
+        panel.frame(f'{CHANNEL_NAMES[channel]} after a move of {letter} [{unit}]', 'after the stop began [ms]')
+        panel.line(parts.time * 1e3, both[1, k] * factor, 'after', 1.6)
+        panel.points(parts.time * 1e3, both[0, k] * factor, 'real', 5.0)
+        drawings.append(picture([panel], 350.0, 178.0, f'{CHANNEL_NAMES[channel]} inside the stops after moves of {letter}'))
+    return legend([(DOT, 'real', 'machine, mean of the stops'), ('line', 'after', 'simulator with what was found')]) \
+        + side_by_side(drawings, 300.0)
 
 
-def _rates(parts: Inside, table: StopTable) -> Figure:
+def _rates(parts: Inside, table: StopTable) -> str:
     noise = np.nan_to_num(parts.rate - parts.simulated_rate).std(axis=0)
     shown = np.flatnonzero(np.nan_to_num(parts.simulated_rate).std(axis=0) > 0.1 * noise)
     shown = shown if len(shown) else np.array([0])
-    figure = Figure(figsize=(11.5, 1.0 + 1.7 * len(shown)), layout='constrained')
-    minutes = _pauses_cut(table.time_s) / 60.0
-    for ax, channel in zip(figure.subplots(len(shown), 1, sharex=True, squeeze=False)[:, 0], shown, strict=True):
-        ax.plot(minutes, parts.rate[:, channel] * 1e9, '.', color='#a9b3ba', markersize=2.6, markeredgewidth=0,
-                label='machine, each stop')
-        mean_time, mean = _means_of(minutes, parts.rate[:, channel] * 1e9, table.run)
-        ax.plot(mean_time, mean, 'o', color=REAL, markersize=3.6, markeredgewidth=0,
-                label=f'machine, mean of {MEAN_OF} stops')
-        for run in np.unique(table.run):
-            rows = table.run == run
-            ax.plot(minutes[rows], parts.simulated_rate[rows, channel] * 1e9, '-', color=AFTER, linewidth=1.5,
-                    label='simulator with what was found' if run == table.run[0] else None)
-        ax.set_ylabel(f'{CHANNEL_NAMES[channel]}  [nm/s]')
-    legend_outside(figure, *figure.axes[0].get_legend_handles_labels(), 'upper left', ncols=3)
-    figure.axes[-1].set_xlabel('time of measuring  [min], pauses cut short')
-    return figure
+    minutes, panels = _pauses_cut(table.time_s) / 60.0, []
+    order = np.lexsort((minutes, table.run))
+    for place, channel in enumerate(shown):
+        rate, simulated = parts.rate[:, channel] * 1e9, parts.simulated_rate[:, channel] * 1e9
+        panel = Panel(MARGIN, 8.0 + 136.0 * place, WIDTH - MARGIN - EDGE, 122.0, span(minutes, room=0.02),
+                      span(rate, simulated))
+        last = place == len(shown) - 1
+        panel.frame('', 'time of measuring [min], pauses cut short' if last else '',
+                    f'{CHANNEL_NAMES[channel]} [nm/s]', 'xy' if last else 'y', most=12)
+        panel.points(minutes, rate, 'soft faint', 2.4)
+        panel.points(*_means_of(minutes, rate, table.run), 'real', 3.6)
+        panel.line(minutes[order], simulated[order], 'after', 1.6, table.run[order])
+        panels.append(panel)
+    return legend([(DOT, 'soft', 'machine, each stop'), (DOT, 'real', f'machine, mean of {MEAN_OF} stops'),
+                   ('line', 'after', 'simulator with what was found')]) + wide(
+        picture(panels, WIDTH, 8.0 + 136.0 * len(shown) + 16.0, 'Rates inside the stops over time'), LEAST_WIDTH)
 
 
 def _means_of(time: np.ndarray, values: np.ndarray, run: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -263,62 +242,61 @@ def _means_of(time: np.ndarray, values: np.ndarray, run: np.ndarray) -> tuple[np
         rows = np.flatnonzero((run == r) & np.isfinite(values))
         found += [(time[part].mean(), values[part].mean())
                   for part in np.array_split(rows, max(1, len(rows) // MEAN_OF)) if len(part)]
-    return tuple(np.array(found).T)
+    return tuple(np.array(found).reshape(-1, 2).T)
 
 
-@styled
-def errors_before_after(before: Solution, after: Solution | None) -> Figure:
+def errors_before_after(before: Solution, after: Solution | None) -> str:
     """The 21 errors with k = 2 bands: without (``before``) and with the causes taken out (``after``)."""
-    figure = Figure(figsize=(11.5, 7.6), layout='constrained')
-    upper, lower = figure.subfigures(2, 1, height_ratios=(4.3, 1.0))
-    axes, square = upper.subplots(3, 6), lower.subplots(1, 3)
-    both = [(before, BEFORE, 'without'), (after, AFTER, 'with')] if after is not None else \
-        [(before, AFTER, 'with')]
-    for place, name in enumerate(CURVES):
-        ax = axes[place // 6, place % 6]
-        for solution, colour, _ in both:
-            if solution.has(name) and np.max(solution.curve(name)[2]) > UNKNOWN_SIGMA:
-                ax.annotate('not known from this log', (0.5, 0.5), xycoords='axes fraction', ha='center',
-                            fontsize=7, color=SOFT)
-                break
-            if solution.has(name):
-                position, value, sigma = solution.curve(name)
-                ax.fill_between(position * 1e3, (value - K * sigma) * 1e6, (value + K * sigma) * 1e6,
-                                color=colour, alpha=0.18, linewidth=0)
-                ax.plot(position * 1e3, value * 1e6, '-', color=colour, linewidth=1.3)
-        ax.set_title(f'{name}  [{"µm" if name[1] in "XYZ" else "µrad"}]', fontsize=8.5)
-        ax.tick_params(labelsize=7)
-        if after is not None:
-            _keep_legible(ax, after, before, name)
-        if place // 6 == 2:
-            ax.set_xlabel('position [mm]', fontsize=7.5)
-    for ax, name in zip(square, SQUARENESS, strict=True):
-        rows = [b for b in both if b[0].has(name)]
-        for row, (solution, colour, _) in enumerate(rows):
-            value, sigma = solution.squareness(name)
-            ax.errorbar([value * 1e6], [row], xerr=[K * sigma * 1e6], fmt='o', color=colour, capsize=3)
-        ax.set_yticks(range(len(rows)), [b[2] for b in rows] if len(rows) > 1 else [''])
-        ax.set_ylim(len(rows) - 0.4, -0.6)
-        ax.set_title(f'{name}  squareness [µrad]', fontsize=8.5)
-        ax.tick_params(labelsize=7)
-    if after is not None:
-        legend_outside(figure, [_line(BEFORE), _line(AFTER)],
-                       ['as a plain evaluation gives them', 'with the causes taken out'], 'upper left', ncols=2)
-    return figure
+    both = [(before, 'after')] if after is None else [(before, 'before'), (after, 'after')]
+    said = [('line', 'after', 'value'), ('band', 'after faint', 'band of k = 2')] if after is None else \
+        [('line', 'before', 'as a plain evaluation gives them'), ('line', 'after', 'with the causes taken out'),
+         ('band', 'after faint', 'band of k = 2')]
+    return (legend(said) + side_by_side([_curve(name, both) for name in CURVES], 165.0)
+            + side_by_side([_square(name, both) for name in SQUARENESS], 300.0))
 
 
-def _keep_legible(ax, after: Solution, before: Solution, name: str) -> None:
-    """A curve gone astray must not flatten the one that is right: it may leave the panel."""
-    if not (after.has(name) and before.has(name)):
-        return
-    _, value, sigma = after.curve(name)
-    low, high = np.min(value - K * sigma) * 1e6, np.max(value + K * sigma) * 1e6
-    wide = max(high - low, 1e-3)
-    _, astray, unsure = before.curve(name)
-    if np.max(astray + K * unsure) - np.min(astray - K * unsure) > ASTRAY * wide * 1e-6:
-        ax.set_ylim(low - 0.6 * wide, high + 0.6 * wide)
-        ax.annotate('without: off scale', (0.97, 0.04), xycoords='axes fraction', ha='right', fontsize=6.5,
-                    color=BEFORE)
+def _curve(name: str, both: list[tuple[Solution, str]]) -> str:
+    """One of the 18 errors over its axis."""
+    unit = 'µm' if name[1] in 'XYZ' else 'µrad'
+    known = [(*solution.curve(name), colour) for solution, colour in both if solution.has(name)]
+    label, place = f'{name} [{unit}]', (34.0, 20.0, 134.0, 84.0)
+    if not known or any(np.max(sigma) > UNKNOWN_SIGMA for _, _, sigma, _ in known):
+        panel = Panel(*place, (0.0, 1.0), (0.0, 1.0))
+        panel.say(0.0, -6.0, label, 'ink title', size=11.0)
+        panel.say(67.0, 46.0, 'not known from this log', anchor='middle')
+        return picture([panel], 172.0, 134.0, f'{label}: not known from this log')
+    curves = [(1e3 * x, 1e6 * value, 1e6 * K * sigma, colour) for x, value, sigma, colour in known]
+    edges = [np.concatenate([value - half, value + half]) for _, value, half, _ in curves]
+    astray = len(edges) == 2 and np.ptp(edges[0]) > ASTRAY * max(np.ptp(edges[1]), 1e-3)
+    # A curve gone astray must not flatten the one that is right: it may leave the panel.
+    y = span(edges[1], room=0.6, least=1e-3) if astray else span(*edges)
+    panel = Panel(*place, span(*(x for x, *_ in curves), room=0.02), y)
+    panel.frame(label, f'{name[2]} [mm]', most=5)
+    for x, value, half, colour in curves:
+        panel.band(x, value - half, value + half, colour, 0.18)
+        panel.line(x, value, colour, 1.4)
+    if astray:
+        panel.say(132.0, 80.0, 'plain: off scale', 'before', 'end', 9.0)
+    return picture([panel], 172.0, 134.0, f'{label} along {name[2]}')
+
+
+def _square(name: str, both: list[tuple[Solution, str]]) -> str:
+    """One of the three squareness errors, its value with U written above."""
+    known = [(*solution.squareness(name), colour) for solution, colour in both if solution.has(name)]
+    if not known:
+        panel = Panel(8.0, 20.0, 334.0, 30.0, (0.0, 1.0), (0.0, 1.0))
+        panel.say(0.0, -6.0, f'{name}: not known from this log', 'ink title', size=11.0)
+        return picture([panel], 350.0, 54.0, f'{name}: not known from this log')
+    ends = np.array([1e6 * (value + side * K * sigma) for value, sigma, _ in known for side in (-1.0, 1.0)])
+    value, sigma, _ = known[-1]
+    said = f'{name} squareness: {quantity(value, "rad", K * sigma)} (k = 2)'
+    panel = Panel(8.0, 20.0, 334.0, 15.0 * len(known) + 4.0, span(ends, room=0.12), (len(known) - 0.4, -0.6))
+    panel.frame(said, '[µrad]', '', 'x', 'x')
+    for row, (value, sigma, colour) in enumerate(known):
+        middle, half = 1e6 * value, 1e6 * K * sigma
+        panel.line(np.array([middle - half, middle + half]), np.full(2, float(row)), colour, 1.6)
+        panel.points(np.array([middle]), np.array([float(row)]), colour, 6.0)
+    return picture([panel], 350.0, 15.0 * len(known) + 54.0, said)
 
 
 def legend_of_setups(setups: Sequence[Setup]) -> str:

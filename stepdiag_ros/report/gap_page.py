@@ -1,5 +1,6 @@
 """The page of a diagnosis: what is wrong with the machine, for someone who knows machines."""
 
+from collections.abc import Callable
 from datetime import UTC, datetime
 from html import escape
 
@@ -57,6 +58,8 @@ def _head(diagnosis: Diagnosis, name: str) -> str:
     return (f'<header><div class="kicker">{escape(kicker)}</div>'
             f'<h1>{escape(gap_words.headline(diagnosis))}</h1>'
             f'<p><span class="badge {kind}">{word}</span></p>'
+            f'<dl class="first"><dt>How sure</dt><dd>{escape(gap_words.how_sure(diagnosis))}</dd>'
+            f'<dt>What to do</dt><dd>{escape(gap_words.what_to_do(diagnosis))}</dd></dl>'
             f'<p class="lead">{escape(gap_words.how_far(diagnosis))}</p></header>')
 
 
@@ -75,21 +78,39 @@ def _budget(diagnosis: Diagnosis) -> str:
                diagnosis.cross_validation.held_out.startswith('none') else
                f'on {escape(diagnosis.cross_validation.held_out)} — a part of the log that took no part in the fit.')
             + '</p>')
-    return text + budget_svg(labels, floor) + f'<p>{escape(gap_words.over_setups_words(diagnosis))}</p>'
+    return (text + budget_svg(labels, floor) + _budget_narrow(labels, floor)
+            + f'<p>{escape(gap_words.over_setups_words(diagnosis))}</p>')
+
+
+def _budget_narrow(rows: list[tuple[str, float]], floor: float) -> str:
+    """The same bars for a narrow screen, the noise floor as one of them."""
+    place = _budget_scale([value for _, value in rows], floor)
+    more = [*rows, ('noise floor', floor)]
+    scale = ' (bars on a logarithmic scale)' if _logarithmic([value for _, value in rows], floor) else ''
+    return ('<div class="narrow">' + bars([(label, place(value), micrometres(value)) for label, value in more])
+            + f'<small>Root mean square{scale}.</small></div>')
+
+
+def _logarithmic(values: list[float], floor: float) -> bool:
+    """Whether bars are: where the gap was large the noise floor would vanish."""
+    return max([*values, floor]) > 12.0 * floor
+
+
+def _budget_scale(values: list[float], floor: float) -> Callable[[float], float]:
+    """From a gap [m] to the length of its bar, 0 … 1."""
+    widest, low = 1.08 * max([*values, floor]), floor / 4.0
+    if _logarithmic(values, floor):
+        return lambda value: float(max(0.0, np.log(value / low)) / np.log(widest / low))
+    return lambda value: value / widest
 
 
 def budget_svg(rows: list[tuple[str, float]], floor: float) -> str:
     """Bars of the gap, one a row, in µm, with a line at the noise floor; far larger ones are cut open."""
     values = [value for _, value in rows]
-    widest = max([*values, floor])
-    # Where the gap was large the noise floor would vanish: the axis then is logarithmic.
-    wide = widest > 12.0 * floor
-    low = floor / 4.0
+    wide, share = _logarithmic(values, floor), _budget_scale(values, floor)
 
     def place(value: float) -> float:
-        if wide:
-            return 560.0 * max(0.0, np.log(value / low)) / np.log(1.08 * widest / low)
-        return 560.0 * value / (1.08 * widest)
+        return 560.0 * share(value)
 
     height, out = 34 * len(rows) + 40, []
     for i, (label, value) in enumerate(rows):
@@ -104,7 +125,7 @@ def budget_svg(rows: list[tuple[str, float]], floor: float) -> str:
                f'stroke-dasharray="4 3"/><text x="{x:.1f}" y="{bottom + 16}" font-size="12.5" fill="#6b747c" '
                f'text-anchor="middle">noise floor {micrometres(floor)}'
                f'{" (bars on a logarithmic scale)" if wide else ""}</text>')
-    return (f'<figure><svg viewBox="0 0 1090 {height}" role="img" aria-label="gap budget" '
+    return (f'<figure class="broad"><svg viewBox="0 0 1090 {height}" role="img" aria-label="gap budget" '
             f'font-family="system-ui,Helvetica,Arial,sans-serif" fill="#22282e">{"".join(out)}</svg></figure>')
 
 
@@ -119,7 +140,7 @@ def _causes(diagnosis: Diagnosis) -> str:
         text = '<h2>What causes it?</h2>'
         if diagnosis.effects:
             text += table(['what it is', 'how sure', 'size', 'what to do'],
-                          [_cause_row(diagnosis, f) for f in diagnosis.effects])
+                          [_cause_row(diagnosis, f) for f in diagnosis.effects], 'causes')
         if diagnosis.hint:
             text += f'<p>{escape(gap_words.hint_words(diagnosis))}</p>'
         if diagnosis.unmodelled:
@@ -169,9 +190,14 @@ def _ranking(diagnosis: Diagnosis) -> str:
 
 
 def _sets(diagnosis: Diagnosis) -> str:
-    rows = [[escape(' + '.join(title(n) for n in dict.fromkeys(names)) or 'nothing'), percent(p)]
-            for names, p in diagnosis.sets[:5]]
-    return table(['acting together', '>probability'], rows)
+    # Two patterns without a name read as one.
+    together: dict[tuple[str, ...], float] = {}
+    for names, p in diagnosis.sets:
+        key = tuple(dict.fromkeys(names))
+        together[key] = together.get(key, 0.0) + p
+    likeliest = sorted(together.items(), key=lambda item: -item[1])[:5]
+    return table(['acting together', '>probability'],
+                 [[escape(' + '.join(map(title, key)) or 'nothing'), percent(p)] for key, p in likeliest])
 
 
 # ---- where ----------------------------------------------------------------------------------------
@@ -202,7 +228,7 @@ def _map(shares: Margins, description: Description) -> str:
             cells += _shaded(shares.cells[c, s] / top, said)
         rows += f'<tr><th class="r">{escape(channel)}</th>{cells}</tr>'
     heads = ''.join(f'<th>{escape(n)}</th>' for n in names)
-    return (f'<table class="heat"><tr><th></th>{heads}</tr>{rows}</table>'
+    return (f'<div class="scroll"><table class="heat"><tr><th></th>{heads}</tr>{rows}</table></div>'
             f'<small>Share of the gap by what was measured and in which setup: the length by the laser, the spot of '
             'light that tells how the mirror turns. '
             f'{escape(gap_figures.legend_of_setups([description.setups[n] for n in names]))}.</small>')
@@ -230,7 +256,7 @@ def _bands(diagnosis: Diagnosis) -> str:
             rows += f'<tr><th class="r">{escape(said)}</th>' + ''.join(
                 _band_cell(found.get(period)) for period in periods) + '</tr>'
         heads = ''.join(f'<th>{escape(gap_words.period_words(*period, mine[0].unit))}</th>' for period in periods)
-        text += f'<table class="heat"><tr><th>{head}</th>{heads}</tr>{rows}</table>'
+        text += f'<div class="scroll"><table class="heat"><tr><th>{head}</th>{heads}</tr>{rows}</table></div>'
     return text + ('<small>Root mean square in times of the noise, before → after what was found is taken out, of what '
                    'the fit leaves; columns are periods. A dot: no more than noise makes.</small>')
 
@@ -254,7 +280,7 @@ def _pictures(diagnosis: Diagnosis) -> str:
             gap_figures.along_stops(parts, stops, True),
             f'Points: the machine, after its 21 errors and the misalignments have been taken off. Line: the '
             f'simulator with {who}. Length, and the two coordinates of the light spot, at each stop of '
-            'each setup, all runs.', 1)
+            'each setup, all runs.')
         caption = 'Log minus simulator, without and with what was found.'
     else:
         caption = 'Log minus simulator. Where nothing is wrong the points fill the band of the noise evenly.'
@@ -262,7 +288,7 @@ def _pictures(diagnosis: Diagnosis) -> str:
             + figure(gap_figures.along_stops(parts, stops, False), caption, 2)
             + '<h3>Residuals over time</h3>'
             + figure(gap_figures.over_time(parts, stops),
-                     'The same, in the order in which it was measured.', 3) + _inside(diagnosis) + _swings(diagnosis))
+                     'The same, in the order in which it was measured.') + _inside(diagnosis) + _swings(diagnosis))
 
 
 def _again(diagnosis: Diagnosis, parts: Series | None) -> str:
@@ -274,9 +300,9 @@ def _again(diagnosis: Diagnosis, parts: Series | None) -> str:
             'with the errors, misalignments and effects of its file.</p>'
             + figure(gap_figures.along_stops(parts, stops, True),
                      'Points: the machine, less the simulator without its effects. Line: what the simulator\'s '
-                     'effects do.', 7)
+                     'effects do.')
             + figure(gap_figures.along_stops(parts, stops, False),
-                     'Log minus simulator: before, without effects, as it was fitted; after, as it was adopted.', 8))
+                     'Log minus simulator: before, without effects, as it was fitted; after, as it was adopted.'))
 
 
 def _inside(diagnosis: Diagnosis) -> str:
@@ -287,7 +313,7 @@ def _inside(diagnosis: Diagnosis) -> str:
     return '<h3>While the machine stands still</h3>' + figure(
         gap_figures.inside_stops(inside(diagnosis), diagnosis.nominal.table),
         'How the reading moves from the beginning of a stop to its end. Points: the machine; line: the '
-        'simulator with what was found.', 5)
+        'simulator with what was found.')
 
 
 def _swings(diagnosis: Diagnosis) -> str:
@@ -296,7 +322,7 @@ def _swings(diagnosis: Diagnosis) -> str:
     return '' if not found else '<h3>What swings while the machine stands still</h3>' + figure(
         gap_figures.spectra(found),
         'What keeps its phase through a run, all runs together. The marked line is the swing; those beside it, at the '
-        'pace of the stops, are its shadows.', 6)
+        'pace of the stops, are its shadows.')
 
 
 def _errors(diagnosis: Diagnosis) -> str:
@@ -304,7 +330,7 @@ def _errors(diagnosis: Diagnosis) -> str:
     if not diagnosis.joint.active:
         return text + ('<p>There is nothing to take out: these are the errors of the machine, with bands of '
                        'k = 2.</p>') + figure(gap_figures.errors_before_after(diagnosis.plain, None),
-                                              'The 18 error curves and the three squareness errors.', 4)
+                                              'The 18 error curves and the three squareness errors.')
     freed = diagnosis.solution
     moved = [row for row in gap_words.changes(diagnosis.plain, freed) if row[2] > 2.0]
     if moved:
@@ -320,7 +346,7 @@ def _errors(diagnosis: Diagnosis) -> str:
                  'out: a plain evaluation of this log was not misled.</p>')
     text += f'<p>{escape(gap_words.volume_words(diagnosis.volume_change))}</p>'
     return text + figure(gap_figures.errors_before_after(diagnosis.plain, freed),
-                         'The 18 error curves and the three squareness errors, bands k = 2.', 4)
+                         'The 18 error curves and the three squareness errors, bands k = 2.')
 
 
 # ---- the end --------------------------------------------------------------------------------------

@@ -9,7 +9,7 @@ from stepdiag_ros.gap.alternatives.unmodelled import NAME as UNKNOWN
 from stepdiag_ros.gap.constants import ALARM, CONFUSED
 from stepdiag_ros.gap.diagnosis import AXIS_LIKE, Diagnosis, Found
 from stepdiag_ros.gap.inference.search import NOTHING
-from stepdiag_ros.gap.summary.cross_validation import cross_validated
+from stepdiag_ros.gap.summary.cross_validation import Distance, cross_validated
 from stepdiag_ros.gap.summary.margins import AT_REST, MOVING, SETTLING
 from stepdiag_ros.gap.summary.volume import VolumeChange
 from stepdiag_ros.model.machine import CURVES, SQUARENESS
@@ -42,6 +42,8 @@ HARDLY = 1.15
 """Reduced χ² of the held-out part up to which a gap does not stand out of the noise there."""
 NOISE_LIKE = 1.3
 """Reduced χ² of the held-out part up to which the residual counts as noise."""
+LEAST_CLOSED = 0.1
+"""Share of a gap that must be gone on what was held out before structure is said to bring it down."""
 SETTINGS = {'path': 'along the path', 'reversal': 'along the path, opposite on the way back', 'time': 'in time'}
 """What a band is along, in words."""
 STATES = {MOVING: 'while the axes move (stamps)', SETTLING: 'inside the stops (settling, shaking)',
@@ -106,8 +108,8 @@ def headline(diagnosis: Diagnosis) -> str:
     found, unmodelled = diagnosis.effects, unmodelled_words(diagnosis.unmodelled)
     floor = micrometres(diagnosis.cross_validation.floor_m)
     if not found and not diagnosis.unmodelled:
-        said = (f'Nothing is wrong that this log could show: machine and simulator agree to within '
-                f'the noise of {floor}')
+        said = (f'Nothing is wrong that this log could show: machine and simulator agree as closely as '
+                f'noise lets them ({floor})')
         return f'{said}, but for a hint of {_hinted(diagnosis)}.' if diagnosis.hint else f'{said}.'
     names = stand_ins(diagnosis)
     if not found and names:
@@ -129,6 +131,33 @@ def headline(diagnosis: Diagnosis) -> str:
     if diagnosis.unmodelled:
         return f'{text} — and something more that is none of the known causes: {unmodelled}.'
     return text + '.'
+
+
+def how_sure(diagnosis: Diagnosis) -> str:
+    """How sure the verdict is: each cause's probability, or that of nothing; in a sentence."""
+    if diagnosis.effects:
+        said = '; '.join(f'{title(f.name)}: {certainty(f.probability)} ({percent(f.probability)})'
+                         for f in diagnosis.effects)
+        return f'{said}.' + (' What else is there has no name.' if diagnosis.unmodelled else '')
+    if diagnosis.unmodelled:
+        known = max((p for name, p in diagnosis.ranking.items() if name not in (UNKNOWN, NOTHING)), default=0.0)
+        return f'That something is there is {certainty(1.0 - diagnosis.ranking.get(NOTHING, 0.0))}; no known cause has ' \
+               f'more than {percent(known)}.'
+    sure = diagnosis.ranking.get(NOTHING, 0.0)
+    other = max(((p, name) for name, p in diagnosis.ranking.items() if name != NOTHING), default=None)
+    return f'{percent(sure)} for nothing' + (f'; the likeliest else: {title(other[1])}, {percent(other[0])}.' if other
+                                             else '.')
+
+
+def what_to_do(diagnosis: Diagnosis) -> str:
+    """What to do about it: the remedies, the next measurement; in sentences."""
+    said = [f.remedy for f in diagnosis.effects if f.remedy]
+    said = [f'{i}) {text}' for i, text in enumerate(said, 1)] if len(said) > 1 else said
+    if diagnosis.next_measurement:
+        said.append(f'Measure next: {diagnosis.next_measurement}')
+    if not said and not diagnosis.effects and not diagnosis.unmodelled:
+        return 'Nothing. The errors below can be used as they are.'
+    return ' '.join(said) or 'Look at the pictures below: when and where it shows tells what to look for.'
 
 
 def correlates_words(diagnosis: Diagnosis) -> str:
@@ -195,11 +224,14 @@ def how_far(diagnosis: Diagnosis) -> str:
     """Before, after and the floor in a sentence."""
     gap = diagnosis.cross_validation
     if diagnosis.verdict == 'no_gap':
-        return (f'On {gap.held_out} simulator and machine differ by {micrometres(gap.before_m)}; '
-                f'noise alone makes {micrometres(gap.floor_m)}.')
+        return (f'On {gap.held_out}, simulator and machine differ by {micrometres(gap.before_m)}; '
+                f'{_expected(gap.gap)}.')
     if diagnosis.unmodelled and not diagnosis.effects and not diagnosis.joint.active:
         return (f'The readings at the stops differ by {micrometres(gap.before_m)} (noise alone, with what it adds: '
                 f'{micrometres(gap.floor_m)}); it has no pattern that the simulator could be given.')
+    if diagnosis.unmodelled and not diagnosis.effects and (closed_share(diagnosis) or 0.0) < LEAST_CLOSED:
+        return (f'The gap stays: {micrometres(gap.before_m)} before and {micrometres(gap.after_m)} after (noise alone: '
+                f'{micrometres(gap.floor_m)}), for what was seen in one part of the log does not predict another.')
     if diagnosis.unmodelled and not diagnosis.effects:
         return (f'Unmodelled structure brings the gap from {micrometres(gap.before_m)} to '
                 f'{micrometres(gap.after_m)} (noise alone: {micrometres(gap.floor_m)}). It describes the trouble; '
@@ -209,8 +241,8 @@ def how_far(diagnosis: Diagnosis) -> str:
                 f'noise alone makes {micrometres(gap.floor_m)}.')
     if gap.before < HARDLY:
         still = diagnosis.margins is not None and diagnosis.margins.state[SETTLING] > 0.5
-        return (f'In the means of single stops it hardly shows: {micrometres(gap.before_m)} where noise alone makes '
-                f'{micrometres(gap.floor_m)}. ' + (
+        return (f'In the means of single stops it hardly shows: {micrometres(gap.before_m)} where '
+                f'{_expected(gap.gap)}. ' + (
                     'It shows in how the readings move while the machine stands still.' if still else
                     'It shows in what many stops have in common.'))
     share = closed_share(diagnosis)
@@ -234,15 +266,24 @@ def over_setups_words(diagnosis: Diagnosis) -> str:
         return ''
     if not diagnosis.joint.active:
         return (f'Where whole setups are held out, each predicted from the others, they differ by '
-                f'{micrometres(over.before_m)} (noise alone: {micrometres(over.floor_m)}).')
+                f'{micrometres(over.before_m)} (noise alone: {micrometres(over.floor_m)}; no other setup tells how a '
+                'setup\'s own laser and mirror are mounted).')
     return (f'Where whole setups are held out, each predicted from the others, the gap falls from '
             f'{micrometres(over.before_m)} to {micrometres(over.after_m)} (noise alone: {micrometres(over.floor_m)}).')
+
+
+def _expected(gap: Distance) -> str:
+    """What a gap would be of nothing but noise and what the prediction does not know [m], in a clause."""
+    alone = f'noise alone makes {micrometres(gap.floor)}'
+    return alone if gap.sigma < 0.1 * gap.floor else (
+        f'{alone}, with the {micrometres(gap.sigma)} by which the prediction itself is uncertain '
+        f'{micrometres(float(np.hypot(gap.floor, gap.sigma)))}')
 
 
 def closes_words(found: Found) -> str:
     """How much a cause explains of what the fit leaves without it; not what it closes on held-out runs."""
     share = closed_percent(found.closes) if found.closes > 0.005 else 'less than 1 %'
-    return f'explains {share} of what exceeds the noise'
+    return f'in the fit takes away {share} of what exceeds the noise'
 
 
 def steps(diagnosis: Diagnosis) -> list[tuple[str, float]]:

@@ -37,13 +37,30 @@ align-items:center;font-size:14px;margin:8px 0}
 .bars .v{font-variant-numeric:tabular-nums;text-align:right}
 .todo{border-left:4px solid var(--after);background:var(--tint);padding:10px 16px;margin:12px 0;max-width:60em}
 .todo.warn2{border-color:var(--warn);background:#fbf5e8}
-figure{margin:10px 0 4px}figure svg{width:100%;height:auto;display:block}
+figure{margin:10px 0 4px}figure>svg,svg.panels{width:100%;height:auto;display:block}
+.scroll{overflow-x:auto}
+.multiples{display:grid;grid-template-columns:repeat(auto-fill,minmax(min(var(--least),100%),1fr));gap:4px 12px}
+.panels text{stroke:none;fill:currentColor;font-variant-numeric:tabular-nums}
+.legend{display:flex;flex-wrap:wrap;gap:2px 18px;font-size:13px;color:var(--soft);margin:2px 0 6px}
+.legend svg{vertical-align:-1px;margin-right:5px}
+path.before,text.before{color:var(--before)}path.after,text.after{color:var(--after)}path.real,text.ink{color:var(--ink)}
+path.noise{color:#dfe5e9}path.grid{color:#e4e7ea;stroke-width:.7}path.axis{color:#aab2b8;stroke-width:.8}
+text.title{font-weight:600}path.soft,text.soft{color:var(--soft)}path.faint{opacity:.5}
 figcaption{color:var(--soft);font-size:13px;max-width:70em;margin-top:4px}
 details{margin:8px 0}summary{cursor:pointer;color:var(--after)}
 code{font:13px ui-monospace,Menlo,Consolas,monospace}
 footer{margin-top:40px;padding-top:12px;border-top:1px solid var(--rule);color:var(--soft);font-size:12.5px}
 footer p{max-width:80em}
-@media (max-width:900px){main{padding:20px}.cols{grid-template-columns:1fr}}
+.first{display:grid;grid-template-columns:max-content minmax(0,1fr);gap:2px 16px;margin:10px 0;max-width:62em}
+.first dt{color:var(--soft)}.first dd{margin:0}
+.narrow{display:none}
+@media (max-width:900px){main{padding:20px}.cols{grid-template-columns:minmax(0,1fr);gap:12px}}
+@media (max-width:600px){main{padding:16px}h1{font-size:20px}h2{margin-top:26px}.first{grid-template-columns:1fr;gap:0}
+.first dd{margin-bottom:6px}.broad{display:none}.narrow{display:block}.heat th,.heat td{white-space:nowrap}
+.bars,.sides .bars{grid-template-columns:1fr max-content}.bars>span:nth-child(3n+1){grid-column:1/-1;margin-top:3px}
+.causes thead{display:none}.causes>tbody>tr>td{display:block;border:0;padding:3px 0}
+.causes>tbody>tr{display:block;border-bottom:1px solid var(--rule);padding:6px 0}
+.causes>tbody>tr>td:last-child::before{content:"What to do: ";color:var(--soft)}.nums td{white-space:normal}}
 @media print{body{background:#fff}main{box-shadow:none;max-width:none;padding:0}
 h2{break-after:avoid}figure,tr{break-inside:avoid}}
 """
@@ -57,9 +74,9 @@ def page(title: str, body: str) -> str:
             f'<body><main>\n{body}\n</main></body></html>\n')
 
 
-def figure(drawing: str, caption: str, number: int) -> str:
-    """An inline SVG with its caption; ``number`` keeps the ids of several drawings apart."""
-    for before in ('id="', '"#', 'url(#'):
+def figure(drawing: str, caption: str, number: int | None = None) -> str:
+    """A drawing with its caption; ``number`` keeps the ids of several apart, where they have any."""
+    for before in ('id="', '"#', 'url(#') if number is not None else ():
         drawing = drawing.replace(before, f'{before}f{number}-')
     return f'<figure>{drawing}<figcaption>{caption}</figcaption></figure>'
 

@@ -10,8 +10,8 @@ from stepdiag_ros.compensate.verified import CONFORMS, FAILS, UNDECIDED, VOLUMET
 from stepdiag_ros.estimate.solution import Solution
 from stepdiag_ros.report.compensation_figure import draw_planes
 from stepdiag_ros.report.figures import draw_calibration
-from stepdiag_ros.report.gap_figures import STYLE, svg
 from stepdiag_ros.report.page import figure, page, table
+from stepdiag_ros.report.plots import STYLE, svg
 
 BADGE = {CONFORMS: 'good', UNDECIDED: 'warn', FAILS: 'bad'}
 NAMES = {VOLUMETRIC: 'volumetric error', 'E': 'E, body diagonals (ISO 230-6)', 'B': 'B, body diagonals (ISO 230-6)'}

@@ -9,6 +9,9 @@ from stepdiag_ros.model.description import LINEAR, Setup, path_of
 
 WITHOUT_EFFECT = {'unknown': 'Something that is not in the list', 'nothing': 'Nothing wrong'}
 SHORT_CHANNELS = {'displacement': 'length', 'spot_x': 'spot x', 'spot_y': 'spot y'}
+CHANNEL_NAMES = tuple(SHORT_CHANNELS.values())
+K = 2.0
+"""Coverage factor of the bands in pictures."""
 
 SCALES = {'m': ((1e-7, 1e-9, 'nm'), (1e-3, 1e-6, 'µm'), (1.0, 1e-3, 'mm'), (np.inf, 1.0, 'm')),
           'rad': ((1e-3, 1e-6, 'µrad'), (np.inf, 1e-3, 'mrad')),

@@ -8,7 +8,7 @@ by group, and its tails with those of the normal distribution.
 from collections.abc import Iterator
 
 import numpy as np
-from scipy import special, stats
+from scipy import special
 
 from stepdiag_ros.effects.base import Form
 from stepdiag_ros.estimate.eigen import eigen
@@ -86,7 +86,7 @@ def _mixture(score: np.ndarray, side: float) -> float:
         alone = -0.5 * z**2 - np.log(level)
         ratio = -0.5 * np.log1p(wide)[:, None] + 0.5 * (wide / (1.0 + wide))[:, None] * z**2
         if side:
-            ratio = ratio + np.log(2.0) + stats.norm.logcdf(
+            ratio = ratio + np.log(2.0) + special.log_ndtr(
                 side * z * np.sqrt(wide / (1.0 + wide))[:, None])
         quiet = np.log(np.maximum(1.0 - SHARES, 1e-300))[:, None, None]
         mixed = np.logaddexp(quiet, np.log(SHARES)[:, None, None] + ratio)
@@ -201,7 +201,7 @@ def excess_scatter(joint: Joint, rest: np.ndarray | None = None) -> tuple[float,
             gain = 0.5 * known * (ratio - 1.0 - np.log(ratio)) if ratio > 1.0 else 0.0
             worst.append((gain - price, f'{label} scatter {np.sqrt(ratio):.2f} times as much as noise'))
             outliers = float(np.sum(np.abs(values[mine]) > TAIL))
-            expected = max(2.0 * stats.norm.sf(TAIL) * count, 0.05)
+            expected = max(2.0 * float(special.ndtr(-TAIL)) * count, 0.05)
             if outliers > expected:
                 worst.append((outliers * np.log(outliers / expected) - (outliers - expected) - price,
                               f'{label}: {int(outliers)} of {int(count)} lie beyond {TAIL} σ'))

@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from stepdiag_ros.estimate.eigen import eigen
 from stepdiag_ros.gap.inference.joint import Joint, unexplained
@@ -74,7 +74,7 @@ def bands(joint: Joint) -> tuple[Band, ...]:
             # The data are projected, so are products with them.
             before, after = (float(np.mean((vector[:, keep].T @ (white.T @ z))**2 / value[keep])) for z in (data, rest))
             freedom = joint.noise.dof[0 if channel == 'displacement' else 1]
-            p = stats.f.sf(before, count, freedom) if freedom else stats.chi2.sf(before * count, count)
+            p = special.fdtrc(count, freedom, before) if freedom else special.chdtrc(count, before * count)
             found.append(Band(channel, setting, shortest, longest, count, before, after, float(p)))
     return tuple(replace(band, stands_out=band.p * len(found) < ALPHA) for band in found)
 

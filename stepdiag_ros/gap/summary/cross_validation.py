@@ -102,8 +102,12 @@ class CrossValidation:
         """
         if self.gap.sigma > TOO_WIDE * self.gap.before:
             return self.gap.left
-        beyond_chance = self.after > 1.0 + 5.0 * np.sqrt(2.0 / max(self.count, 1) + 2.0 / max(self.noise_dof, 1.0))
-        return (self.after - 1.0) / (self.before - 1.0) if beyond_chance and self.before > self.after else 0.0
+        return (self.after - 1.0) / (self.before - 1.0) if self.beyond_chance and self.before > self.after else 0.0
+
+    @property
+    def beyond_chance(self) -> bool:
+        """Whether more is left than the forecast expects of itself and chance may add (five σ)."""
+        return self.after > 1.0 + 5.0 * np.sqrt(2.0 / max(self.count, 1) + 2.0 / max(self.noise_dof, 1.0))
 
 
 def cross_validated(joint: Joint, alone: Joint | None = None) -> CrossValidation:

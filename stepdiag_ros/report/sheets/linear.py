@@ -14,8 +14,8 @@ from stepdiag_ros.estimate.methods import linear_test
 from stepdiag_ros.estimate.readings import CellReadings
 from stepdiag_ros.model.description import path_of
 from stepdiag_ros.model.log import CalibrationLog
-from stepdiag_ros.report.gap_figures import AFTER, BEFORE, INK, SOFT
 from stepdiag_ros.report.legends import legend_outside
+from stepdiag_ros.report.plots import AFTER, BEFORE, INK, SOFT
 from stepdiag_ros.report.sheets.record import conditions
 from stepdiag_ros.report.sheets.sheet import Grid, Sheet, micro
 from stepdiag_ros.report.words import setup_words

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 
-from stepdiag_ros.report.gap_figures import INK, SOFT
+from stepdiag_ros.report.plots import INK, SOFT
 from stepdiag_ros.report.sheets.sheet import Grid, Sheet
 
 A4 = (8.27, 11.69)

@@ -12,8 +12,8 @@ from stepdiag_ros.estimate.evaluate import Evaluation
 from stepdiag_ros.model.log import CalibrationLog
 from stepdiag_ros.model.machine import AXES, CURVES, SQUARENESS
 from stepdiag_ros.model.path import stops
-from stepdiag_ros.report.gap_figures import INK
 from stepdiag_ros.report.legends import legend_outside
+from stepdiag_ros.report.plots import INK
 from stepdiag_ros.report.sheets.record import conditions
 from stepdiag_ros.report.sheets.sheet import Grid, Sheet, micro
 

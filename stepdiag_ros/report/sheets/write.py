@@ -11,8 +11,8 @@ from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate.evaluate import Evaluation
 from stepdiag_ros.estimate.readings import readings_of_stops
 from stepdiag_ros.model.log import CalibrationLog
-from stepdiag_ros.report.gap_figures import STYLE, svg
 from stepdiag_ros.report.page import figure, page, table
+from stepdiag_ros.report.plots import STYLE, svg
 from stepdiag_ros.report.sheets.diagonals import diagonal_sheets
 from stepdiag_ros.report.sheets.linear import linear_sheets
 from stepdiag_ros.report.sheets.paper import pages_of

@@ -1,6 +1,8 @@
 """The page and the summary of a diagnosis: well-formed, self-contained, and saying what is wrong."""
 
 import re
+import subprocess
+import sys
 from dataclasses import replace
 from html.parser import HTMLParser
 
@@ -9,6 +11,9 @@ import pytest
 
 from stepdiag_ros.estimate.prediction import deviation
 from stepdiag_ros.gap.diagnosis import Found
+from stepdiag_ros.gap.summary.cross_validation import CrossValidation, Distance
+from stepdiag_ros.model.machine import CURVES
+from stepdiag_ros.report import gap_figures
 from stepdiag_ros.report.gap_page import budget_svg, gap_page
 from stepdiag_ros.report.gap_words import (
     bands_words,
@@ -20,7 +25,7 @@ from stepdiag_ros.report.gap_words import (
     summary,
     where_words,
 )
-from stepdiag_ros.report.series import spectra
+from stepdiag_ros.report.series import series, spectra
 
 VOID = {'meta', 'br', 'img', 'hr', 'link', 'input'}
 BACKLASH = {'B': [4e-6, 3e-6, 5e-6]}
@@ -197,3 +202,62 @@ def test_changes_of_the_errors_are_ranked(backlash):
     rows = changes(backlash.plain, backlash.solution)
     assert len(rows) == 21
     assert [r[2] for r in rows] == sorted((r[2] for r in rows), reverse=True)
+
+
+def test_pictures_hold_every_reading_with_its_unit(backlash):
+    """Points of all stops, before and after, channels with units, each error with its own."""
+    parts, table = series(backlash), backlash.nominal.table
+    known = int(np.isfinite(parts.before).sum())
+    drawn = gap_figures.along_stops(parts, table, False)
+    assert len(re.findall(r'M[\d.-]+ [\d.-]+h0', drawn)) == known + drawn.count('M11 6h0')
+    triangles = [len(re.findall(rf'M[\d.-]+ [\d.-]+l{sign}3\.6-1\.9v3\.8z', drawn)) for sign in ('-', '')]
+    ways = (table.direction > 0, table.direction < 0)
+    assert triangles == [int(np.isfinite(parts.before[way]).sum()) for way in ways]
+    for channel in ('length', 'spot x', 'spot y'):
+        assert re.search(rf'>{channel} \[(nm|µm|mm)\]<', drawn), channel
+    for name in table.setup_names:
+        assert f'>{name}<' in drawn
+    errors = gap_figures.errors_before_after(backlash.plain, backlash.solution)
+    for name in CURVES:
+        assert f'>{name} [{"µm" if name[1] in "XYZ" else "µrad"}]<' in errors
+    assert re.search(r'EC0Y squareness: −?[\d.]+ ± [\d.]+ µrad \(k = 2\)', errors)
+
+
+def test_names_of_setups_cannot_break_the_page(backlash):
+    parts, table = series(backlash), backlash.nominal.table
+    evil = replace(table, setup_names=('<img src=x onerror=alert(1)>', *table.setup_names[1:]))
+    for drawn in (gap_figures.along_stops(parts, evil, False), gap_figures.over_time(parts, evil)):
+        assert '<img' not in drawn and '&lt;img src=x' in drawn
+
+
+def test_the_first_screen_says_how_sure_and_what_to_do(backlash, diagnosed):
+    text = Page(gap_page(backlash, 'x')).text
+    first = text[:text.index('How big is the gap?')]
+    assert 'How sure Backlash (lost motion on reversal): practically certain (> 99.9 %)' in first
+    assert 'What to do Check the ball screw' in first
+    text = Page(gap_page(diagnosed(''), 'x')).text
+    first = text[:text.index('How big is the gap?')]
+    assert re.search(r'How sure \d+ % for nothing', first) and 'What to do' not in text[len(first):]
+    assert 'Nothing. The errors below can be used as they are' in first
+
+
+def test_the_page_needs_no_drawing_library():
+    """Neither Matplotlib nor scipy.stats, each slower to import than the page is to write."""
+    code = ('import sys, stepdiag_ros.cli.gap, stepdiag_ros.bag.reader, stepdiag_ros.gap.diagnose, '
+            'stepdiag_ros.report.gap_page; '
+            'print([name for name in ("matplotlib", "scipy.stats") if name in sys.modules])')
+    assert subprocess.run([sys.executable, '-c', code], capture_output=True, text=True,
+                          check=True).stdout.strip() == '[]'
+
+
+def test_patterns_without_a_name_are_one_row(backlash):
+    doubled = replace(backlash, sets=((('unknown',), 0.6), (('unknown', 'unknown'), 0.3), ((), 0.1)))
+    text = Page(gap_page(doubled, 'x')).text
+    assert 'Something that is not in the list 90 % nothing 10 %' in text
+
+
+@pytest.mark.parametrize(('after', 'beyond'), [(1.05, False), (1.3, False), (1.6, True)])
+def test_what_chance_may_leave_is_not_something_more(after, beyond):
+    validation = CrossValidation(1.07, after, 1272, 528.0, 'each repeat', {'displacement': Distance(
+        3.45e-7, 3.30e-7, 2.57e-7, 2.0e-7)})
+    assert validation.left == pytest.approx(0.82, abs=0.03) and validation.beyond_chance is beyond
