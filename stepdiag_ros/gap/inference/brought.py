@@ -58,10 +58,8 @@ class Brought:
         edges = np.cumsum([0, *(len(form.columns) for form in forms)]).tolist()
         slices = [slice(begin, end) for begin, end in pairwise(edges)]
         stops = [_Gathering(np.arange(rows.start, rows.stop)) for rows in space.runs]
-        moving = sum(len(form.columns) for form in forms if form.inside is not None)
-        inside = [_Gathering(space.stops + np.flatnonzero(~space.bends), moving),
-                  _Gathering(space.stops + np.flatnonzero(space.bends))]
-        own = [_Gathering(space.size + rows) for rows in space.own_runs]
+        inside = [_Gathering(space.stops + rows) for rows in space.inside_runs]
+        own = [_Gathering(space.size + rows) for rows in space.own_runs if len(rows)]
         along, grams, corrections = np.zeros(edges[-1]), [], {}
         for some in _some_at_a_time(slices, len(data)):
             first = slices[some[0]].start
@@ -75,15 +73,12 @@ class Brought:
                     bins = space.bin_part(np.asarray(form.inside)) * form.scale
                     gram += bins.T @ bins
                     along[mine] += bins.T @ data[space.stops:space.size]
-                    least = ROUNDING * np.abs(bins).max(axis=0, initial=0.0)
-                    for gathering in inside:
-                        gathering.add(bins[gathering.rows - space.stops], mine.start, least)
+                    _add(inside, bins, space.stops, mine.start)
                 if form.by_reading is not None:
                     slopes = space.own_rows(form)
                     corrections[i] = slopes.T @ slopes
                     along[mine] += slopes.T @ data[space.size:]
-                    for gathering in own:
-                        gathering.add(slopes[gathering.rows - space.size], mine.start)
+                    _add(own, slopes, space.size, mine.start)
                 grams.append(gram)
         return cls(tuple(g.block() for g in (*stops, *inside)), tuple(g.block() for g in own), slices, grams, along,
                    corrections)
@@ -120,11 +115,11 @@ class Brought:
 
 
 class _Gathering:
-    """A block in the making, with room for ``width`` columns at first."""
+    """A block in the making."""
 
-    def __init__(self, rows: np.ndarray, width: int = 64):
+    def __init__(self, rows: np.ndarray):
         self.rows, self._count = rows, 0
-        self._places, self._columns = np.empty(width, np.intp), np.empty((len(rows), width), order='F')
+        self._places, self._columns = np.empty(64, np.intp), np.empty((len(rows), 64), order='F')
 
     def put(self, columns: np.ndarray, places: np.ndarray) -> None:
         """Columns (m, k) at ``places`` (k,)."""
@@ -136,13 +131,26 @@ class _Gathering:
             self._places[:begin], self._columns[:, :begin] = places_before, before
         self._places[begin:self._count], self._columns[:, begin:self._count] = places, columns
 
-    def add(self, columns: np.ndarray, begin: int, least: np.ndarray | float = 0.0) -> None:
-        """Of columns (m, k) that begin at ``begin`` those that exceed ``least`` (k,) somewhere."""
-        there = np.flatnonzero((np.abs(columns) > least).any(axis=0))
-        self.put(columns[:, there], there + begin)
-
     def block(self) -> Block:
-        return Block(self.rows, self._places[:self._count], self._columns[:, :self._count])
+        """What was gathered; the room that is left over is given back."""
+        places, columns = self._places[:self._count].copy(), self._columns[:, :self._count].copy(order='F')
+        self._places, self._columns = places, columns
+        return Block(self.rows, places, columns)
+
+
+def _add(blocks: Sequence[_Gathering], columns: np.ndarray, above: int, begin: int) -> None:
+    """Columns (m, k), whose rows lie below ``above`` others and which begin at ``begin``, to those blocks of some
+    rows in which they are more than rounding."""
+    if not blocks:
+        return
+    large = np.abs(columns)
+    least = ROUNDING * large.max(axis=0, initial=0.0)
+    order = np.concatenate([block.rows for block in blocks]) - above
+    starts = np.cumsum([0, *(len(block.rows) for block in blocks[:-1])])
+    for block, there in zip(blocks, np.maximum.reduceat(large[order], starts, axis=0) > least, strict=True):
+        places = np.flatnonzero(there)
+        if len(places):
+            block.put(columns[np.ix_(block.rows - above, places)], places + begin)
 
 
 def _at_the_stops(space: Parity, forms: Sequence[Form], stops: Sequence[_Gathering],

@@ -158,6 +158,15 @@ class Parity:
         return reading, np.sqrt(self.level * self.own_share[reading])
 
     @property
+    def inside_runs(self) -> list[np.ndarray]:
+        """Those of the contrasts (N − stops) that belong to each run, slopes apart from bends."""
+        run = np.full(len(self._bin_present), -1)
+        for number, white in enumerate(self._white):
+            run[white.rows // self._bin_present.shape[2]] = number
+        kind = 2 * run[self.row[self.stops:]] + self.bends
+        return [np.flatnonzero(kind == k) for k in np.unique(kind)]
+
+    @property
     def own_runs(self) -> list[np.ndarray]:
         """Those of :meth:`own_rows` that belong to each run."""
         return [np.flatnonzero(np.isin(self._own[0], white.rows)) for white in self._white]
