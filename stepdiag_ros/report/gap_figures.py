@@ -208,7 +208,8 @@ def _courses(parts: Inside) -> str:
         panel.frame(f'{CHANNEL_NAMES[channel]} after a move of {letter} [{unit}]', 'after the stop began [ms]')
         panel.line(parts.time * 1e3, both[1, k] * factor, 'after', 1.6)
         panel.points(parts.time * 1e3, both[0, k] * factor, 'real', 5.0)
-        drawings.append(picture([panel], 350.0, 178.0, f'{CHANNEL_NAMES[channel]} inside the stops after moves of {letter}'))
+        label = f'{CHANNEL_NAMES[channel]} inside the stops after moves of {letter}'
+        drawings.append(picture([panel], 350.0, 178.0, label))
     return legend([(DOT, 'real', 'machine, mean of the stops'), ('line', 'after', 'simulator with what was found')]) \
         + side_by_side(drawings, 300.0)
 

@@ -141,8 +141,9 @@ def how_sure(diagnosis: Diagnosis) -> str:
         return f'{said}.' + (' What else is there has no name.' if diagnosis.unmodelled else '')
     if diagnosis.unmodelled:
         known = max((p for name, p in diagnosis.ranking.items() if name not in (UNKNOWN, NOTHING)), default=0.0)
-        return f'That something is there is {certainty(1.0 - diagnosis.ranking.get(NOTHING, 0.0))}; no known cause has ' \
-               f'more than {percent(known)}.'
+        there = 1.0 - diagnosis.ranking.get(NOTHING, 0.0)
+        return (f'That something is there: {certainty(there)} ({percent(there)}); no known cause has more than '
+                f'{percent(known)}.')
     sure = diagnosis.ranking.get(NOTHING, 0.0)
     other = max(((p, name) for name, p in diagnosis.ranking.items() if name != NOTHING), default=None)
     return f'{percent(sure)} for nothing' + (f'; the likeliest else: {title(other[1])}, {percent(other[0])}.' if other
