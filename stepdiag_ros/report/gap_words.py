@@ -142,7 +142,7 @@ def how_sure(diagnosis: Diagnosis) -> str:
     if diagnosis.unmodelled:
         known = max((p for name, p in diagnosis.ranking.items() if name not in (UNKNOWN, NOTHING)), default=0.0)
         there = 1.0 - diagnosis.ranking.get(NOTHING, 0.0)
-        return (f'That something is there: {certainty(there)} ({percent(there)}); no known cause has more than '
+        return (f'That something is there: {certainty(there)} ({percent(there)}); the likeliest known cause has '
                 f'{percent(known)}.')
     sure = diagnosis.ranking.get(NOTHING, 0.0)
     other = max(((p, name) for name, p in diagnosis.ranking.items() if name != NOTHING), default=None)

@@ -260,4 +260,5 @@ def test_patterns_without_a_name_are_one_row(backlash):
 def test_what_chance_may_leave_is_not_something_more(after, beyond):
     validation = CrossValidation(1.07, after, 1272, 528.0, 'each repeat', {'displacement': Distance(
         3.45e-7, 3.30e-7, 2.57e-7, 2.0e-7)})
-    assert validation.left == pytest.approx(0.82, abs=0.03) and validation.beyond_chance is beyond
+    assert validation.left == pytest.approx(0.82, abs=0.03)
+    assert validation.beyond_chance == beyond
