@@ -263,7 +263,8 @@ def _bands(diagnosis: Diagnosis) -> str:
                 rows += f'<tr><th class="r">{escape(said)}</th>' + ''.join(
                     _band_cell(found.get(period)) for period in periods) + '</tr>'
         heads = ''.join(f'<th>{escape(gap_words.period_words(*period, mine[0].unit))}</th>' for period in periods)
-        text += f'<div class="scroll"><table class="heat"><tr><th>{head}{made_up if setting == "time" else ""}</th>{heads}</tr>{rows}</table></div>'
+        head += made_up if setting == 'time' else ''
+        text += f'<div class="scroll"><table class="heat"><tr><th>{head}</th>{heads}</tr>{rows}</table></div>'
     return text + ('<small>Root mean square in times of the noise, before → after what was found is taken out, of what '
                    'the fit leaves; columns are periods. A dot: no more than noise makes.</small>')
 
