@@ -264,11 +264,11 @@ def _curve(name: str, both: list[tuple[Solution, str]]) -> str:
     """One of the 18 errors over its axis."""
     unit = 'µm' if name[1] in 'XYZ' else 'µrad'
     known = [(*solution.curve(name), colour) for solution, colour in both if solution.has(name)]
-    label, place = f'{name} [{unit}]', (34.0, 20.0, 134.0, 84.0)
+    label, place = f'{name} [{unit}]', (34.0, 20.0, 127.0, 84.0)
     if not known or any(np.max(sigma) > UNKNOWN_SIGMA for _, _, sigma, _ in known):
         panel = Panel(*place, (0.0, 1.0), (0.0, 1.0))
         panel.say(0.0, -6.0, label, 'ink title', size=11.0)
-        panel.say(67.0, 46.0, 'not known from this log', anchor='middle')
+        panel.say(63.0, 46.0, 'not known from this log', anchor='middle')
         return picture([panel], 172.0, 134.0, f'{label}: not known from this log')
     curves = [(1e3 * x, 1e6 * value, 1e6 * K * sigma, colour) for x, value, sigma, colour in known]
     edges = [np.concatenate([value - half, value + half]) for _, value, half, _ in curves]
@@ -281,7 +281,7 @@ def _curve(name: str, both: list[tuple[Solution, str]]) -> str:
         panel.band(x, value - half, value + half, colour, 0.18)
         panel.line(x, value, colour, 1.4)
     if astray:
-        panel.say(132.0, 80.0, 'plain: off scale', 'before', 'end', 9.0)
+        panel.say(125.0, 80.0, 'plain: off scale', 'before', 'end', 9.0)
     return picture([panel], 172.0, 134.0, f'{label} along {name[2]}')
 
 

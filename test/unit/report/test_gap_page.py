@@ -237,8 +237,8 @@ def test_the_first_screen_says_how_sure_and_what_to_do(backlash, diagnosed):
     assert 'What to do Check the ball screw' in first
     text = Page(gap_page(diagnosed(''), 'x')).text
     first = text[:text.index('How big is the gap?')]
-    assert re.search(r'How sure \d+ % for nothing', first) and 'What to do' not in text[len(first):]
-    assert 'Nothing. The errors below can be used as they are' in first
+    assert re.search(r'How sure \d+ % that nothing acts', first) and 'What to do' not in text[len(first):]
+    assert 'Nothing that this log asks for.' in first
 
 
 def test_the_page_needs_no_drawing_library():
