@@ -4,8 +4,8 @@
     python bench/bench_diagnose.py --cases 8x2 25x2
 
 Logs without an effect, written by `stepdiag simulate`; each is diagnosed by the command in a process of its own, on one
-core.  Limits: 300 KB a stop beyond what the command takes for a log of 60 stops; 3 s for 424 stops; time a stop at most
-1.5 times that at 424 stops.  Prints a table.
+core.  Limits: 300 KB a stop beyond what the command takes for a log of 60 stops; 3 s for 424 stops, 0.5 s of it for the
+page; time a stop at most 1.5 times that at 424 stops.  Prints a table.
 """
 
 import argparse
@@ -51,29 +51,41 @@ def stepdiag(*arguments: str) -> tuple[str, float, float]:
     return done.stdout, spent, float(done.stderr.split()[-1]) / 1e3
 
 
-def measured(case: str, folder: Path) -> tuple[int, float, float]:
-    """Stops of a log, processor time [s] and memory [MB] of its diagnosis."""
+def measured(case: str, folder: Path) -> tuple[int, float, float, float]:
+    """Stops of a log, processor time [s] and memory [MB] of its diagnosis, processor time [s] of the page in it."""
     steps, repeats = map(int, case.split('x'))
     cell, bag = folder / f'{case}.yaml', folder / case
     cell.write_text(CELL.format(steps=steps, repeats=repeats), encoding='utf-8')
     said, _, _ = stepdiag('simulate', str(cell), '--out', str(bag))
     stops = int(said.split(' stops')[0].split()[-1])
     _, spent, memory = stepdiag('gap', str(bag), '--out', str(folder / 'pages'))
-    return stops, spent, memory
+    return stops, spent, memory, page_share(bag)
+
+
+def page_share(bag: Path) -> float:
+    """Processor time [s] of the page alone, imports of what only it needs included."""
+    code = ('import sys, time; from stepdiag_ros.bag.reader import read_log; '
+            'from stepdiag_ros.effects import all_effects; '
+            'from stepdiag_ros.gap.diagnose import diagnose; '
+            'found = diagnose(read_log(sys.argv[1]), [kind() for kind in all_effects().values()]); '
+            'begin = time.process_time(); from stepdiag_ros.report.gap_page import gap_page; gap_page(found, "log"); '
+            'print(time.process_time() - begin)')
+    return float(subprocess.run([sys.executable, '-c', code, str(bag)], env=ENVIRONMENT, capture_output=True, text=True,
+                                check=True).stdout)
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description='Cost of a diagnosis by the length of the log.')
     parser.add_argument('--cases', nargs='+', default=CASES, metavar='STEPSxREPEATS')
     with tempfile.TemporaryDirectory() as folder:
-        few, _, base = measured(LEAST, Path(folder))
-        print(f'{few} stops: {base:.0f} MB\n\nsteps repeats  stops   CPU/s  ms a stop     MB  KB a stop beyond  limit',
+        few, _, base, _ = measured(LEAST, Path(folder))
+        print(f'{few} stops: {base:.0f} MB\n\nsteps repeats  stops   CPU/s  page/s  ms a stop     MB  KB a stop beyond  limit',
               flush=True)
         for case in parser.parse_args().cases:
-            stops, spent, memory = measured(case, Path(folder))
+            stops, spent, memory, page = measured(case, Path(folder))
             each = 1e3 * (memory - base) / max(stops - few, 1)
             steps, repeats = map(int, case.split('x'))
-            print(f'{steps:5d} {repeats:7d} {stops:6d} {spent:7.1f} {1e3 * spent / stops:10.1f} {memory:6.0f} '
+            print(f'{steps:5d} {repeats:7d} {stops:6d} {spent:7.1f} {page:7.2f} {1e3 * spent / stops:10.1f} {memory:6.0f} '
                   f'{each:17.0f}  {"met" if each <= MOST_KB else "not met"}', flush=True)
     return 0
 

@@ -74,7 +74,8 @@ def along_stops(parts: Series, table: StopTable, overlay: bool) -> str:
                 (DOT, 'after', 'after (what was found is in the simulator)'), ('band', 'noise', 'noise, ± 2σ')]
     what = 'Machine and simulator' if overlay else 'Residuals'
     label = f'{what} at each stop: {", ".join(CHANNEL_NAMES[row] for row in present)} in {", ".join(names)}'
-    return legend(said) + wide(picture(panels, width, height, label), max(LEAST_WIDTH, width - WIDTH + LEAST_WIDTH))
+    least = float(np.clip(8.0 * wanted.sum(), 320.0, width - 150.0))
+    return legend(said) + wide(picture(panels, width, height, label), least)
 
 
 def _present(parts: Series) -> list[int]:
@@ -116,10 +117,12 @@ def _stops(panel: Panel, table: StopTable, rows: np.ndarray, values: list[np.nda
         panel.points(stop, second, 'after', 2.2)
 
 
-def over_time(parts: Series, table: StopTable) -> str:
-    """Residuals before and after over the log's time; setups marked."""
+def over_time(parts: Series, table: StopTable, timed: bool = True) -> str:
+    """Residuals before and after over the log's time, or over the order where its times are made up; setups marked."""
     present, alone, panels = _present(parts), _unchanged(parts), []
-    minutes = _pauses_cut(table.time_s) / 60.0
+    minutes = _pauses_cut(table.time_s) / 60.0 if timed else np.argsort(np.argsort(table.time_s)).astype(float)
+    axis = 'time of measuring [min]; pauses are cut short, above: when each setup began' if timed else \
+        'order of measuring [stops]; the times of the log are made up'
     firsts = sorted(int(np.flatnonzero(table.setup == s)[0]) for s in np.unique(table.setup))
     for place, row in enumerate(present):
         factor, unit = _scale(np.stack([parts.before[:, row], parts.after[:, row]]))
@@ -129,13 +132,13 @@ def over_time(parts: Series, table: StopTable) -> str:
         panel = Panel(MARGIN, 20.0 + 98.0 * place, WIDTH - MARGIN - EDGE, 84.0, span(minutes, room=0.02),
                       span(before, after, np.array([noise, -noise])))
         last = place == len(present) - 1
-        panel.frame('', 'time of measuring [min]; pauses are cut short, above: when each setup began' if last else '',
+        panel.frame('', axis if last else '',
                     f'{CHANNEL_NAMES[row]} [{unit}]', 'xy' if last else 'y', most=12)
         panel.band(np.array(panel.x), np.full(2, -noise), np.full(2, noise), 'noise')
         for first in firsts:
             panel.upright(minutes[first])
         if place == 0:
-            _begins(panel, table, firsts, minutes)
+            _begins(panel, table, firsts, minutes, timed)
         if not alone:
             panel.points(minutes, before, 'before', 2.6)
         panel.points(minutes, after, 'after', 2.6)
@@ -146,13 +149,14 @@ def over_time(parts: Series, table: StopTable) -> str:
         picture(panels, WIDTH, 20.0 + 98.0 * len(present) + 16.0, label), LEAST_WIDTH)
 
 
-def _begins(panel: Panel, table: StopTable, firsts: list[int], minutes: np.ndarray) -> None:
+def _begins(panel: Panel, table: StopTable, firsts: list[int], minutes: np.ndarray, timed: bool) -> None:
     """When each setup began, said above as far as there is room."""
     places = [*(float(panel.across(minutes[first])) for first in firsts), panel.width + EDGE]
     free = 0.0
     for first, at, end in zip(firsts, places, places[1:], strict=False):
         name = table.setup_names[table.setup[first]]
-        for said in (f'{name}, after {table.time_s[first] / 60:.0f} min', name):
+        after = [f'{name}, after {table.time_s[first] / 60:.0f} min'] if timed else []
+        for said in (*after, name):
             if at >= free and (LETTER * len(said) < end - at or said == name):
                 panel.say(at + 2.0, -6.0, said, 'ink')
                 free = at + LETTER * len(said)
@@ -208,7 +212,8 @@ def _courses(parts: Inside) -> str:
         panel.frame(f'{CHANNEL_NAMES[channel]} after a move of {letter} [{unit}]', 'after the stop began [ms]')
         panel.line(parts.time * 1e3, both[1, k] * factor, 'after', 1.6)
         panel.points(parts.time * 1e3, both[0, k] * factor, 'real', 5.0)
-        drawings.append(picture([panel], 350.0, 178.0, f'{CHANNEL_NAMES[channel]} inside the stops after moves of {letter}'))
+        label = f'{CHANNEL_NAMES[channel]} inside the stops after moves of {letter}'
+        drawings.append(picture([panel], 350.0, 178.0, label))
     return legend([(DOT, 'real', 'machine, mean of the stops'), ('line', 'after', 'simulator with what was found')]) \
         + side_by_side(drawings, 300.0)
 
@@ -259,11 +264,11 @@ def _curve(name: str, both: list[tuple[Solution, str]]) -> str:
     """One of the 18 errors over its axis."""
     unit = 'µm' if name[1] in 'XYZ' else 'µrad'
     known = [(*solution.curve(name), colour) for solution, colour in both if solution.has(name)]
-    label, place = f'{name} [{unit}]', (34.0, 20.0, 134.0, 84.0)
+    label, place = f'{name} [{unit}]', (34.0, 20.0, 127.0, 84.0)
     if not known or any(np.max(sigma) > UNKNOWN_SIGMA for _, _, sigma, _ in known):
         panel = Panel(*place, (0.0, 1.0), (0.0, 1.0))
         panel.say(0.0, -6.0, label, 'ink title', size=11.0)
-        panel.say(67.0, 46.0, 'not known from this log', anchor='middle')
+        panel.say(63.0, 46.0, 'not known from this log', anchor='middle')
         return picture([panel], 172.0, 134.0, f'{label}: not known from this log')
     curves = [(1e3 * x, 1e6 * value, 1e6 * K * sigma, colour) for x, value, sigma, colour in known]
     edges = [np.concatenate([value - half, value + half]) for _, value, half, _ in curves]
@@ -276,7 +281,7 @@ def _curve(name: str, both: list[tuple[Solution, str]]) -> str:
         panel.band(x, value - half, value + half, colour, 0.18)
         panel.line(x, value, colour, 1.4)
     if astray:
-        panel.say(132.0, 80.0, 'plain: off scale', 'before', 'end', 9.0)
+        panel.say(125.0, 80.0, 'plain: off scale', 'before', 'end', 9.0)
     return picture([panel], 172.0, 134.0, f'{label} along {name[2]}')
 
 

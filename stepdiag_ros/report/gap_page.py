@@ -53,8 +53,10 @@ def _head(diagnosis: Diagnosis, name: str) -> str:
     when = datetime.fromtimestamp(log.steps.time_ns[0] * 1e-9, UTC)
     minutes = (log.steps.time_ns[-1] - log.steps.time_ns[0]) / 60e9
     runs = f'{len(table_.run_ids)} runs' if len(table_.run_ids) > 1 else 'one run'
-    kicker = (f'Machine {log.description.machine.name} · log {name} · {when:%Y-%m-%d %H:%M} UTC · '
-              f'{len(table_)} stops in {runs}, {plain(minutes)} min')
+    began, lasted = (f'{when:%Y-%m-%d %H:%M} UTC', f'{plain(minutes)} min') if log.description.timed else \
+        ('no date', 'times made up')
+    kicker = (f'Machine {log.description.machine.name} · log {name} · {began} · {len(table_)} stops in {runs}, '
+              f'{lasted}')
     return (f'<header><div class="kicker">{escape(kicker)}</div>'
             f'<h1>{escape(gap_words.headline(diagnosis))}</h1>'
             f'<p><span class="badge {kind}">{word}</span></p>'
@@ -212,16 +214,19 @@ def _where(diagnosis: Diagnosis) -> str:
              {gap_words.STATES[k]: v for k, v in shares.state.items()})
     sides = '<div class="sides">' + ''.join(
         bars([(said, v, closed_percent(v)) for said, v in kind.items()]) for kind in kinds if kind) + '</div>'
+    measured = [any(band.channel == channel for band in diagnosis.bands) for channel in SHORT_CHANNELS]
     if not shares.cells.any():
         return text + sides + _bands(diagnosis)
-    return (text + '<div class="cols"><div>' + _map(shares, diagnosis.log.description) + '</div><div>' + sides
+    return (text + '<div class="cols"><div>' + _map(shares, diagnosis.log.description, measured) + '</div><div>' + sides
             + '</div></div>' + _bands(diagnosis))
 
 
-def _map(shares: Margins, description: Description) -> str:
+def _map(shares: Margins, description: Description, measured: list[bool]) -> str:
     names, top = shares.setups, shares.cells.max()
     rows = ''
     for c, channel in enumerate(SHORT_CHANNELS.values()):
+        if not measured[c]:
+            continue
         cells = ''
         for s in range(len(names)):
             said = closed_percent(shares.cells[c, s]) if shares.cells[c, s] >= LEAST_SHARE else '·'
@@ -245,6 +250,7 @@ def _bands(diagnosis: Diagnosis) -> str:
     text = '<h3>By frequency</h3>' + f'<p>{escape(gap_words.bands_words(diagnosis))}</p>'
     if not any(band.stands_out for band in diagnosis.bands):
         return text
+    made_up = '' if diagnosis.log.description.timed else ' (made up)'
     for setting, head in gap_words.SETTINGS.items():
         mine = [band for band in diagnosis.bands if band.setting == setting]
         if not mine:
@@ -253,9 +259,11 @@ def _bands(diagnosis: Diagnosis) -> str:
         rows = ''
         for channel, said in SHORT_CHANNELS.items():
             found = {(band.shortest, band.longest): band for band in mine if band.channel == channel}
-            rows += f'<tr><th class="r">{escape(said)}</th>' + ''.join(
-                _band_cell(found.get(period)) for period in periods) + '</tr>'
+            if found:
+                rows += f'<tr><th class="r">{escape(said)}</th>' + ''.join(
+                    _band_cell(found.get(period)) for period in periods) + '</tr>'
         heads = ''.join(f'<th>{escape(gap_words.period_words(*period, mine[0].unit))}</th>' for period in periods)
+        head += made_up if setting == 'time' else ''
         text += f'<div class="scroll"><table class="heat"><tr><th>{head}</th>{heads}</tr>{rows}</table></div>'
     return text + ('<small>Root mean square in times of the noise, before → after what was found is taken out, of what '
                    'the fit leaves; columns are periods. A dot: no more than noise makes.</small>')
@@ -287,7 +295,7 @@ def _pictures(diagnosis: Diagnosis) -> str:
     return (text + '<h3>Residuals at each stop</h3>'
             + figure(gap_figures.along_stops(parts, stops, False), caption, 2)
             + '<h3>Residuals over time</h3>'
-            + figure(gap_figures.over_time(parts, stops),
+            + figure(gap_figures.over_time(parts, stops, diagnosis.log.description.timed),
                      'The same, in the order in which it was measured.') + _inside(diagnosis) + _swings(diagnosis))
 
 

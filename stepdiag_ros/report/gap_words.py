@@ -141,12 +141,13 @@ def how_sure(diagnosis: Diagnosis) -> str:
         return f'{said}.' + (' What else is there has no name.' if diagnosis.unmodelled else '')
     if diagnosis.unmodelled:
         known = max((p for name, p in diagnosis.ranking.items() if name not in (UNKNOWN, NOTHING)), default=0.0)
-        return f'That something is there is {certainty(1.0 - diagnosis.ranking.get(NOTHING, 0.0))}; no known cause has ' \
-               f'more than {percent(known)}.'
+        there = 1.0 - diagnosis.ranking.get(NOTHING, 0.0)
+        return (f'That something is there: {certainty(there)} ({percent(there)}); the likeliest known cause has '
+                f'{percent(known)}.')
     sure = diagnosis.ranking.get(NOTHING, 0.0)
     other = max(((p, name) for name, p in diagnosis.ranking.items() if name != NOTHING), default=None)
-    return f'{percent(sure)} for nothing' + (f'; the likeliest else: {title(other[1])}, {percent(other[0])}.' if other
-                                             else '.')
+    return f'{percent(sure)} that nothing acts' + (
+        f'; likeliest beside that: “{title(other[1])}” ({percent(other[0])}).' if other else '.')
 
 
 def what_to_do(diagnosis: Diagnosis) -> str:
@@ -156,7 +157,7 @@ def what_to_do(diagnosis: Diagnosis) -> str:
     if diagnosis.next_measurement:
         said.append(f'Measure next: {diagnosis.next_measurement}')
     if not said and not diagnosis.effects and not diagnosis.unmodelled:
-        return 'Nothing. The errors below can be used as they are.'
+        return 'Nothing that this log asks for.'
     return ' '.join(said) or 'Look at the pictures below: when and where it shows tells what to look for.'
 
 
@@ -276,7 +277,7 @@ def _expected(gap: Distance) -> str:
     """What a gap would be of nothing but noise and what the prediction does not know [m], in a clause."""
     alone = f'noise alone makes {micrometres(gap.floor)}'
     return alone if gap.sigma < 0.1 * gap.floor else (
-        f'{alone}, with the {micrometres(gap.sigma)} by which the prediction itself is uncertain '
+        f'{alone}, together with the {micrometres(gap.sigma)} by which the prediction itself is uncertain '
         f'{micrometres(float(np.hypot(gap.floor, gap.sigma)))}')
 
 

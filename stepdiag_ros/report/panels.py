@@ -1,7 +1,7 @@
 """Small multiples as SVG text: panels with ticks, bands, lines and points, written from whole arrays at once.
 
-Positions are in pixels, y downwards; colours are names of the page's style (``before``, ``after`` …), so that a page and
-its pictures change together.  Nothing is referred to by an id and nothing is fetched.
+Positions are in pixels, y downwards; colours are names of the page's style (``before``, ``after`` …), so that a page
+and its pictures change together.  Nothing is referred to by an id and nothing is fetched.
 """
 
 from collections.abc import Iterable, Sequence
@@ -72,7 +72,8 @@ class Panel:
             tip = across + (1.8 if shape == RIGHT else -1.8)
             self._path(_written(f'M%.1f %.1f{TRIANGLES[shape]}', tip, down), colour, 'fill="currentColor"')
 
-    def line(self, x: np.ndarray, y: np.ndarray, colour: str, width: float = 1.2, part: np.ndarray | None = None) -> None:
+    def line(self, x: np.ndarray, y: np.ndarray, colour: str, width: float = 1.2,
+             part: np.ndarray | None = None) -> None:
         """Lines through the points that are known; one for each run of equal values in ``part``."""
         known = np.isfinite(x) & np.isfinite(y)
         across, down = self.across(np.asarray(x)[known]), self.down(np.asarray(y)[known])
@@ -95,14 +96,15 @@ class Panel:
         """A line from top to bottom."""
         self._path(f'M{float(self.across(x)):.1f} 0v{self.height:.1f}', colour, 'stroke="currentColor"')
 
-    def say(self, x: float, y: float, text: str, colour: str = 'soft', anchor: str = 'start', size: float = 10.0) -> None:
+    def say(self, x: float, y: float, text: str, colour: str = 'soft', anchor: str = 'start',
+            size: float = 10.0) -> None:
         """Text at a place [px from the panel's corner], which may lie outside."""
         self.beside.append(words(self.left + x, self.top + y, text, colour, anchor, size))
 
     def frame(self, title: str = '', x_label: str = '', y_label: str = '', numbers: str = 'xy', grid: str = 'xy',
               most: int = 0, counted: tuple[float, float] | None = None) -> None:
-        """The axes in ``grid`` get rules, those in ``numbers`` what the rules stand for; title above, labels with their units
-        beside.  ``most``: rules across; ``counted``: the part of x that has any."""
+        """The axes in ``grid`` get rules, those in ``numbers`` what the rules stand for; title above, labels with their
+        units beside.  ``most``: rules across; ``counted``: the part of x that has any."""
         rules = []
         for axis in grid:
             low, high = (counted or self.x) if axis == 'x' else self.y

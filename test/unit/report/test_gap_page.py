@@ -237,8 +237,8 @@ def test_the_first_screen_says_how_sure_and_what_to_do(backlash, diagnosed):
     assert 'What to do Check the ball screw' in first
     text = Page(gap_page(diagnosed(''), 'x')).text
     first = text[:text.index('How big is the gap?')]
-    assert re.search(r'How sure \d+ % for nothing', first) and 'What to do' not in text[len(first):]
-    assert 'Nothing. The errors below can be used as they are' in first
+    assert re.search(r'How sure \d+ % that nothing acts', first) and 'What to do' not in text[len(first):]
+    assert 'Nothing that this log asks for.' in first
 
 
 def test_the_page_needs_no_drawing_library():
@@ -260,4 +260,5 @@ def test_patterns_without_a_name_are_one_row(backlash):
 def test_what_chance_may_leave_is_not_something_more(after, beyond):
     validation = CrossValidation(1.07, after, 1272, 528.0, 'each repeat', {'displacement': Distance(
         3.45e-7, 3.30e-7, 2.57e-7, 2.0e-7)})
-    assert validation.left == pytest.approx(0.82, abs=0.03) and validation.beyond_chance is beyond
+    assert validation.left == pytest.approx(0.82, abs=0.03)
+    assert validation.beyond_chance == beyond
