@@ -32,7 +32,10 @@ def test_columns_products_and_data_are_those_of_each_form_alone(space_and_forms,
     found = Brought.into(space, forms, data)
     directions = np.random.default_rng(1).standard_normal((len(data), 3))
     directions[:space.stops] -= space._basis @ space.absorbed(directions[:space.stops])
-    times = found.times(directions)
+    times = found.times(directions, slice(0, found.width))
+    some = found.slices[1]
+    np.testing.assert_array_equal(found.times(directions, some)[:, some], times[:, some])
+    assert not found.times(directions, some)[:, some.stop:].any()
     for form, part, gram in zip(forms, found.slices, found.grams, strict=True):
         whole = space.project(form)
         full = found.columns(part, len(data))
