@@ -206,6 +206,24 @@ def test_a_killed_sequencer_stops_the_machine_by_the_control(ros_domain, tmp_pat
         assert machine.stops_within(1.5) < 1.5
 
 
+def test_a_sequencer_that_stands_still_stops_the_machine_by_the_control(ros_domain, tmp_path):
+    """It moves no further either when the sequencer wakes up, whose calibration has ended or repeats the run."""
+    with Bringup(write_cell(tmp_path), bag=tmp_path / 'log', runtime=tmp_path / 'run') as cell:
+        client, machine = Client(cell), Machine(tmp_path / 'run')
+        machine.wait_mid_move()
+        sequencer = cell.pids()['step_sequencer']
+        os.kill(sequencer, signal.SIGSTOP)
+        try:
+            assert machine.stops_within(1.5) < 1.5
+            time.sleep(4.0)
+        finally:
+            os.kill(sequencer, signal.SIGCONT)
+        outcome = client.wait()
+        print('OUTCOME', outcome)
+        assert outcome.how == 'aborted' and 'emergency stop' in outcome.message and 'lease' not in outcome.message
+        assert not machine.moving() and machine.x() < 0.19
+
+
 def test_a_sequencer_that_starts_stops_what_it_finds_moving(ros_domain, tmp_path):
     with Wired(write_cell(tmp_path, watchdog=8.0), bag=tmp_path / 'log', runtime=tmp_path / 'run') as cell:
         Client(cell)
