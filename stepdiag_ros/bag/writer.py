@@ -26,8 +26,8 @@ COMPRESSIONS = {'none': CompressionType.NONE, 'zstd': CompressionType.ZSTD,
                 'lz4': CompressionType.LZ4}
 #: Small, because a damaged chunk is lost as a whole.
 CHUNK_SIZE = 1 << 18
-#: Of one file while it is recorded live.  The index of each, about 1.2 kB, stays in memory until its file is closed: with
-#: four a second a file lasts a quarter of an hour (decision 0346).
+#: Of one file while it is recorded live.  The index of each, about 1.2 kB, stays in memory until its file is closed:
+#: with four a second a file lasts a quarter of an hour (decision 0346).
 MOST_CHUNKS = 4000
 ROS_DISTRO = 'jazzy'
 _MASK = 0xFFFFFFFF
@@ -71,8 +71,8 @@ class BagWriter:
 
     ``live``: flush every ``flush_period`` [s], sync every ``sync_period`` [s] from a
     thread of its own.  Without it (simulation, import) chunks are written when they
-    are full, and the same messages give the same bytes.  A live bag is split into files of ``most_chunks`` chunks, so that
-    the memory which their indexes take is bounded however long it records.
+    are full, and the same messages give the same bytes.  A live bag is split into files of ``most_chunks`` chunks, so
+    that the memory which their indexes take is bounded however long it records.
     ``compression``: ``none``, ``zstd`` or ``lz4``.  ``custom_data`` goes into
     ``metadata.yaml``.  Raises :class:`StepdiagError` if ``path`` exists, unless it is a bag to go on in,
     of which ``earlier`` says what it holds (:mod:`stepdiag_ros.bag.append`).

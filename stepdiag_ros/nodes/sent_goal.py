@@ -1,9 +1,9 @@
 """A goal as its client keeps it: whoever has it may be silent, or may have been replaced.
 
-That a sequencer says nothing does not mean that it has ended: it, this client, or the computer of either may have stood
-still.  So it is asked for the goal's result anew, which is what the protocol of actions has for it: one that was started
+That a sequencer says nothing does not mean that it has ended: it, this client, or the computer of either may have
+stood still.  So it is asked for the goal's result anew, which is what the protocol of actions has for it: one that was started
 again answers at once that it knows no such goal; one that is silent answers when it goes on; of one that has ended only
-the silence is known (decision 0341).
+the silence is known (decision 0345).
 """
 
 import threading
@@ -56,15 +56,15 @@ class SentGoal:
             self._spoke_s = max(self._spoke_s, at_s)
 
     def look(self) -> None:
-        """Ask where there is doubt; :class:`LostGoal` where the goal is not known any more, :class:`StepdiagError` after a
-        silence too long."""
+        """Ask where there is doubt; :class:`LostGoal` where the goal is not known any more, :class:`StepdiagError`
+        after a silence too long."""
         if self._unknown.is_set():
             raise LostGoal(f'{self._server} has ended, and the one that runs now knows nothing of the calibration; '
                            'begin it anew')
         silent_s = self.silent_s
         if silent_s > GIVE_UP_S:
-            raise StepdiagError(f'{self._server} has been silent for {silent_s:.0f} s: it has ended, or hangs, or cannot be '
-                                'reached; the calibration is given up')
+            raise StepdiagError(f'{self._server} has been silent for {silent_s:.0f} s: it has ended, or hangs, or '
+                                'cannot be reached; the calibration is given up')
         if silent_s > DOUBT_S and time.monotonic() - self._asked_s > ASK_S:
             self._request()
 

@@ -1,7 +1,7 @@
 """From an installed workspace to a moving machine by ROS's own `ros2 launch`, as docs/how-to/workspace.md says.
 
-The launch system is not among the ROS wheels: where `ros2 launch` or the built package is not found this is skipped, and
-test_launch.py compares the files with what is installed.
+The launch system is not among the ROS wheels: where `ros2 launch` or the built package is not found this is skipped,
+and test_launch.py compares the files with what is installed.
 """
 
 import os
@@ -24,13 +24,13 @@ def finds_the_package() -> bool:
     return asked.returncode == 0 and 'stepdiag_ros bringup' in found.stdout
 
 
-pytestmark = [pytest.mark.skipif(not finds_the_package(), reason='`ros2 launch`, or stepdiag_ros in a sourced workspace, '
-                                                                 'is not there'), pytest.mark.timeout(600)]
+pytestmark = [pytest.mark.skipif(not finds_the_package(), reason='`ros2 launch`, or stepdiag_ros in a sourced '
+                                                                 'workspace, is not there'), pytest.mark.timeout(600)]
 
 
 def stepdiag(*arguments: str, where: Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([ROS2, 'run', 'stepdiag_ros', 'stepdiag', *arguments], cwd=where, capture_output=True, text=True,
-                          timeout=300)
+    return subprocess.run([ROS2, 'run', 'stepdiag_ros', 'stepdiag', *arguments], cwd=where, capture_output=True,
+                          text=True, timeout=300)
 
 
 def calibrated(launch: list[str], where: Path) -> str:
@@ -55,7 +55,8 @@ def test_one_launch_file_brings_a_virtual_machine_up(ros_domain: int, tmp_path: 
 
 
 def test_nodes_by_themselves_with_their_parameter_file(ros_domain: int, tmp_path: Path) -> None:
-    share = subprocess.run([ROS2, 'pkg', 'prefix', '--share', 'stepdiag_ros'], capture_output=True, text=True, check=True)
+    share = subprocess.run([ROS2, 'pkg', 'prefix', '--share', 'stepdiag_ros'], capture_output=True, text=True,
+                           check=True)
     cell, runtime = Path(share.stdout.strip()) / 'cells' / 'demo.yaml', tmp_path / 'demo'
     with subprocess.Popen(['python3', '-m', 'stepdiag_ros.virtual.cell_process', str(cell), '--runtime', str(runtime)],
                           stdout=subprocess.DEVNULL) as instruments:

@@ -80,7 +80,7 @@ def test_a_calibration_goes_on_where_a_node_s_death_broke_it_off(ros_domain, cel
         assert live['dof'] == again.to_json_dict()['dof']
 
 
-def test_a_sequencer_that_stood_still_is_called_silent_and_keeps_its_goal_and_its_client(ros_domain, cell_file, tmp_path):
+def test_a_sequencer_that_stood_still_is_called_silent_and_keeps_goal_and_client(ros_domain, cell_file, tmp_path):
     """Stopped for longer than lease (5 s) and the client's patience (8 s), and alive."""
     stopped, said = [], set()
     with Bringup(cell_file, bag=tmp_path / 'log', runtime=tmp_path / 'run') as cell:
