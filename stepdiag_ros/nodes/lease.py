@@ -1,8 +1,9 @@
 """A lease as it is counted by one who waits for its renewals and may itself stand still.
 
-Renewals that have arrived and have not been looked at yet are no silence.  So only the time counts in which the
+Renewals that have arrived and have not been looked at yet are no silence. So only the time counts in which the
 waiting node has listened: its executor ticks between two messages, and a tick stands for at most twice its period,
-however late it is.  A node that was stopped, or whose computer was, or that had no processor, takes nobody for lost on waking up.
+however late it is. A node that was stopped, or whose computer was, or that had no processor, takes nobody for lost on
+waking up.
 """
 
 import threading

@@ -1,9 +1,9 @@
 """A goal as its client keeps it: whoever has it may be silent, or may have been replaced.
 
 That a sequencer says nothing does not mean that it has ended: it, this client, or the computer of either may have
-stood still.  So it is asked for the goal's result anew, which is what the protocol of actions has for it: one that was started
-again answers at once that it knows no such goal; one that is silent answers when it goes on; of one that has ended only
-the silence is known (decision 0345).
+stood still. So it is asked for the goal's result anew, which is what the protocol of actions has for it: one that was
+started again answers at once that it knows no such goal; one that is silent answers when it goes on; of one that has
+ended only the silence is known (decision 0345).
 """
 
 import threading
