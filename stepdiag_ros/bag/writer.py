@@ -21,6 +21,7 @@ from stepdiag_ros.bag.qos import RELIABLE, PlainDumper, parse_qos
 from stepdiag_ros.bag.source import METADATA
 from stepdiag_ros.bag.typehash import rihs01
 from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.guard.files import real
 
 COMPRESSIONS = {'none': CompressionType.NONE, 'zstd': CompressionType.ZSTD,
                 'lz4': CompressionType.LZ4}
@@ -124,7 +125,7 @@ class BagWriter:
 
     def _begin_file(self) -> None:
         """The bag's next file, with all topics that are known."""
-        self.file = self.path / f'{self.path.resolve().name}_{self._earlier.number}.mcap'
+        self.file = self.path / f'{real(self.path).name}_{self._earlier.number}.mcap'
         self._stream = open(self.file, 'xb')
         self._schemas: dict[tuple[str, str], int] = {}
         self._first: int | None = None
