@@ -226,6 +226,7 @@ class Operator:
         ``bag``: its directory, in the folder in which the recorder makes bags; empty: a name is made there.
         ``steps``: of each axis along a diagonal, if not those of the cell description.
         """
+        self._require_sequencer()
         name = self._name_of(bag)
         self._refuse_while_busy()
         self.bring('step_sequencer', UNCONFIGURED)
@@ -238,6 +239,12 @@ class Operator:
         self.set_parameters('step_sequencer', {'steps': steps})
         for node in (*listeners, 'step_sequencer'):
             self.bring(node, ACTIVE)
+
+    def _require_sequencer(self) -> None:
+        """:class:`StepdiagError` where no machine of this name is up."""
+        if not self._action.wait_for_server(timeout_sec=10.0):
+            raise StepdiagError(f'no sequencer answers at {self.namespace}/{ACTION}; '
+                                'is the cell up? (stepdiag up CELL.yaml)')
 
     def _refuse_while_busy(self) -> None:
         """Somebody else's calibration must not be ended by who wants one of his own."""
@@ -279,9 +286,7 @@ class Operator:
         ``meanwhile()`` is called ten times a second; what it raises ends the waiting.  A calibration whose
         sequencer died is taken up again where it was broken off, once the sequencer is active again.
         """
-        if not self._action.wait_for_server(timeout_sec=10.0):
-            raise StepdiagError(f'no sequencer answers at {self.namespace}/{ACTION}; '
-                                'is the cell up? (stepdiag up CELL.yaml)')
+        self._require_sequencer()
         goal = RunStepDiagonal.Goal(setups=list(setups), repeats=repeats, dwell=float(dwell_s),
                                     steps=steps)
         at: dict[str, Any] = {'completed': [], 'run_id': ''}

@@ -120,3 +120,11 @@ def test_what_the_fuzzer_found(tmp_path, file):
     """Named after what is wrong in it and after the command that stumbled over it."""
     command = file.suffixes[-2].lstrip('.')
     refused_or_well(harness.arguments(command, file, tmp_path), file.stat().st_size)
+
+
+def test_a_plan_of_millions_of_stops_is_refused_before_it_is_made(tmp_path):
+    cell = tmp_path / 'cell.yaml'
+    demo = (Path(__file__).resolve().parents[2] / 'cells' / 'demo.yaml').read_text(encoding='utf-8')
+    cell.write_text(demo.replace('repeats: 2', 'repeats: 1000').replace('steps: 4', 'steps: 200'), encoding='utf-8')
+    outcome = refused_or_well(harness.arguments('simulate', cell, tmp_path), 1 << 20)
+    assert outcome.status == 2 and 'samples, more than' in outcome.err and outcome.cpu_s < 10.0
