@@ -162,7 +162,7 @@ def judged(soak: Soak, bags: list[dict[str, Any]]) -> tuple[bool, dict[str, floa
     """Whether nothing was lost and all memory is flat; growth of each process."""
     slopes = {name: growth(soak.rows, name) for name in soak.rows[-1]['taken']}
     whole = all(bag['lost'] == bag['damage'] == bag['dwells_lost'] == 0 for bag in bags)
-    flat = all(not slope > FLAT_MIB_MIN for slope in slopes.values())
+    flat = all(slope <= FLAT_MIB_MIN for slope in slopes.values())      # not where the idle minutes were too few
     return whole and flat and all(c['how'] == 'succeeded' for c in soak.calibrations), slopes
 
 
@@ -185,8 +185,9 @@ def page(soak: Soak, bags: list[dict[str, Any]], slopes: dict[str, float], cell:
     for name, slope in slopes.items():
         used = (last['taken'][name][2] - first['taken'][name][2]) / seconds
         amounts = [f'{row["taken"][name][0]:.1f}' if name in row['taken'] else '–' for row in shown]
+        grows = f'{slope:+.3f}' if np.isfinite(slope) else '–'
         amounts[-1] += f' ({last["taken"][name][1]:.0f})'
-        lines.append(f'| `{name}` | ' + ' | '.join(amounts) + f' | {slope:+.3f} | {100 * used:.1f} % |')
+        lines.append(f'| `{name}` | ' + ' | '.join(amounts) + f' | {grows} | {100 * used:.1f} % |')
     lines += ['', '## Losses', '',
               f'Both sensors at once; {rate:.1f} displacement samples a second in the bags. Lost by the sequence numbers of all '
               'topics; dwells without a usable sample; samples of the dwells that are marked as missed.', '',
