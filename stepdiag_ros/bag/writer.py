@@ -21,11 +21,15 @@ from stepdiag_ros.bag.qos import RELIABLE, PlainDumper, parse_qos
 from stepdiag_ros.bag.source import METADATA
 from stepdiag_ros.bag.typehash import rihs01
 from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.guard.files import real
 
 COMPRESSIONS = {'none': CompressionType.NONE, 'zstd': CompressionType.ZSTD,
                 'lz4': CompressionType.LZ4}
 #: Small, because a damaged chunk is lost as a whole.
 CHUNK_SIZE = 1 << 18
+#: Of one file while it is recorded live.  The index of each, about 1.2 kB, stays in memory until its file is closed:
+#: with four a second a file lasts a quarter of an hour (decision 0346).
+MOST_CHUNKS = 4000
 ROS_DISTRO = 'jazzy'
 _MASK = 0xFFFFFFFF
 
@@ -36,8 +40,11 @@ class _Topic:
     type: str
     qos: list[dict]
     hash: str
-    channel: int
+    schema: str
+    schema_encoding: str
+    channel: int = 0    # in the present file, as is the count; before: messages of the writer's earlier ones
     count: int = 0
+    before: int = 0
 
 
 @dataclass(frozen=True)
@@ -65,7 +72,8 @@ class BagWriter:
 
     ``live``: flush every ``flush_period`` [s], sync every ``sync_period`` [s] from a
     thread of its own.  Without it (simulation, import) chunks are written when they
-    are full, and the same messages give the same bytes.
+    are full, and the same messages give the same bytes.  A live bag is split into files of ``most_chunks`` chunks, so
+    that the memory which their indexes take is bounded however long it records.
     ``compression``: ``none``, ``zstd`` or ``lz4``.  ``custom_data`` goes into
     ``metadata.yaml``.  Raises :class:`StepdiagError` if ``path`` exists, unless it is a bag to go on in,
     of which ``earlier`` says what it holds (:mod:`stepdiag_ros.bag.append`).
@@ -73,20 +81,19 @@ class BagWriter:
 
     def __init__(self, path: str | Path, *, live: bool = True, compression: str = 'zstd',
                  flush_period: float = 0.25, sync_period: float = 1.0,
-                 custom_data: dict[str, str] | None = None, earlier: Earlier | None = None):
+                 custom_data: dict[str, str] | None = None, earlier: Earlier | None = None,
+                 most_chunks: int = MOST_CHUNKS):
         if compression not in COMPRESSIONS:
             raise StepdiagError(f'compression {compression!r} is unknown; choose one of '
                                 f'{", ".join(COMPRESSIONS)}')
         self.path = Path(path)
         self._earlier = earlier or Earlier(0, (), {})
-        self.file = self.path / f'{self.path.resolve().name}_{self._earlier.number}.mcap'
+        #: Number in the bag of the first file that this writer writes, from 0.
+        self.number = self._earlier.number
+        self._compression, self._most_chunks = COMPRESSIONS[compression], most_chunks
         self._lock = threading.Lock()
         self._topics: dict[str, _Topic] = {}
-        self._schemas: dict[tuple[str, str], int] = {}
         self._custom = dict(custom_data or {})
-        self._first: int | None = None
-        self._last = 0
-        self._dirty = False
         self._stop = threading.Event()
         self._failure: Exception | None = None
         self._closed = False
@@ -94,16 +101,9 @@ class BagWriter:
             if earlier is None and self.path.exists() and (not self.path.is_dir() or any(self.path.iterdir())):
                 raise StepdiagError(f'{self.path}: exists already; give a new name or remove it')
             self.path.mkdir(parents=True, exist_ok=True)
-            self._stream = open(self.file, 'xb')
+            self._begin_file()
         except OSError as error:
             raise StepdiagError(f'{self.path}: cannot be written: {error.strerror}') from None
-        # Message indexes and chunk indexes, as rosbag2 writes them; an attachment
-        # index without attachments confuses readers.
-        self._writer = Writer(self._stream, chunk_size=CHUNK_SIZE, compression=COMPRESSIONS[compression],
-                              index_types=IndexType.CHUNK | IndexType.MESSAGE | IndexType.METADATA,
-                              enable_data_crcs=True)
-        self._writer.start(profile='ros2', library='stepdiag_ros')
-        self._stream.flush()
         self._write_metadata()
         self._thread: threading.Thread | None = None
         if live:
@@ -118,15 +118,53 @@ class BagWriter:
         self.close()
 
     @property
-    def number(self) -> int:
-        """Number of the file in the bag, from 0."""
-        return self._earlier.number
-
-    @property
     def counts(self) -> dict[str, int]:
         """Messages written so far by topic."""
         with self._lock:
-            return {topic.name: topic.count for topic in self._topics.values()}
+            return {topic.name: topic.before + topic.count for topic in self._topics.values()}
+
+    def _begin_file(self) -> None:
+        """The bag's next file, with all topics that are known."""
+        self.file = self.path / f'{real(self.path).name}_{self._earlier.number}.mcap'
+        self._stream = open(self.file, 'xb')
+        self._schemas: dict[tuple[str, str], int] = {}
+        self._first: int | None = None
+        self._last, self._chunks, self._dirty = 0, 0.0, False
+        # Message indexes and chunk indexes, as rosbag2 writes them; an attachment
+        # index without attachments confuses readers.
+        self._writer = Writer(self._stream, chunk_size=CHUNK_SIZE, compression=self._compression,
+                              index_types=IndexType.CHUNK | IndexType.MESSAGE | IndexType.METADATA,
+                              enable_data_crcs=True)
+        self._writer.start(profile='ros2', library='stepdiag_ros')
+        for topic in self._topics.values():
+            self._register(topic)
+        self._stream.flush()
+
+    def _end_file(self) -> None:
+        """Indexes and statistics of the file, which is complete then."""
+        self._writer.add_metadata('rosbag2', {'serialized_metadata': _dump(self._information()),
+                                              'ROS_DISTRO': ROS_DISTRO})
+        self._writer.finish()
+        self._stream.flush()
+        os.fsync(self._stream.fileno())
+
+    def _split(self) -> None:
+        """Complete this file and go on in the next; called with the lock held."""
+        self._end_file()
+        self._stream.close()
+        self._earlier = Earlier(self._earlier.number + 1, self._files(), self._all_topics())
+        for topic in self._topics.values():
+            topic.before, topic.count = topic.before + topic.count, 0
+        self._begin_file()
+
+    def _register(self, topic: _Topic) -> None:
+        """Schema and channel of a topic in the present file."""
+        key = (topic.type, topic.schema)
+        if key not in self._schemas:
+            self._schemas[key] = self._writer.register_schema(topic.type, topic.schema_encoding, topic.schema.encode())
+        topic.channel = self._writer.register_channel(
+            topic.name, 'cdr', self._schemas[key],
+            {'offered_qos_profiles': _dump(topic.qos).strip(), 'topic_type_hash': topic.hash})
 
     def add_topic(self, name: str, type: str, qos_yaml: str = RELIABLE,
                   schema_text: str | None = None, type_hash: str | None = None,
@@ -147,13 +185,9 @@ class BagWriter:
                     raise StepdiagError(f'{self.path}: topic {name} is recorded as {known.type} and '
                                         f'was announced again as {type}')
                 return
-            key = (type, text)
-            if key not in self._schemas:
-                self._schemas[key] = self._writer.register_schema(type, schema_encoding, text.encode())
-            channel = self._writer.register_channel(
-                name, 'cdr', self._schemas[key],
-                {'offered_qos_profiles': _dump(qos).strip(), 'topic_type_hash': hashed})
-            self._topics[name] = _Topic(name, type, qos, hashed, channel)
+            topic = _Topic(name, type, qos, hashed, text, schema_encoding)
+            self._register(topic)
+            self._topics[name] = topic
         self._write_metadata()
 
     def write(self, topic: str, cdr: bytes, log_time_ns: int, publish_time_ns: int,
@@ -171,6 +205,7 @@ class BagWriter:
                 self._failure = error
                 self._check()
             entry.count += 1
+            self._chunks += len(cdr) / CHUNK_SIZE
             self._first = log_time_ns if self._first is None else min(self._first, log_time_ns)
             self._last = max(self._last, log_time_ns)
             self._dirty = True
@@ -181,6 +216,7 @@ class BagWriter:
             if self._dirty and not self._closed:
                 self._writer.flush()
                 self._dirty = False
+                self._chunks += 1
 
     def close(self) -> None:
         """Finish the file: indexes, statistics, metadata.  A second call does nothing.
@@ -197,11 +233,7 @@ class BagWriter:
             try:
                 if self._failure is not None:
                     raise self._failure
-                self._writer.add_metadata('rosbag2', {'serialized_metadata': _dump(self._information()),
-                                                      'ROS_DISTRO': ROS_DISTRO})
-                self._writer.finish()
-                self._stream.flush()
-                os.fsync(self._stream.fileno())
+                self._end_file()
             except (OSError, StepdiagError) as error:
                 raise StepdiagError(f'{self.file}: cannot be written: {error}; '
                                     f'mend it with: stepdiag recover {self.path}') from None
@@ -222,6 +254,10 @@ class BagWriter:
         while not self._stop.wait(flush_period):
             try:
                 self.flush()
+                if self._chunks > self._most_chunks:
+                    with self._lock:
+                        self._split()
+                    next_sync = 0.0     # metadata.yaml names the new file at once
                 if time.monotonic() >= next_sync:
                     next_sync = time.monotonic() + sync_period
                     os.fsync(self._stream.fileno())
@@ -233,25 +269,35 @@ class BagWriter:
 
     def _information(self) -> dict:
         """``rosbag2_bagfile_information``, version 9; called with the lock held or at the end."""
-        start = self._first or 0
-        files = [*self._earlier.files, (self.file.name, start, self._last if self._first is not None else start,
-                                        sum(topic.count for topic in self._topics.values()))]
+        files = self._files()
         times = [(first, last) for _, first, last, count in files if count]
         begin, end = (min(t for t, _ in times), max(t for _, t in times)) if times else (0, 0)
-        topics = {name: (t.type, t.qos, t.hash, t.count) for name, t in self._earlier.topics.items()}
-        for name, t in self._topics.items():
-            topics[name] = t.type, t.qos, t.hash, t.count + (topics[name][3] if name in topics else 0)
+        topics = self._all_topics()
         return {'version': 9, 'storage_identifier': 'mcap', **_span(begin, end),
                 'message_count': sum(count for *_, count in files),
                 'topics_with_message_count': [
-                    {'topic_metadata': {'name': name, 'type': type_name, 'serialization_format': 'cdr',
-                                        'offered_qos_profiles': qos, 'type_description_hash': hashed},
-                     'message_count': count} for name, (type_name, qos, hashed, count) in topics.items()],
+                    {'topic_metadata': {'name': name, 'type': topic.type, 'serialization_format': 'cdr',
+                                        'offered_qos_profiles': topic.qos, 'type_description_hash': topic.hash},
+                     'message_count': topic.count} for name, topic in topics.items()],
                 'compression_format': '', 'compression_mode': '',
                 'relative_file_paths': [name for name, *_ in files],
                 'files': [{'path': name, **_span(first, last), 'message_count': count}
                           for name, first, last, count in files],
                 'custom_data': self._custom or None, 'ros_distro': ROS_DISTRO}
+
+    def _files(self) -> tuple[tuple[str, int, int, int], ...]:
+        """Of every file of the bag, the present one the last: name, first and last log time [ns], messages."""
+        start = self._first or 0
+        return (*self._earlier.files, (self.file.name, start, self._last if self._first is not None else start,
+                                       sum(topic.count for topic in self._topics.values())))
+
+    def _all_topics(self) -> dict[str, EarlierTopic]:
+        """The topics of all files."""
+        topics = dict(self._earlier.topics)
+        for name, t in self._topics.items():
+            count = t.count + (topics[name].count if name in topics else 0)
+            topics[name] = EarlierTopic(t.type, t.qos, t.hash, count)
+        return topics
 
     def _write_metadata(self) -> None:
         with self._lock:

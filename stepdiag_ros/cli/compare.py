@@ -19,7 +19,7 @@ from stepdiag_ros.estimate.metres import in_metres
 from stepdiag_ros.estimate.readings import readings_of_stops
 from stepdiag_ros.estimate.solution import Solution
 from stepdiag_ros.guard import limits
-from stepdiag_ros.guard.files import read_text
+from stepdiag_ros.guard.files import read_text, real
 from stepdiag_ros.guard.jsontext import to_json
 
 NAME = 'compare'
@@ -41,7 +41,7 @@ def run(args: argparse.Namespace) -> int:
 
     log = read_log(args.bag, args.namespace)
     results, skipped = run_all(log)
-    name = Path(args.bag).resolve()
+    name = real(args.bag)
     name = name.stem if name.suffix == '.mcap' else name.name
     if args.truth is not None:
         text = read_text(args.truth, limits.TEXT_BYTES, 'file of known errors')

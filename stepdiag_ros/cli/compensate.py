@@ -19,7 +19,7 @@ from pathlib import Path
 from stepdiag_ros.cli.vector import vector
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.guard import limits
-from stepdiag_ros.guard.files import read_text
+from stepdiag_ros.guard.files import read_text, real
 from stepdiag_ros.guard.jsontext import to_json
 
 NAME = 'compensate'
@@ -76,7 +76,7 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print(to_json(document(found, args.bag)))
     found.checked()
-    name = Path(args.bag).resolve().stem
+    name = real(args.bag).stem
     files = {**found.files, **found.before_files, 'README.txt': readme(found, name),
              PREDICTION: to_json(document(found, name)) + '\n'}
     try:

@@ -23,7 +23,7 @@ from pathlib import Path
 from stepdiag_ros.cli.progress import Bar
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.guard import limits, strict_yaml
-from stepdiag_ros.guard.files import read_text
+from stepdiag_ros.guard.files import read_text, real
 from stepdiag_ros.guard.jsontext import to_json
 
 NAME = 'gap'
@@ -120,7 +120,7 @@ def _names(bags: list[str]) -> list[str]:
     """A name for each bag, as the folder of its answer; of equal ones the later get a number."""
     names: list[str] = []
     for bag in bags:
-        path = Path(bag).resolve()
+        path = real(bag)
         base = path.stem if path.suffix == '.mcap' else path.name
         name, number = base, 2
         while name in names:

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any
 from stepdiag_ros.cli.progress import Bar
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.guard import limits, strict_yaml
-from stepdiag_ros.guard.files import read_text
+from stepdiag_ros.guard.files import read_text, real
 from stepdiag_ros.guard.jsontext import to_json
 
 if TYPE_CHECKING:
@@ -171,7 +171,7 @@ def _fresh_noise(path: Path, cell: Any, out: Path) -> Path:
     for key in ('geometry', 'misalignments'):
         text[key] = {'seed': cell.seed, **(text.get(key) or {})}
     text['seed'] = cell.seed + 1
-    text['instruments']['cnc']['config'] = str((path.parent / cell.instruments.config).resolve())
+    text['instruments']['cnc']['config'] = str(real(path.parent / cell.instruments.config))
     again = out / 'cell_after.yaml'
     again.write_text(yaml.safe_dump(text, sort_keys=False), encoding='utf-8')
     return again

@@ -8,6 +8,7 @@ endpoints.yaml), or with --hardware those of the cell file.
 """
 
 import argparse
+import time
 from pathlib import Path
 
 from stepdiag_ros.errors import StepdiagError
@@ -17,6 +18,8 @@ from stepdiag_ros.guard.files import read_text
 NAME = 'parameters'
 HELP = "write the parameter file of a cell's nodes, for ros2 launch"
 ENDPOINTS = 'endpoints.yaml'
+#: So long a virtual cell that was started just before may take until its instruments listen.
+START_S = 10.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -37,6 +40,9 @@ def run(args: argparse.Namespace) -> int:
         endpoints = hardware_endpoints(cell)
     else:
         file = args.runtime / ENDPOINTS
+        end = time.monotonic() + START_S
+        while not file.is_file() and time.monotonic() < end:
+            time.sleep(0.1)
         if not file.is_file():
             raise StepdiagError(f'{file}: is not there: no virtual cell runs with this folder; start one with '
                                 f'python3 -m stepdiag_ros.virtual.cell_process {args.cell} --runtime {args.runtime}, '

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.guard import limits
-from stepdiag_ros.guard.files import read_text
+from stepdiag_ros.guard.files import read_text, real
 from stepdiag_ros.guard.jsontext import to_json
 
 NAME = 'report'
@@ -41,7 +41,7 @@ def run(args: argparse.Namespace) -> int:
     from stepdiag_ros.report.sheets.write import sheets_of, write_sheets
 
     log = read_log(args.bag, args.namespace)
-    path = Path(args.bag).resolve()
+    path = real(args.bag)
     name = path.stem if path.suffix == '.mcap' else path.name
     truth = None
     if args.truth is not None:

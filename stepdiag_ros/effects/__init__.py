@@ -51,7 +51,9 @@ def effects_in_file(path: str) -> list[type[Effect]]:
         spec.loader.exec_module(module)
     except FileNotFoundError:
         raise StepdiagError(f'{path}: does not exist; give the .py file that holds the effect') from None
-    except Exception as error:
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:     # sys.exit() in the file would end the command as if all had been done
         raise StepdiagError(f'{path}: cannot be run: {type(error).__name__}: {error}') from None
     found = _in_module(module)
     if not found:

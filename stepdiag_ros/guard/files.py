@@ -22,6 +22,11 @@ def open_regular(path: str | Path) -> BinaryIO:
     return os.fdopen(number, 'rb')
 
 
+def real(path: str | Path) -> Path:
+    """The absolute path, links followed; links in a circle stay, so that whoever opens it says what is wrong."""
+    return Path(os.path.realpath(path))     # Path.resolve raises RuntimeError
+
+
 def read_text(path: str | Path, most: int, what: str = 'file', encoding: str = 'utf-8') -> str:
     """The text of a file of at most ``most`` bytes; :class:`StepdiagError` names it and what is wrong."""
     with open_regular(path) as file:

@@ -7,7 +7,6 @@ a new log.
 """
 
 import sys
-import threading
 import time
 import traceback
 from dataclasses import replace
@@ -34,7 +33,6 @@ class EvaluationSolver(ListenerNode):
         self._publisher = self.create_lifecycle_publisher(
             GeometricErrors, ERRORS, reliable(1, latched=True), qos_overriding_options=overridable())
         self.create_service(Trigger, 'evaluate', self._on_evaluate)
-        self._working = threading.Lock()
         self._last = 'nothing evaluated yet'
         self._failed = False
 
@@ -51,7 +49,7 @@ class EvaluationSolver(ListenerNode):
         """Evaluate and publish; (success, the document or what is wrong)."""
         if self.state != 'active':
             return False, f'{self.get_name()} is not active'
-        with self._working:
+        with self.working():
             try:
                 solution = evaluate(self.whole_log())
             except StepdiagError as error:
@@ -76,7 +74,7 @@ class EvaluationSolver(ListenerNode):
         values = {**listening.values, 'last': self._last}
         if listening.level == OK and self._failed:
             return Health(ERROR, self._last, values)
-        if listening.level == OK and self._working.locked():
+        if listening.level == OK and self.is_working:
             return Health(OK, 'evaluating', values)
         return replace(listening, values=values)
 

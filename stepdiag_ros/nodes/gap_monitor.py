@@ -76,7 +76,6 @@ class GapMonitor(ListenerNode):
         self._so_far = self.create_lifecycle_publisher(
             GeometricErrors, ERRORS_SO_FAR, reliable(1, latched=True), qos_overriding_options=overridable())
         self.create_service(Trigger, 'diagnose', self._on_diagnose)
-        self._working = threading.Lock()
         self._stop = threading.Event()
         self._watcher: threading.Thread | None = None
         self._leaving: Leaving | None = None
@@ -109,7 +108,7 @@ class GapMonitor(ListenerNode):
             if received == seen:
                 continue
             seen, began = received, time.process_time()
-            with self._working:
+            with self.working():
                 try:
                     solution = evaluate(self.log_so_far())
                     self._leaving = leaving(solution)
@@ -134,7 +133,7 @@ class GapMonitor(ListenerNode):
         """Diagnose and publish; (success, gap.json or what is wrong)."""
         if self.state != 'active':
             return False, f'{self.get_name()} is not active'
-        with self._working:
+        with self.working():
             try:
                 diagnosis = diagnose(self.whole_log(), self._effects)
             except StepdiagError as error:

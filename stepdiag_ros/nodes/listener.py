@@ -7,6 +7,8 @@ Activating begins a new log.
 
 import threading
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 
 from action_msgs.msg import GoalStatus, GoalStatusArray
@@ -21,6 +23,7 @@ from stepdiag_ros.model.log import DONE, CalibrationLog
 from stepdiag_ros.nodes.assembler import LogAssembler
 from stepdiag_ros.nodes.base import OK, WARN, Health, StepdiagNode, reliable
 from stepdiag_ros.nodes.idle import IdleFilter
+from stepdiag_ros.nodes.memory import give_back
 from stepdiag_ros.nodes.stamps import ns_of
 from stepdiag_ros.nodes.step_sequencer import ACTION
 from stepdiag_ros.nodes.subscription import RECEIVED_TOPICS, RawSubscription, Received
@@ -42,9 +45,24 @@ class ListenerNode(StepdiagNode):
         self._missed = ''        # the bag of which this node has missed the beginning
         self._asked_ns = 0       # since when the recorder's word is waited for; 0: it has come
         self._keeping = threading.Lock()
+        self._busy = threading.Lock()
         self._begin_log()
         self._subscription: RawSubscription | None = None
         self._running: set[bytes] = set()
+
+    @contextmanager
+    def working(self) -> Iterator[None]:
+        """One computation at a time, whose memory goes back to the system when it is over."""
+        with self._busy:
+            try:
+                yield
+            finally:
+                give_back()
+
+    @property
+    def is_working(self) -> bool:
+        """A computation is under way."""
+        return self._busy.locked()
 
     def calibration_done(self) -> None:
         """A calibration has succeeded while this node was active."""

@@ -36,19 +36,19 @@ from stepdiag_msgs.action import RunStepDiagonal
 from stepdiag_msgs.msg import RecorderStatus
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.nodes.futures import ended
+from stepdiag_ros.nodes.sent_goal import SILENT_S, LostGoal, SentGoal, silence_words
 from stepdiag_ros.nodes.step_sequencer import ACTION, LEASE, lease_qos
 
 TRANSITIONS = {'configure': Transition.TRANSITION_CONFIGURE,
                'activate': Transition.TRANSITION_ACTIVATE,
                'deactivate': Transition.TRANSITION_DEACTIVATE,
                'cleanup': Transition.TRANSITION_CLEANUP}
-#: A goal of which the sequencer's diagnostics say nothing for so long is lost if nobody answers for as long either; so
-#: it is sooner where they say that there is none.
-LOST_GOAL_S, DENIED_GOAL_S = 8.0, 3.0
 #: So often a goal's client says that it lives: a twentieth of the sequencer's default lease.
 LEASE_PERIOD_S = 0.25
 #: So often a calibration is taken up again after a sequencer died, and so long its return is waited for.
 RESUMES, RETURN_S = 5, 90.0
+#: So long one question whether it is back may take.
+ANSWER_S = 8.0
 UNCONFIGURED, INACTIVE, ACTIVE = 'unconfigured', 'inactive', 'active'
 
 
@@ -80,10 +80,6 @@ def running_machines(wait_s: float = 5.0) -> list[str]:
         return sorted(found)
 
 
-class LostGoal(StepdiagError):
-    """The sequencer has ended, or was started again, and knows nothing of the goal."""
-
-
 class Operator:
     """Talks to the nodes below ``namespace``; a context manager.
 
@@ -101,7 +97,6 @@ class Operator:
         self._executor.add_node(self.node)
         self._clients: dict[str, Any] = {}
         self._heard: dict[str, tuple[float, DiagnosticStatus]] = {}
-        self._goal_seen = 0.0
         self._recorder: RecorderStatus | None = None
         self._handle = None
         self.node.create_subscription(DiagnosticArray, '/diagnostics', self._on_diagnostics, 50)
@@ -231,6 +226,7 @@ class Operator:
         ``bag``: its directory, in the folder in which the recorder makes bags; empty: a name is made there.
         ``steps``: of each axis along a diagonal, if not those of the cell description.
         """
+        self._require_sequencer()
         name = self._name_of(bag)
         self._refuse_while_busy()
         self.bring('step_sequencer', UNCONFIGURED)
@@ -243,6 +239,12 @@ class Operator:
         self.set_parameters('step_sequencer', {'steps': steps})
         for node in (*listeners, 'step_sequencer'):
             self.bring(node, ACTIVE)
+
+    def _require_sequencer(self) -> None:
+        """:class:`StepdiagError` where no machine of this name is up."""
+        if not self._action.wait_for_server(timeout_sec=10.0):
+            raise StepdiagError(f'no sequencer answers at {self.namespace}/{ACTION}; '
+                                'is the cell up? (stepdiag up CELL.yaml)')
 
     def _refuse_while_busy(self) -> None:
         """Somebody else's calibration must not be ended by who wants one of his own."""
@@ -284,21 +286,20 @@ class Operator:
         ``meanwhile()`` is called ten times a second; what it raises ends the waiting.  A calibration whose
         sequencer died is taken up again where it was broken off, once the sequencer is active again.
         """
-        if not self._action.wait_for_server(timeout_sec=10.0):
-            raise StepdiagError(f'no sequencer answers at {self.namespace}/{ACTION}; '
-                                'is the cell up? (stepdiag up CELL.yaml)')
+        self._require_sequencer()
         goal = RunStepDiagonal.Goal(setups=list(setups), repeats=repeats, dwell=float(dwell_s),
                                     steps=steps)
         at: dict[str, Any] = {'completed': [], 'run_id': ''}
 
-        def received(message: Any) -> None:
-            at['completed'], at['run_id'] = list(message.feedback.completed), message.feedback.run_id
+        def received(word: RunStepDiagonal.Feedback) -> None:
+            at['completed'], at['run_id'] = list(word.completed), word.run_id
             if feedback is not None:
-                feedback(message.feedback)
+                feedback(word)
         lost: list[str] = []
+        silences: list[float] = []
         while True:
             try:
-                ended = self._one_goal(goal, received, meanwhile)
+                ended = self._one_goal(goal, received, meanwhile, silences)
                 break
             except LostGoal as error:
                 if len(lost) >= RESUMES or not at['run_id']:
@@ -310,53 +311,54 @@ class Operator:
         how = {GoalStatus.STATUS_SUCCEEDED: 'succeeded',
                GoalStatus.STATUS_CANCELED: 'canceled'}.get(ended.status, 'aborted')
         word = ''.join(f'; the sequencer ended during {run_id} and was started again' for run_id in lost)
+        word += silence_words(silences)
         return Calibration(how, ended.result.message + word, (*goal.completed, *ended.result.run_ids),
                            ended.result.stops)
 
-    def _one_goal(self, goal: RunStepDiagonal.Goal, received: Callable[[Any], None],
-                  meanwhile: Callable[[], object]) -> Any:
-        """Send a goal and wait for its result."""
-        self._handle = self.wait(
-            self._asked(lambda: self._action.send_goal_async(goal, feedback_callback=received)), 30.0,
-            'the sequencer does not answer the goal')
-        if not self._handle.accepted:
-            self._handle = None
-            raise StepdiagError(f'{self.namespace}/step_sequencer rejects the goal: it is busy with '
-                                'another or not active')
-        began = self._goal_seen = time.monotonic()
-        result = self._asked(self._handle.get_result_async)
+    def _one_goal(self, goal: RunStepDiagonal.Goal, received: Callable[[RunStepDiagonal.Feedback], None],
+                  meanwhile: Callable[[], object], silences: list[float]) -> Any:
+        """Send a goal and wait for its result; ``silences`` gets those of the sequencer [s]."""
+        server, last = f'{self.namespace}/step_sequencer', RunStepDiagonal.Feedback()
+        spoke_s, said_s = 0.0, time.monotonic()
+
+        def on_feedback(message: Any) -> None:
+            nonlocal last, spoke_s
+            last, spoke_s = message.feedback, time.monotonic()
+            received(last)
+        handle = self.wait(self._asked(lambda: self._action.send_goal_async(goal, feedback_callback=on_feedback)), 30.0,
+                           'the sequencer does not answer the goal')
+        if not handle.accepted:
+            raise StepdiagError(f'{server} rejects the goal: it is busy with another or not active')
+        goal_id = bytes(handle.goal_id.uuid).hex()
+        # Not waited for: this computer may be so busy that the thread that receives takes long.
+        self._handle, sent = handle, SentGoal(server, lambda answered: self._executor.create_task(
+            lambda: handle.get_result_async().add_done_callback(answered)))
 
         def look() -> None:
+            nonlocal said_s
             meanwhile()
-            if time.monotonic() - began > DENIED_GOAL_S:
-                self._check_goal()
+            at, health = self._heard.get(server, (0.0, None))
+            if health is not None and any(v.key == 'goal_id' and v.value == goal_id for v in health.values):
+                sent.spoke(at)
+            sent.spoke(spoke_s)
+            sent.look()
+            if sent.silent_s > SILENT_S and time.monotonic() - said_s > 1.0:
+                said_s = time.monotonic()
+                last.doing = f'the sequencer has been silent for {sent.silent_s:.0f} s'
+                received(last)
         try:
-            return self.wait(result, None, '', look)
+            return self.wait(sent.result, None, '', look)
         except KeyboardInterrupt:
             self.cancel()
-            return self.wait(result, 60.0, 'the sequencer does not end the goal')
+            return self.wait(sent.result, 60.0, 'the sequencer does not end the goal')
         finally:
             self._handle = None
-
-    def _check_goal(self) -> None:
-        """A sequencer that died or was started again knows nothing of the goal any more."""
-        now, (at, health) = time.monotonic(), self._heard.get(
-            f'{self.namespace}/step_sequencer', (0.0, None))
-        goal = '' if health is None else next((v.value for v in health.values if v.key == 'goal'), '')
-        if goal == 'under way' and now - at < LOST_GOAL_S:
-            self._goal_seen = max(self._goal_seen, at)
-        denied = goal == 'none' and at > self._goal_seen
-        if not denied and now - self._goal_seen > LOST_GOAL_S and self._answers():
-            # Silent on a busy computer, but there: one that was started again will say that it has no goal.
-            self._goal_seen = time.monotonic()
-        elif now - self._goal_seen > (DENIED_GOAL_S if denied else LOST_GOAL_S):
-            raise LostGoal(f'{self.namespace}/step_sequencer has ended or was started again; '
-                           'the calibration is lost, begin it anew')
+            silences += sent.silences
 
     def _answers(self) -> bool:
         """Whether the sequencer is active, asked directly."""
         try:
-            return self.state('step_sequencer', LOST_GOAL_S) == ACTIVE
+            return self.state('step_sequencer', ANSWER_S) == ACTIVE
         except StepdiagError:
             return False
 

@@ -42,6 +42,7 @@ from stepdiag_ros.model.log import NONE
 from stepdiag_ros.nodes.base import ERROR, OK, Health, StepdiagNode, overridable, reliable, run_node
 from stepdiag_ros.nodes.clocks import ASK_S, ClockComparison
 from stepdiag_ros.nodes.futures import ended
+from stepdiag_ros.nodes.lease import TICK_S, Lease
 from stepdiag_ros.nodes.light import Light
 from stepdiag_ros.nodes.marked import Marked
 from stepdiag_ros.nodes.ownership import SEQUENCER, Ownership
@@ -150,7 +151,8 @@ class StepSequencer(StepdiagNode):
         self.description: Description | None = None
         self._worker: threading.Thread | None = None
         self._leave = threading.Event()
-        self._goal, self._leased_s = b'', 0.0
+        self._goal, self._lease = b'', Lease()
+        self._lease_timer = self.every(TICK_S, self._lease.tick)
         self._progress: Progress | None = None
         self._last = ''
         self._broken: list[str] = []
@@ -218,6 +220,7 @@ class StepSequencer(StepdiagNode):
     def health(self) -> Health:
         values: dict[str, object] = {'device': f'{self.value("host")}:{self.value("port")}',
                                      'goal': 'none' if self._worker is None else 'under way',
+                                     'goal_id': '' if self._worker is None else self._goal.hex(),
                                      'last': self._last}
         progress = self._progress
         if progress is not None:
@@ -268,7 +271,7 @@ class StepSequencer(StepdiagNode):
 
     def _on_lease(self, goal: UUID) -> None:
         if bytes(goal.uuid) == self._goal:
-            self._leased_s = time.monotonic()
+            self._lease.renew()
 
     # -- the action --------------------------------------------------------------
 
@@ -281,7 +284,8 @@ class StepSequencer(StepdiagNode):
 
     async def _execute(self, handle: ServerGoalHandle) -> RunStepDiagonal.Result:
         done = Future(executor=self.executor)
-        self._goal, self._leased_s = bytes(handle.goal_id.uuid), time.monotonic()
+        self._goal = bytes(handle.goal_id.uuid)
+        self._lease.renew()
         self._worker = threading.Thread(target=self._work, args=(handle, done), name='sequence',
                                         daemon=True)
         self._worker.start()
@@ -431,7 +435,7 @@ class StepSequencer(StepdiagNode):
 
     def _attended(self, handle: ServerGoalHandle, stop: bool) -> None:
         """Raise :class:`StepdiagError` if the client is lost, while an axis may move (not ``stop``) only if told so."""
-        silent_s = time.monotonic() - self._leased_s
+        silent_s = self._lease.silent_s
         if not handle.request.unattended and silent_s > self.value('lease') \
                 and (stop or self.value('lost_client') == AT_ONCE):
             raise StepdiagError(f'the client has not renewed its lease for {silent_s:.1f} s and is taken for lost; '

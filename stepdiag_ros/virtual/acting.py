@@ -9,6 +9,7 @@ import numpy as np
 from stepdiag_ros.effects import effect_class, effects_in_file
 from stepdiag_ros.effects.base import Effect
 from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.guard.files import real
 from stepdiag_ros.virtual.cell import Cell
 from stepdiag_ros.virtual.draw import normals, uniforms
 
@@ -19,7 +20,7 @@ ALLOWED = 'STEPDIAG_EFFECT_FILES'
 def allow_effect_files(paths: Iterable[str | Path]) -> None:
     """Let cell files name these Python files, which are then run."""
     known = os.environ.get(ALLOWED, '').split(os.pathsep)
-    os.environ[ALLOWED] = os.pathsep.join(filter(None, [*known, *(str(Path(path).resolve()) for path in paths)]))
+    os.environ[ALLOWED] = os.pathsep.join(filter(None, [*known, *(str(real(path)) for path in paths)]))
 
 
 class Draws:
@@ -55,7 +56,7 @@ def _create(cell: Cell, name: str, values: dict) -> Effect:
             kind = effect_class(name)
         else:
             path = Path(cell.source).parent / str(file)
-            if str(path.resolve()) not in os.environ.get(ALLOWED, '').split(os.pathsep):
+            if str(real(path)) not in os.environ.get(ALLOWED, '').split(os.pathsep):
                 raise StepdiagError(f'names the Python file {path}, which would be run; if you trust it, give '
                                     f'--effect {path}')
             kind = next((k for k in effects_in_file(str(path)) if k.name == name), None)

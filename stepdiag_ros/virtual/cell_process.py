@@ -19,6 +19,7 @@ from pathlib import Path
 import yaml
 
 from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.guard.files import real
 from stepdiag_ros.guard.jsontext import to_json
 from stepdiag_ros.virtual.cell import load_cell
 from stepdiag_ros.virtual.serving import (
@@ -81,7 +82,7 @@ class CellProcess:
              '--runtime', str(runtime), '--parent', str(os.getpid())])
 
     def _tell(self, runtime: Path, endpoints: dict, cell: str | Path) -> dict:
-        stated = endpoints | {'cell': str(Path(cell).resolve()), 'pid': os.getpid()}
+        stated = endpoints | {'cell': str(real(cell)), 'pid': os.getpid()}
         write_atomically(runtime / ENDPOINTS_FILE, yaml.safe_dump(stated, sort_keys=False))
         return stated
 

@@ -100,6 +100,9 @@ def simulate_log(cell: Cell, start_ns: int = START_NS, setups: tuple[str, ...] |
 def execute(cell: Cell, history: History, start_ns: int, setups: tuple[str, ...],
             visits: Mapping[str, Visit] | None = None) -> list[Run]:
     """Move through the plan, filling ``history``; returns the runs."""
+    stops = sum(cell.description.repeats_of(setup) * sum(len(part.visits) for part in cycle(cell.description, setup))
+                for setup in setups)
+    _refuse_too_many(cell, stops * cell.motion.dwell * max(cell.sampling.interferometer, cell.sampling.psd))
     now, place, runs = start_ns, np.zeros(3), []
     rest = point_to_point(0.0, 1.0, 1.0, 1.0)
     # Power-up and each mounting of the mirror count as arrivals, as they do for the control.
@@ -168,14 +171,19 @@ def _grid(world: World, begin: int, end: int, rate: float) -> tuple[np.ndarray, 
     return stamp + inside, block
 
 
+def _refuse_too_many(cell: Cell, samples: float) -> None:
+    """Refuse a log of so many samples of one sensor: before the moves are made, and when they are known."""
+    if samples > limits.SIMULATED_SAMPLES:
+        raise StepdiagError(f'{cell.source}: one sensor would have {samples:.2g} samples, more than '
+                            f'{limits.SIMULATED_SAMPLES:.0g}; shorten the dwells, lower the sample rate, take fewer '
+                            'steps or repeats, or let the axes move faster (feed, acceleration, jerk)')
+
+
 def _collect(world: World, spans: list, rate: float, columns: int, look) -> Samples:
     """Lay the samples of all spans end to end; ``look(times, run, first)`` gives values, health, index."""
     names = world.cell.setup_names
     count = sum((end - begin) * 1e-9 * rate for _, begin, end in spans)
-    if count > limits.SIMULATED_SAMPLES:
-        raise StepdiagError(f'{world.cell.source}: one sensor would have {count:.2g} samples, more than '
-                            f'{limits.SIMULATED_SAMPLES:.0g}; shorten the dwells, lower the sample rate, or let the '
-                            'axes move faster (feed, acceleration, jerk)')
+    _refuse_too_many(world.cell, count)
     parts, first, blocks = [], 0, 0
     for run, begin, end in spans:
         times, block = _grid(world, begin, end, rate)

@@ -206,6 +206,23 @@ def test_a_killed_sequencer_stops_the_machine_by_the_control(ros_domain, tmp_pat
         assert machine.stops_within(1.5) < 1.5
 
 
+def test_a_sequencer_that_stands_still_stops_the_machine_by_the_control(ros_domain, tmp_path):
+    """Nor does it move when the sequencer wakes up: the calibration ends, and says why."""
+    with Bringup(write_cell(tmp_path), bag=tmp_path / 'log', runtime=tmp_path / 'run') as cell:
+        client, machine = Client(cell), Machine(tmp_path / 'run')
+        machine.wait_mid_move()
+        sequencer = cell.pids()['step_sequencer']
+        os.kill(sequencer, signal.SIGSTOP)
+        try:
+            assert machine.stops_within(1.5) < 1.5
+            time.sleep(4.0)
+        finally:
+            os.kill(sequencer, signal.SIGCONT)
+        outcome = client.wait()
+        assert outcome.how == 'aborted' and 'watchdog: nothing was received from its client' in outcome.message
+        assert not machine.moving() and machine.x() < 0.19
+
+
 def test_a_sequencer_that_starts_stops_what_it_finds_moving(ros_domain, tmp_path):
     with Wired(write_cell(tmp_path, watchdog=8.0), bag=tmp_path / 'log', runtime=tmp_path / 'run') as cell:
         Client(cell)

@@ -62,6 +62,20 @@ def test_what_is_no_regular_file_is_refused_at_once(tmp_path, kind):
         assert outcome.status == 2 or kind == 'sparse' and command == 'info'
 
 
+@pytest.mark.parametrize('command', [c for c in harness.COMMANDS if c not in ('info', 'evaluate', 'recover')])
+def test_links_in_a_circle_are_refused_by_every_command(tmp_path, command):
+    (given := tmp_path / 'given.mcap').symlink_to('given.mcap')
+    assert refused_or_well(harness.arguments(command, given, tmp_path), 1 << 20).status == 2
+
+
+def test_an_effect_file_that_is_a_circle_of_links_is_refused(tmp_path):
+    (given := tmp_path / 'own.py').symlink_to('own.py')
+    cell = tmp_path / 'cell.yaml'
+    cell.write_text(bags.CELL + 'effects: {own: {file: own.py}}\n', encoding='utf-8')
+    outcome = refused_or_well([*harness.arguments('simulate', cell, tmp_path), '--effect', str(given)], 1 << 20)
+    assert outcome.status == 2
+
+
 @pytest.mark.parametrize('metadata', [
     'relative_file_paths: [../../../etc/passwd]', 'relative_file_paths: [/etc/passwd]', 'relative_file_paths: [a.mcap, a.mcap]',
     'relative_file_paths: [' + ','.join(f'f{k}.mcap' for k in range(5000)) + ']', 'a: &a [1]\n  b: *a', 'storage_identifier: [1]',
@@ -106,3 +120,11 @@ def test_what_the_fuzzer_found(tmp_path, file):
     """Named after what is wrong in it and after the command that stumbled over it."""
     command = file.suffixes[-2].lstrip('.')
     refused_or_well(harness.arguments(command, file, tmp_path), file.stat().st_size)
+
+
+def test_a_plan_of_millions_of_stops_is_refused_before_it_is_made(tmp_path):
+    cell = tmp_path / 'cell.yaml'
+    demo = (Path(__file__).resolve().parents[2] / 'cells' / 'demo.yaml').read_text(encoding='utf-8')
+    cell.write_text(demo.replace('repeats: 2', 'repeats: 1000').replace('steps: 4', 'steps: 200'), encoding='utf-8')
+    outcome = refused_or_well(harness.arguments('simulate', cell, tmp_path), 1 << 20)
+    assert outcome.status == 2 and 'samples, more than' in outcome.err and outcome.cpu_s < 10.0

@@ -201,8 +201,8 @@ def test_a_sequencer_that_is_silent_and_answers_keeps_its_goal(cell, live, monke
                 super().__setitem__(name, health)
     operator = cell.operator
     operator.new_log(str(cell.runtime.parent / 'silent'))
-    monkeypatch.setattr('stepdiag_ros.nodes.operator.LOST_GOAL_S', 1.0)
-    monkeypatch.setattr('stepdiag_ros.nodes.operator.DENIED_GOAL_S', 0.2)
+    monkeypatch.setattr('stepdiag_ros.nodes.sent_goal.DOUBT_S', 0.2)
+    monkeypatch.setattr('stepdiag_ros.nodes.sent_goal.ASK_S', 0.2)
     monkeypatch.setattr(operator, '_heard', Silent(operator._heard))
     outcome = operator.calibrate(setups=['ppp'])
     assert outcome.succeeded and 'was started again' not in outcome.message

@@ -115,3 +115,9 @@ def test_a_bag_that_exists_is_not_written_over(cell_file, tmp_path):
     done = subprocess.run([*STEPDIAG, 'calibrate', str(cell_file), '--bag', str(tmp_path)],
                           capture_output=True, text=True, timeout=120)
     assert done.returncode == 2 and 'exists already' in done.stderr and done.stderr.count('\n') == 1
+
+
+def test_a_machine_that_is_not_up_is_said_before_anything_is_waited_for(ros_domain):
+    done = subprocess.run([*STEPDIAG, 'calibrate', '/nosuch'], capture_output=True, text=True, timeout=120)
+    assert done.returncode == 2 and done.stderr.count('\n') == 1
+    assert 'no sequencer answers at /nosuch/run_step_diagonal; is the cell up?' in done.stderr

@@ -2,6 +2,7 @@
 
 import os
 import signal
+import threading
 
 import numpy as np
 import pytest
@@ -51,6 +52,7 @@ def test_a_calibration_goes_on_where_a_node_s_death_broke_it_off(ros_domain, cel
         outcome = cell.operator.calibrate(dwell_s=0.5, feedback=kill, meanwhile=cell.watch)
         assert killed and cell.restarts == 1
         assert outcome.succeeded, outcome.message
+        assert ('was started again' in outcome.message) == (node == 'step_sequencer'), outcome.message
         assert first_names(outcome.run_ids) == RUNS
         live = cell.operator.evaluate()
         if node == 'gap_monitor':     # it has read what it missed from the bag
@@ -76,3 +78,20 @@ def test_a_calibration_goes_on_where_a_node_s_death_broke_it_off(ros_domain, cel
     agree(again, solution)
     if node != 'recorder':     # the solver has received what the recorder has not
         assert live['dof'] == again.to_json_dict()['dof']
+
+
+def test_a_sequencer_that_stood_still_is_called_silent_and_keeps_goal_and_client(ros_domain, cell_file, tmp_path):
+    """Stopped for longer than lease (5 s) and the client's patience (8 s), and alive."""
+    stopped, said = [], set()
+    with Bringup(cell_file, bag=tmp_path / 'log', runtime=tmp_path / 'run') as cell:
+        def stop(feedback) -> None:
+            said.add(feedback.doing)
+            if feedback.run_id == 'ppp/0/-' and feedback.stop >= 6 and not stopped:
+                stopped.append(cell.pids()['step_sequencer'])
+                os.kill(stopped[0], signal.SIGSTOP)
+                threading.Timer(12.0, os.kill, (stopped[0], signal.SIGCONT)).start()
+        outcome = cell.operator.calibrate(dwell_s=0.5, feedback=stop, meanwhile=cell.watch)
+        assert stopped and cell.restarts == 0
+    assert outcome.succeeded and first_names(outcome.run_ids) == RUNS, outcome.message
+    assert 'the sequencer was silent for 1' in outcome.message and 'started again' not in outcome.message
+    assert any(text.startswith('the sequencer has been silent for') for text in said)

@@ -2,6 +2,7 @@
 
 import os
 import threading
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,6 +16,8 @@ from stepdiag_ros.bag.export import write_log
 from stepdiag_ros.bag.qos import LATCHED, RELIABLE, parse_qos, qos_profile, qos_yaml
 from stepdiag_ros.bag.reader import read_log
 from stepdiag_ros.bag.scan import McapFile
+from stepdiag_ros.bag.source import open_bag
+from stepdiag_ros.bag.tables import collect
 from stepdiag_ros.bag.typehash import rihs01
 from stepdiag_ros.bag.writer import BagWriter
 from stepdiag_ros.errors import StepdiagError
@@ -241,3 +244,32 @@ def test_qos_names_what_rosbag2_names():
     profile, = parse_qos(qos_yaml(qos_profile(depth=5, durability='transient_local')), '/a')
     assert profile['depth'] == 5 and profile['durability'] == 'transient_local'
     assert profile['history'] == 'keep_last' and '&' not in RELIABLE
+
+
+def test_a_long_recording_is_split_so_that_its_index_does_not_grow(tmp_path):
+    """Every chunk's index stays in memory until its file is closed: no file may hold more than so many."""
+    most, said = 8, 400
+    with BagWriter(tmp_path / 'bag', flush_period=0.005, sync_period=0.01, most_chunks=most) as writer:
+        for topic in ('/m/a', '/m/b'):
+            writer.add_topic(topic, STRING)
+        for i in range(said):
+            writer.write('/m/a', encode_string(f'{i}'), 100 + i, 100 + i, i + 1)
+            if i == said // 2:
+                writer.add_topic('/m/late', STRING)
+                writer.write('/m/late', encode_string('late'), 100 + i, 100 + i, 1)
+            time.sleep(0.002)
+        assert writer.counts == {'/m/a': said, '/m/b': 0, '/m/late': 1} and writer.number == 0
+    source = open_bag(tmp_path / 'bag')
+    assert len(source.files) > 3 and not source.warnings
+    assert [file.name for file in source.files] == [f'bag_{k}.mcap' for k in range(len(source.files))]
+    chunks = []
+    for file in source.files:
+        with open(file, 'rb') as stream:
+            chunks.append(len(make_reader(stream).get_summary().chunk_indexes))
+    assert max(chunks) <= most + 2 and sum(chunks) > 3 * most
+    assert source.counts == {'/m/a': said, '/m/b': 0, '/m/late': 1}
+    tables = collect(source, lambda topic: True)
+    assert tables.topics['/m/a'].count == said and tables.topics['/m/late'].count == 1
+    info = information(tmp_path / 'bag')
+    assert info['message_count'] == said + 1 == sum(file['message_count'] for file in info['files'])
+    assert info['duration']['nanoseconds'] == said - 1

@@ -117,6 +117,7 @@ def test_an_effect_of_one_s_own_takes_part(bench, tmp_path, monkeypatch):
 
 @pytest.mark.parametrize(('text', 'words'), [
     (None, 'does not exist'), ('x = 1\n', 'holds no effect'), ('1/0\n', 'cannot be run: ZeroDivisionError'),
+    ('import sys\nsys.exit(0)\n', 'cannot be run: SystemExit'),
     ('def (:\n', 'cannot be run: SyntaxError'), (OWN.replace("'sag'", "'my sag'"), 'letters, digits'),
     (OWN.replace("'sag'", "'backlash'"), 'name of the vocabulary')])
 def test_files_that_hold_none(tmp_path: Path, text, words):
