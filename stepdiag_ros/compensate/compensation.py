@@ -48,9 +48,10 @@ class Compensation:
     says why.  ``change`` is what the control will take off beyond what it takes off now.  ``before`` and ``after`` are
     predictions at the same points of the volume with the same covariance; ``predicted`` the 21 errors that a
     measurement will report afterwards.  ``not_carried``: largest deviation [m] in the volume that each error alone
-    keeps under tables of this kind, by name, and ``not_carried_spread`` its U (k = 2).  ``line_alone`` the prediction with the tables of the line as they are,
-    where these had to be held back, else None.  ``with_open``: ``solution`` with the errors that are left out: of
-    value zero, with their whole uncertainty.
+    keeps under tables of this kind, by name; ``not_carried_spread`` its U (k = 2).
+
+    ``line_alone`` the prediction with the tables of the line as they are, where these had to be held back, else None.
+    ``with_open``: ``solution`` with the errors that are left out: of value zero, with their whole uncertainty.
     """
 
     control: Control

@@ -1,11 +1,11 @@
 """What the readings leave open stays in the middle of its prior, where uncertainties are propagated from.
 
-Rotations that no tilts measured reach lengths by products of small quantities only.  Within priors of a milliradian such
-products come to as much as the noise, so that the solution wanders along its flat valleys by hundreds of microradians.
-That is no finding; but it is where the model is made linear, and there open rotations take part in what beams, tool and
-other errors do.  A second log that leaves as much open may then seem more certain only because it wandered less.  So
-the combinations of unknowns that the data leave open are held, and all others found again beside them; what the
-readings say of the held ones to first order the step of :mod:`stepdiag_ros.estimate.shared` takes up.
+Rotations that no tilts measured reach lengths by products of small quantities only.  Within priors of a milliradian
+such products come to as much as the noise, so that the solution wanders along its flat valleys by hundreds of
+microradians.  That is no finding; but it is where the model is made linear, and there open rotations take part in what
+beams, tool and other errors do.  A second log that leaves as much open may then seem more certain only because it
+wandered less.  So the combinations of unknowns that the data leave open are held, and all others found again beside
+them; what the readings say of the held ones to first order the step of :mod:`stepdiag_ros.estimate.shared` takes up.
 """
 
 import numpy as np

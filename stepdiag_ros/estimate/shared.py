@@ -12,7 +12,8 @@ are unknowns beside θ,
 with the gain G.  (To eliminate b beforehand is the same but for rounding: of readings almost without noise it takes the
 difference of two large numbers.)  What is best cannot get better by leaving readings out.
 
-What acts on single stops, the mirror's form above all, is part of Σ (:func:`stepdiag_ros.estimate.columns.stop_columns`).
+What acts on single stops, the mirror's form above all, is part of Σ
+(:func:`stepdiag_ros.estimate.columns.stop_columns`).
 """
 
 from dataclasses import dataclass, replace
