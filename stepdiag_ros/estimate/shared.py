@@ -16,7 +16,7 @@ What acts on single stops, the mirror's form above all, is part of Σ
 (:func:`stepdiag_ros.estimate.columns.stop_columns`).
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import linalg, sparse
@@ -61,7 +61,7 @@ def weigh(result: Fit, reporting: np.ndarray, columns: np.ndarray, misfit: float
 
 def _whiteners(result: Fit, misfit: float, stopwise: sparse.csr_array | None) -> list[Whitener]:
     """Those of the fit, with its noise ``misfit`` times as large and what is ``stopwise`` added."""
-    scaled = [replace(one, factor=misfit * one.factor) for one in result.whiteners]
+    scaled = [Whitener(one.rows, misfit * one.factor) for one in result.whiteners]
     if stopwise is None:
         return scaled
     found = []
