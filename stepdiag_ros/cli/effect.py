@@ -57,7 +57,7 @@ def _words(result: 'Checked') -> str:
         lines.append(f'  its nearest form ({result.form}) leaves {100 * result.left:.2g} % of that')
         lines.append('  size not compared: no parameter has the unit and number of the coefficients'
                      if result.ratio is None else
-                     f'  estimated size over the given one: {result.ratio:.3f} ± {result.ratio_sigma:.3f}')
+                     f'  estimated size over the given one: {result.ratio:.3f} ± {result.ratio_sigma:.3f} (k = 1)')
         lines.append('  confounded with: ' + (', '.join(f'{name} (leaves {left:.1f} σ)' for name, left
                                                         in result.confounded.items()) or 'nothing in the vocabulary'))
         lines.append('  diagnosis of its log: ' + ', '.join(f'{name} {p:.2f}' for name, p in sorted(

@@ -15,7 +15,7 @@ import argparse
 import os
 import sys
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -98,8 +98,8 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _improve(loop: _Loop, cell: Any, folder: Path) -> int:
+    from stepdiag_ros.cli.known import known_errors
     from stepdiag_ros.compensate.metres import not_metres
-    from stepdiag_ros.estimate import evaluate
     from stepdiag_ros.improve import backup, levels
     from stepdiag_ros.improve.applied import without_applied
     from stepdiag_ros.improve.outcome import outcome
@@ -111,9 +111,11 @@ def _improve(loop: _Loop, cell: Any, folder: Path) -> int:
     present = levels.held(folder)
     log = _calibrated(loop, args.cell, 'before')
     measured = log if present.volume is None else without_applied(log, present.volume.taken_off)
-    first = evaluate(measured)
+    known = known_errors(measured, str(loop.out / 'before'))
+    first = known.solution
     wanted = levels.change(args.level, first, machine, present, partial=args.partial, air=not_metres(first, log),
-                           matrixkins=installed('matrixkins'))
+                           matrixkins=installed('matrixkins'), reversal=known.reversal)
+    wanted = replace(wanted, notes=(*wanted.notes, *known.notes))
     if not args.json:
         print(_plan(wanted, folder))
     if wanted.refusals:
@@ -128,7 +130,10 @@ def _improve(loop: _Loop, cell: Any, folder: Path) -> int:
         _restarted()
     again = _calibrated(loop, args.cell if args.hardware else _fresh_noise(args.cell, cell, loop.out), 'after')
     under = again if wanted.applied is None else without_applied(again, wanted.applied.taken_off)
-    found = outcome(wanted, first, present.volume, evaluate(under), under)
+    then = known_errors(under, str(loop.out / 'after'))
+    found = outcome(wanted, first, present.volume, then.solution, under)
+    for note in then.notes:
+        loop.say(f'after: {note}')
     document = {'level': args.level, 'configuration': str(folder), 'backup': str(kept),
                 'seconds': round(time.monotonic() - began, 1), **found.to_json_dict()}
     (loop.out / 'improve.json').write_text(to_json(document) + '\n', encoding='utf-8')

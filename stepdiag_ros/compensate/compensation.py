@@ -35,6 +35,8 @@ LEAST_GROWTH_M = 5e-9
 """What rounding in the files may add to the largest deviation."""
 MOST_KNOTS = 21
 """Positions an axis at most on which places are judged."""
+UNIT = 1e-6
+"""Size [m or rad] of an error by which is found what one of its values leaves: products with others do not count."""
 BEFORE = 'before/'
 
 
@@ -46,9 +48,10 @@ class Compensation:
     says why.  ``change`` is what the control will take off beyond what it takes off now.  ``before`` and ``after`` are
     predictions at the same points of the volume with the same covariance; ``predicted`` the 21 errors that a
     measurement will report afterwards.  ``not_carried``: largest deviation [m] in the volume that each error alone
-    keeps under tables of this kind, by name.  ``line_alone`` the prediction with the tables of the line as they are,
-    where these had to be held back, else None.  ``with_open``: ``solution`` with the errors that are left out: of
-    value zero, with their whole uncertainty.
+    keeps under tables of this kind, by name; ``not_carried_spread`` its U (k = 2).
+
+    ``line_alone`` the prediction with the tables of the line as they are, where these had to be held back, else None.
+    ``with_open``: ``solution`` with the errors that are left out: of value zero, with their whole uncertainty.
     """
 
     control: Control
@@ -62,6 +65,7 @@ class Compensation:
     predicted: GeometricErrors
     solution: Solution
     not_carried: Mapping[str, float]
+    not_carried_spread: Mapping[str, float]
     line_alone: Prediction | None
     left_out: tuple[str, ...]
     unmeasured: tuple[str, ...]
@@ -179,10 +183,12 @@ def compensation(solution: Solution, machine: Machine, control: Control, origin:
     after = _after(before, errors, machine, point, change)
     refusals += _harm(before, repeated, _after(repeated, errors, machine, point, change), files, exact)
     undo = _undo(control, place, wanted, files, present or {})
+    rest = _not_carried(kept, machine, point, control, points)
     return Compensation(
         control, place, point, {} if refusals else files, {} if refusals else undo, change, before, after,
         as_measured(left_of(errors, change), kept.positions), kept,
-        _not_carried(kept, machine, point, control, points), None if plain is line else alone, tuple(known.open),
+        {name: size for name, (size, _) in rest.items()}, {name: spread for name, (_, spread) in rest.items()},
+        None if plain is line else alone, tuple(known.open),
         known.unmeasured, whole, lost, unknown(without(solution, known.unmeasured), known.open), tuple(refusals))
 
 
@@ -350,22 +356,33 @@ def _harm(whole: Prediction, before: Prediction, after: Prediction, files: Mappi
 
 
 def _not_carried(solution: Solution, machine: Machine, point: FunctionalPoint, control: Control,
-                 points: np.ndarray) -> dict[str, float]:
-    """Largest deviation [m] that each error alone keeps under the tables of its line."""
-    rest = {}
-    whole = solution.errors
+                 points: np.ndarray) -> dict[str, tuple[float, float]]:
+    """Largest deviation [m] that each error alone keeps under the tables of its line, with its U (k = 2) there."""
+    if control.whole_model:
+        return {name: (0.0, 0.0) for name in (*CURVES, *SQUARENESS) if solution.has(name)}
+    names, whole, rest = [n for n in control.carries if solution.has(n)], solution.errors, {}
+
+    def left(single: GeometricErrors, at: np.ndarray) -> np.ndarray:
+        taken = tables_of_line(single, machine, point, names, solution.positions)
+        curves = {n: Curve(t.position, t.mean) for n, t in taken.items()}
+        return deviation(single, machine, at, point.tool) - \
+            deviation(GeometricErrors(curves, {}), machine, at, point.tool)
+
     for name in (*CURVES, *SQUARENESS):
         if not solution.has(name):
             continue
-        single = GeometricErrors({name: whole.curves[name]} if name in CURVES else {},
-                                 {name: whole.square[name]} if name in SQUARENESS else {})
-        if control.whole_model:
-            rest[name] = 0.0
-            continue
-        names = [n for n in control.carries if solution.has(n)]
-        taken = tables_of_line(single, machine, point, names, solution.positions)
-        curves = {n: Curve(t.position, t.mean) for n, t in taken.items()}
-        left = deviation(single, machine, points, point.tool) - \
-            deviation(GeometricErrors(curves, {}), machine, points, point.tool)
-        rest[name] = float(np.max(np.linalg.norm(left, axis=1)))
+        rows = [i for i, (n, _) in enumerate(solution.names) if n == name]
+        if name in CURVES:
+            position = whole.curves[name].position
+            single = GeometricErrors({name: whole.curves[name]}, {})
+            units = [GeometricErrors({name: Curve(position, UNIT * one)}, {}) for one in np.eye(len(position))]
+        else:
+            single = GeometricErrors({}, {name: whole.square[name]})
+            units = [GeometricErrors({}, {name: UNIT})]
+        field = left(single, points)
+        worst_row = [int(np.argmax(np.linalg.norm(field, axis=1)))]
+        effect = np.stack([left(unit, points[worst_row])[0] for unit in units], axis=1) / UNIT
+        spread = effect @ solution.covariance[np.ix_(rows, rows)] @ effect.T
+        size, own, _ = worst(Prediction(points[worst_row], field[worst_row], spread[None]))
+        rest[name] = size, own
     return rest

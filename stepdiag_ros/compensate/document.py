@@ -36,6 +36,8 @@ def document(found: Compensation, log: str) -> dict[str, Any]:
         'after_as_measured': _volumetric(found, found.as_measured),
         'line_alone': _volumetric(found, found.line_alone) if found.line_alone else None,
         'not_carried_m': {name: value for name, value in found.not_carried.items() if value > 1e-9},
+        'not_carried_U_m': {name: found.not_carried_spread[name] for name, value in found.not_carried.items()
+                            if value > 1e-9},
         'left_out': list(found.left_out), 'not_measured': list(found.unmeasured),
         'reversal_m': {axis: {'value': value, 'U': spread} for axis, (value, spread) in found.reversal.items()},
         'traceability': solution.traceability.to_json_dict() if solution.traceability else None,

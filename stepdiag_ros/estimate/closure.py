@@ -94,7 +94,8 @@ def said(found: Sequence[Closure]) -> str:
     joined = any(one.reset_between for one in measured)
     unseen = '; a reset lies between forward and backward run, what drifted meanwhile is not in it' if joined else ''
     return (f'{closing} of {len(measured)} cycles return to their zero within U (k = 2); the largest closure is '
-            f'{1e6 * worst.length_m:+.3f} ± {2e6 * worst.length_sigma_m:.3f} µm ({worst.setup}, repeat {worst.repeat})'
+            f'{1e6 * worst.length_m:+.3f} ± {2e6 * worst.length_sigma_m:.3f} µm (k = 2; '
+            f'{worst.setup}, repeat {worst.repeat})'
             + unseen)
 
 

@@ -180,6 +180,20 @@ STOPWISE: dict[str, Callable[[Setting], sparse.csr_array]] = {
 """Contributors with a variate for each stop or place."""
 
 
+def stop_columns(kind: str, setting: Setting) -> sparse.csr_array:
+    """Effect (n·c, k) of a stopwise contributor of unit size as the weights take it: anew at each visit.
+
+    What V visits to one place share is, to the mean of V alike, what errors √V as large are that differ from visit to
+    visit.  These keep the readings' covariance in blocks, one for each run.
+    """
+    if kind == 'cyclic':
+        return _cyclic_columns(setting)
+    place, count = _places(setting)
+    visits = np.bincount(place, minlength=count)[place]
+    each = replace(setting, table=replace(setting.table, index=np.arange(len(setting.table))))
+    return sparse.diags_array(np.sqrt(np.repeat(visits, setting.readings.shape[1]))) @ STOPWISE[kind](each)
+
+
 def arrival_columns(setting: Setting) -> sparse.csr_array:
     """Effect (n·c, arrivals) of a unit error at each arrival of each axis."""
     numbers, channels = arrivals(setting.table), setting.readings.shape[1]

@@ -49,6 +49,8 @@ BESIDE_M = 1e-3
 PRIOR_FRAME_RAD = 1e-4
 """Turning machine and setups together is seen only to second order: it is held to this prior."""
 FRAME_SLOPES = ('EYX', 'EZX', 'EZY')
+HELD = 1e-3
+"""Share of its prior that a combination of unknowns which is held may move by."""
 MAX_ITERATIONS = 100
 SETTLED = 1e-8
 """The iteration ends where a step promises less than this fall of the objective (χ² units)."""
@@ -153,14 +155,16 @@ def start(parameters: Parameters, model: ForwardModel, table: StopTable,
 def fit(description: Description, table: StopTable, noise: NoiseModel | None = None,
         readings: np.ndarray | None = None, theta: np.ndarray | None = None,
         parameters: Parameters | None = None, settled: float = SETTLED, share: float = SHARE,
-        linear_laser: float = PRIOR_LASER_RAD, centre: np.ndarray | None = None) -> Fit:
+        linear_laser: float = PRIOR_LASER_RAD, centre: np.ndarray | None = None,
+        held: np.ndarray | None = None) -> Fit:
     """Solve for all unknowns of the stops in ``table``.
 
     ``noise`` is estimated from the table when not given; ``readings`` replaces the table's own
     (n, beams + 2); ``theta`` starts the iteration, ``settled`` [χ²] ends it, in units of
     a ``share`` of χ² where that is more than one.  ``linear_laser`` [rad]: how
     well the beams of the linear setups are known to lie along their axes (their cosine error).  ``centre``
-    (size,): what the priors hold to, an ideal machine when not given.
+    (size,): what the priors hold to, an ideal machine when not given.  ``held`` (k, size): combinations of unknowns,
+    in units of their priors, that stay at the centre while the others are sought; the covariance knows nothing of it.
     """
     parameters = parameters or parameters_of(description, table)
     model = ForwardModel(description, table, parameters)
@@ -173,7 +177,9 @@ def fit(description: Description, table: StopTable, noise: NoiseModel | None = N
         theta = start(parameters, model, table, readings)
     if centre is None:
         centre = np.zeros(parameters.size)
-    precision = prior_precision(parameters, linear_laser)
+    precision = prior = prior_precision(parameters, linear_laser)
+    if held is not None:
+        precision = prior + held.T @ held / HELD**2
     predicted, jacobian, arrival = model.jacobian(theta)
     if noise is None:
         noise = estimate_noise(table, description.noise, arrival)
@@ -186,7 +192,7 @@ def fit(description: Description, table: StopTable, noise: NoiseModel | None = N
     banded = BandedNormal(table, noise, arrival, present, prior_sigmas(parameters, linear_laser),
                           frame_rows(parameters), PRIOR_FRAME_RAD, min(parameters.setup_first.values()))
     steps = _Steps(banded, white, precision)
-    if dense_operations(jacobian, white) < BLOCKED * banded.operations:
+    if held is not None or dense_operations(jacobian, white) < BLOCKED * banded.operations:
         steps.without_band()
     value = objective(theta, predicted)
     converged, iterations, values, damping = False, 0, [value], 0.0
@@ -223,12 +229,14 @@ def fit(description: Description, table: StopTable, noise: NoiseModel | None = N
     predicted, jacobian, arrival = model.jacobian(theta)
     residual = readings - predicted
     normal, covariance = steps.solution(jacobian, converged and whole)
+    if held is not None:
+        covariance = inverse(*factored(normal + prior))
     filled = np.where(present, residual, 0.0).ravel()
     chi2 = float(sum(np.sum(w(filled)**2) for w in white))
     # Each direction counts as fitted by the share in which data and not the prior decide it.
     dof = int(round(flat.sum() - np.sum(covariance * normal)))
     return Fit(parameters, model, theta, covariance, jacobian, arrival, residual, present, white,
-               precision, noise, chi2, dof, iterations, converged)
+               prior, noise, chi2, dof, iterations, converged)
 
 
 class _Steps:

@@ -9,6 +9,7 @@ from stepdiag_ros.estimate.closure import closures
 from stepdiag_ros.estimate.contributions import contributions
 from stepdiag_ros.estimate.enhanced import PRIOR_LASER_RAD, Fit, fit
 from stepdiag_ros.estimate.gauge import GAUGE, reporting_matrix
+from stepdiag_ros.estimate.held import with_open_held
 from stepdiag_ros.estimate.identifiability import unidentifiable
 from stepdiag_ros.estimate.metres import Metres, in_metres
 from stepdiag_ros.estimate.parameters import STATION
@@ -79,6 +80,7 @@ def evaluate_in_full(log: CalibrationLog, budget: Budget | None = None, stops: S
     if any(c.kind in MEASURED and c.standard is not None for c in budget.contributors):
         noise = with_budget(result.noise, budget, table, log.description)
         result = fit(log.description, table, noise, linear_laser=cosine)
+    result = with_open_held(log.description, table, result, cosine)
     solution = replace(solution_of(result, table, log.warnings + table.warnings),
                        closure=closures(log, table, result.noise),
                        parts=contributions(log.description, table, result))

@@ -253,7 +253,8 @@ def _air(log: CalibrationLog, table: StopTable) -> tuple[StopTable, Conditions, 
     recorded = 'topic' in known.source[:2]
     if not recorded:
         remarks.append(f'{WORDS[CELL]}, for the whole log alike')
-    variation = 0.0 if known.by_topics else spread
+    # What is known to a few kelvins does not change by as many: no more than air of which nothing is known.
+    variation = 0.0 if known.by_topics else min(spread, UNSEEN_VARIATION)
     corrected = divided_by(log.description, table, known.index)
     return (corrected, replace(conditions, air_sigma=tuple(known.air_sigma), variation=variation),
             TOPICS if recorded else CELL,

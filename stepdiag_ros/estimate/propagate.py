@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import linalg, sparse, special
 
-from stepdiag_ros.estimate.columns import STOPWISE, Setting, arrival_columns, systematic, turn_columns
+from stepdiag_ros.estimate.columns import STOPWISE, Setting, arrival_columns, stop_columns, systematic, turn_columns
 from stepdiag_ros.estimate.conditions import ANY_SCALE, UNREFERRED, Conditions
 from stepdiag_ros.estimate.enhanced import Fit
 from stepdiag_ros.estimate.gauge import reporting_matrix
@@ -241,9 +241,12 @@ def propagate(budget: Budget, setting: Setting, result: Fit, solution: Solution,
     setups, columns = _aligned(parameters)
     count, rows = len(reporting), np.vstack([reporting, np.eye(parameters.size)[columns]])
     acting = tuple(_scaled(cause, misfit) for cause in causes(budget, setting))
-    shared = [cause.readings.toarray() for cause in acting if cause.contributor.kind in SHARED]
-    if weighed and shared:
-        found = weigh(result, rows, np.hstack(shared), misfit)
+    if weighed:
+        shared = [cause.readings.toarray() for cause in acting if cause.contributor.kind in SHARED]
+        stopwise = [cause.contributor.standard * stop_columns(cause.contributor.kind, setting)
+                    for cause in acting if cause.contributor.kind in STOPWISE and cause.contributor.standard]
+        found = weigh(result, rows, np.hstack([np.zeros((setting.readings.size, 0)), *shared]), misfit,
+                      sparse.hstack(stopwise, format='csr') if stopwise else None)
         sensitivity, half, shift = found.gain, found.half, found.shift
         found = Weighed(sensitivity[:count], half[:count], shift[:count])
     else:

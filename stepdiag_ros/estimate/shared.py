@@ -11,15 +11,19 @@ are unknowns beside θ,
 
 with the gain G.  (To eliminate b beforehand is the same but for rounding: of readings almost without noise it takes the
 difference of two large numbers.)  What is best cannot get better by leaving readings out.
+
+What acts on single stops, the mirror's form above all, is part of Σ
+(:func:`stepdiag_ros.estimate.columns.stop_columns`).
 """
 
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import linalg
+from scipy import linalg, sparse
 
 from stepdiag_ros.estimate.dense import factored, inverse, normal_equations
 from stepdiag_ros.estimate.enhanced import Fit
+from stepdiag_ros.estimate.noise import Whitener
 
 
 @dataclass(frozen=True)
@@ -31,31 +35,46 @@ class Weighed:
     shift: np.ndarray
 
 
-def weigh(result: Fit, reporting: np.ndarray, columns: np.ndarray, misfit: float = 1.0) -> Weighed:
+def weigh(result: Fit, reporting: np.ndarray, columns: np.ndarray, misfit: float = 1.0,
+          stopwise: sparse.csr_array | None = None) -> Weighed:
     """The estimate of ``reporting`` (p, size) with shared errors ``columns`` (n·c, k) [m].
 
-    ``misfit`` scales what the fit weighs with.
+    ``misfit`` scales what the fit weighs with; ``stopwise`` (n·c, m) [m]: variates of one stop each, beside it.
     """
     columns = np.where(result.present.ravel()[:, None], columns, 0.0)
-    normal = normal_equations(result.jacobian, result.whiteners) / misfit**2
-    weighted = _over_noise(result, columns) / misfit**2
+    white = _whiteners(result, misfit, stopwise)
+    normal = normal_equations(result.jacobian, white)
+    weighted = _over_noise(white, columns)
     across = result.jacobian.T @ weighted
     matrix = np.block([[normal + result.precision, across],
                        [across.T, np.eye(columns.shape[1]) + columns.T @ weighted]])
     found = reporting @ inverse(*factored(0.5 * (matrix + matrix.T)))[:len(normal)]
     half, shared = np.split(found, [len(normal)], axis=1)
     gain = np.zeros((len(half), result.jacobian.shape[0]))
-    for white in result.whiteners:
-        block = result.jacobian[white.rows] @ half.T
-        gain[:, white.rows] = linalg.cho_solve((white.factor, True), block, check_finite=False).T / misfit**2
+    for one in white:
+        block = result.jacobian[one.rows] @ half.T
+        gain[:, one.rows] = linalg.cho_solve((one.factor, True), block, check_finite=False).T
     gain += shared @ weighted.T
     residual = np.where(result.present, result.residual, 0.0).ravel()
     return Weighed(gain, half, gain @ residual - half @ (result.precision @ result.theta))
 
 
-def _over_noise(result: Fit, columns: np.ndarray) -> np.ndarray:
+def _whiteners(result: Fit, misfit: float, stopwise: sparse.csr_array | None) -> list[Whitener]:
+    """Those of the fit, with its noise ``misfit`` times as large and what is ``stopwise`` added."""
+    scaled = [Whitener(one.rows, misfit * one.factor) for one in result.whiteners]
+    if stopwise is None:
+        return scaled
+    found = []
+    for one in scaled:
+        own = stopwise[one.rows]
+        covariance = one.factor @ one.factor.T + (own @ own.T).toarray()
+        found.append(Whitener(one.rows, linalg.cholesky(covariance, lower=True, check_finite=False)))
+    return found
+
+
+def _over_noise(white: list[Whitener], columns: np.ndarray) -> np.ndarray:
     """``Σ⁻¹ B`` (n·c, k)."""
     out = np.zeros_like(columns)
-    for white in result.whiteners:
-        out[white.rows] = linalg.cho_solve((white.factor, True), columns[white.rows], check_finite=False)
+    for one in white:
+        out[one.rows] = linalg.cho_solve((one.factor, True), columns[one.rows], check_finite=False)
     return out

@@ -43,11 +43,11 @@ class PartExpansion:
     def words(self) -> str:
         """One sentence."""
         said = (f'the workpiece had {self.temperature:.2f} ± {2.0 * self.temperature_sigma:.2f} °C (k = 2, {self.by}) '
-                f'with {1e6 * self.expansion:.2f} ± {2e6 * self.expansion_sigma:.2f} µm/(m·K)')
+                f'with {1e6 * self.expansion:.2f} ± {2e6 * self.expansion_sigma:.2f} µm/(m·K) (k = 2)')
         ends = ', '.join(f'{name} {1e6 * values[-1]:+.3f} ± {2e6 * self.sigma_m[name][-1]:.3f} µm'
                          for name, values in self.differential_m.items())
         return said if not ends else \
-            f'{said}; a part made at these temperatures is off besides, at 20 °C, by {ends} at the ends'
+            f'{said}; a part made at these temperatures is off besides, at 20 °C, by {ends} at the ends (k = 2)'
 
 
 def part_expansion(temperature: float, temperature_sigma: float, by: str, expansion: tuple[float, float],

@@ -14,7 +14,7 @@ import numpy as np
 from stepdiag_ros.compensate.compensation import Compensation, K, compensation, worsened, worst
 from stepdiag_ros.compensate.control import Place
 from stepdiag_ros.compensate.controls import CONTROLS
-from stepdiag_ros.compensate.open_directions import openness, without
+from stepdiag_ros.compensate.open_directions import openness, unknown, without
 from stepdiag_ros.compensate.taken import Taken, left_of, scaled
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate.prediction import Prediction, deviation, predict
@@ -115,10 +115,12 @@ def remaining(errors: GeometricErrors, machine: Machine, points: np.ndarray, vol
 
 
 def change(level: str, solution: Solution, machine: Machine, present: Present, *, partial: bool = False,
-           air: str = '', matrixkins: bool = False) -> Change:
+           air: str = '', matrixkins: bool = False,
+           reversal: Mapping[str, tuple[float, float]] | None = None) -> Change:
     """What to write for a ``level``; ``solution`` is of the machine without its present volumetric compensation.
 
-    ``air``: why lengths are not known to be metres; ``matrixkins``: LinuxCNC has that module.
+    ``air``: why lengths are not known to be metres; ``matrixkins``: LinuxCNC has that module; ``reversal``: lost
+    motion of each axis with its U [m] by letter, which screw tables take off and the component does not.
     """
     if machine.origin is None:
         raise StepdiagError('where the volume lies in machine coordinates is not known; put machine.origin into the '
@@ -133,21 +135,27 @@ def change(level: str, solution: Solution, machine: Machine, present: Present, *
     points = places(machine)
     before = predict(kept, machine, points)
     before = replace(before, deviation_m=remaining(kept.errors, machine, points, present.volume))
+    # What is left out is of value zero and as uncertain as it is; whether places become worse is judged without it.
+    whole = predict(unknown(without(solution, known.unmeasured), known.open), machine, points).covariance_m2
     if level == 'volume':
-        result = _volume(kept, machine, present, before)
+        result = _volume(kept, machine, present, before, reversal or {})
     elif present.volume is not None:
         raise StepdiagError('the control carries the volumetric compensation; take it back first (improve --undo) or '
                             'keep --level volume')
     else:
         # Squareness and what it hides may cancel somewhere: as much of it as leaves no place worse.
         for share in SHARES if level == 'matrix' else (0.0,):
-            result = _tables(level, solution, kept, machine, present, before, partial, matrixkins, share)
+            result = _tables(level, solution, kept, machine, present, before, partial, matrixkins, share,
+                             reversal or {})
             if not _harm(before, result.after):
                 break
-    return replace(result, refusals=tuple(refusals) + result.refusals + _harm(before, result.after))
+    harm = _harm(before, result.after)
+    return replace(result, refusals=tuple(refusals) + result.refusals + harm,
+                   before=replace(result.before, covariance_m2=whole), after=replace(result.after, covariance_m2=whole))
 
 
-def _volume(solution: Solution, machine: Machine, present: Present, before: Prediction) -> Change:
+def _volume(solution: Solution, machine: Machine, present: Present, before: Prediction,
+            reversal: Mapping[str, tuple[float, float]]) -> Change:
     """All 21 errors in the component; screw tables that are there are taken up into it."""
     origin = machine.origin or (0.0, 0.0, 0.0)
     taken: Taken = CONTROL.read(present.present, Place(machine, np.array(origin)))
@@ -158,15 +166,18 @@ def _volume(solution: Solution, machine: Machine, present: Present, before: Pred
                        before.covariance_m2)
     files = configuration.compensated(present.ini, volume=text)
     notes = ('screw tables that were there are taken up into the volumetric compensation',) if taken else ()
+    notes += tuple(f'lost motion of {axis}, {1e6 * value:.2f} µm, U = {1e6 * spread:.2f} µm (k = 2), stays: the '
+                   f'component does not know from where an axis comes; give it to [JOINT_{AXES.index(axis)}]BACKLASH'
+                   for axis, (value, spread) in reversal.items() if abs(value) > spread)
     return Change('volume', configuration.renamed(files, present.ini_name), before, after, volume, (), notes)
 
 
 def _tables(level: str, solution: Solution, kept: Solution, machine: Machine, present: Present, before: Prediction,
-            partial: bool, matrixkins: bool, share: float) -> Change:
+            partial: bool, matrixkins: bool, share: float, reversal: Mapping[str, tuple[float, float]]) -> Change:
     origin = np.array(machine.origin)
     square = {name: share * kept.squareness(name)[0] for name in SQUARENESS if kept.has(name)} if share else {}
     made: Compensation = compensation(_squared(solution, square), machine, CONTROL, origin, None, present.present,
-                                      partial)
+                                      partial, reversal=reversal)
     tables = {letter: made.files[f'{letter.lower()}.comp'] for letter in AXES if f'{letter.lower()}.comp' in made.files}
     rest = {name: value - square.get(name, 0.0) for name, value in kept.errors.square.items()}
     left = left_of(GeometricErrors(kept.errors.curves, rest), made.change)

@@ -27,8 +27,8 @@ def closure_section(found: Sequence[Closure], number: int) -> str:
               'last stop; what drifted there between their two readings is in no closure of the length.</p>'
               if joined else '<p>No reset lies between forward and backward.</p>')
     names = list(dict.fromkeys(name for one in found for name in one.temperature))
-    head = ['setup', '>repeat', 'began', '>lasted', '>unseen at the reset', '>length ± U', '>spot x ± U',
-            '>spot y ± U', *(f'>{escape(name)}, begin → end' for name in names)]
+    head = ['setup', '>repeat', 'began', '>lasted', '>unseen at the reset', '>length ± U (k = 2)',
+            '>spot x ± U (k = 2)', '>spot y ± U (k = 2)', *(f'>{escape(name)}, begin → end' for name in names)]
     rows = [_row(one, names) for one in found]
     numbers = table(head, rows)
     none = '' if names else '<p>The log holds no temperatures.</p>'

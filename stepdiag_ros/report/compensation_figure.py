@@ -99,8 +99,9 @@ def _left(panel: Axes, found: Compensation) -> None:
         panel.text(0.0, 0.95, 'nothing', fontsize=9, color=FAINT, va='top', transform=panel.transAxes)
         panel.set_axis_off()
         return
-    panel.barh([n for _, n in rest][::-1], [1e6 * v for v, _ in rest][::-1], color=AFTER)
-    panel.set_xlabel('largest in the volume / µm', fontsize=8, color=INK)
+    panel.barh([n for _, n in rest][::-1], [1e6 * v for v, _ in rest][::-1], color=AFTER, ecolor=FAINT, capsize=2,
+               xerr=[1e6 * found.not_carried_spread[n] for _, n in rest][::-1])
+    panel.set_xlabel('largest in the volume, U (k = 2) / µm', fontsize=8, color=INK)
     panel.tick_params(labelsize=8, colors=FAINT)
     for side in ('top', 'right'):
         panel.spines[side].set_visible(False)

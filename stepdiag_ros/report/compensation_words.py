@@ -33,8 +33,9 @@ def summary(found: Compensation) -> str:
                      f'{1e6 * most:.1f} µm')
     rest = {name: value for name, value in found.not_carried.items() if value >= LEAST_SAID_M}
     if rest:
-        lines.append('  cannot be carried  by this kind of table, largest in the volume: ' + ', '.join(
-            f'{name} {1e6 * value:.1f} µm' for name, value in sorted(rest.items(), key=lambda item: -item[1])))
+        lines.append('  cannot be carried  by this kind of table, largest in the volume, ± U (k = 2): ' + ', '.join(
+            f'{name} {1e6 * value:.1f} ± {1e6 * found.not_carried_spread[name]:.1f} µm'
+            for name, value in sorted(rest.items(), key=lambda item: -item[1])))
     if found.reversal:
         lines.append('  reversal           ' + ', '.join(
             f'{axis} {1e6 * value:.2f} µm, U = {1e6 * spread:.2f} µm (k = 2)'

@@ -382,4 +382,5 @@ def _small_print(diagnosis: Diagnosis) -> str:
             f'root mean square of the {gap.channel} read less the {gap.channel} predicted by a fit without these '
             f'readings ({escape(gap.held_out)}). In units of what the prediction expects of itself, the reduced χ² is '
             f'{plain(gap.before)} before, {plain(gap.after)} after, over {gap.count} readings. '
-            'Values ± one standard deviation; all of it is in <code>gap.json</code> beside this page.</p></footer>')
+            'Values ± one standard uncertainty (k = 1); all of it is in <code>gap.json</code> beside this page.</p>'
+            '</footer>')

@@ -400,6 +400,8 @@ def summary(diagnosis: Diagnosis, name: str, adoption: tuple[str, ...] = ()) -> 
             lines.append(f'      moves {moved}')
         if found.remedy:
             lines.append(f'      What to do: {found.remedy}')
+    if any('±' in text for found in diagnosis.effects for _, text in sizes(found)):
+        lines += ['', '  Sizes ± one standard uncertainty (k = 1).']
     if diagnosis.hint:
         lines += ['', f'  {hint_words(diagnosis)}']
     if diagnosis.unmodelled:

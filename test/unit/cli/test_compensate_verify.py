@@ -100,6 +100,8 @@ def test_what_lies_beside_the_tables(place):
     prediction = json.loads((folder / 'prediction.json').read_text(encoding='utf-8'))
     assert prediction['written'] and prediction['after']['largest_m'] < prediction['before']['largest_m']
     assert prediction['after']['U_m'] > 0.0 and prediction['not_carried_m']['EAX'] > 1e-6
+    assert set(prediction['not_carried_U_m']) == set(prediction['not_carried_m'])
+    assert all(0.0 < spread < 1e-6 for spread in prediction['not_carried_U_m'].values())
     readme = (folder / 'README.txt').read_text(encoding='utf-8')
     assert 'The way back' in readme and 'To load' in readme
     assert (place / 'heidenhain' / 'README.txt').read_text(encoding='utf-8').startswith('NOTE: sign')

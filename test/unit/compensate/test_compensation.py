@@ -100,6 +100,10 @@ def test_what_the_kind_of_table_cannot_carry_is_computed():
     assert found.not_carried['EAZ'] == pytest.approx(0.0, abs=1e-12)
     assert found.not_carried['ECX'] == pytest.approx(1e-5 * 0.15, rel=1e-6)
     assert found.not_carried['EXX'] == pytest.approx(0.0, abs=1e-12)
+    # Left is the yaw less that in the middle, over all of Y: 0 less half the ramp at one end, the ramp less its half at
+    # the other, equally large.  A value of it is known to 5 · 20 nrad (one standard uncertainty), the first exactly.
+    one = 2.0 * 1e-7 * 0.3
+    assert any(found.not_carried_spread['ECX'] == pytest.approx(spread, rel=1e-6) for spread in (one, one * 2.0**0.5))
 
 
 def test_the_place_of_the_volume_must_be_known():

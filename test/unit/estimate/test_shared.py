@@ -57,6 +57,22 @@ def test_it_is_the_best_estimate_under_both_kinds_of_error():
     np.testing.assert_allclose(found.shift, step, rtol=1e-9, atol=1e-10)
 
 
+def test_what_visits_to_one_place_share_is_weighed_as_what_it_is():
+    """Two visits to 20 places: what they share, √2 as large and of each visit its own, has the same best estimate."""
+    result, columns = fitted(0.5)
+    place = np.random.default_rng(3).normal(size=(20, 7))
+    result.jacobian = sparse.csr_array(np.vstack([place, place]))
+    columns[20:] = columns[:20]
+    form = 0.8 * np.vstack([np.eye(20), np.eye(20)])
+    jacobian = result.jacobian.toarray()
+    inverse = np.linalg.inv(0.25 * 2.0**2 * np.eye(40) + columns @ columns.T + form @ form.T)
+    covariance = np.linalg.inv(jacobian.T @ inverse @ jacobian + result.precision)
+    each = sparse.csr_array(np.sqrt(2.0) * 0.8 * np.eye(40))
+    found = weigh(result, np.eye(7), columns, misfit=2.0, stopwise=each)
+    np.testing.assert_allclose(found.half, covariance, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(found.gain, covariance @ jacobian.T @ inverse, rtol=1e-9, atol=1e-10)
+
+
 @pytest.mark.parametrize('sigma', [1e-7, 1e-11])
 def test_readings_almost_without_noise_leave_what_is_shared(sigma):
     """Then 40 readings of 7 unknowns and 3 shared errors determine all of them."""

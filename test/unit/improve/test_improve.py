@@ -8,6 +8,7 @@ import pytest
 
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate import evaluate
+from stepdiag_ros.estimate.gauge import to_reference_lines
 from stepdiag_ros.estimate.prediction import deviation, without_rigid_motion
 from stepdiag_ros.improve import backup, levels
 from stepdiag_ros.improve.applied import without_applied
@@ -15,7 +16,7 @@ from stepdiag_ros.improve.outcome import outcome
 from stepdiag_ros.linuxcnc import configuration
 from stepdiag_ros.linuxcnc.ini import get
 from stepdiag_ros.model.machine import compose, rotation
-from stepdiag_ros.virtual.cell import load_cell
+from stepdiag_ros.virtual.cell import load_cell, parse_cell
 from stepdiag_ros.virtual.offline import simulate_log
 from stepdiag_ros.virtual.world import World
 
@@ -114,6 +115,46 @@ def test_open_directions_are_refused(cell, log, first, control):
     change = levels.change('volume', blind, cell.description.machine, levels.held(control))
     assert any('EYY' in text for text in change.refusals)
     assert not levels.change('volume', blind, cell.description.machine, levels.held(control), partial=True).refusals
+
+
+def test_what_is_left_out_counts_in_the_uncertainty(cell, log, first, control):
+    """An open slope of EYY: of value zero in what is written, as uncertain as it is in what is said of the machine."""
+    from stepdiag_ros.estimate.solution import Unidentifiable
+    row = [i for i, (name, _) in enumerate(first.names) if name == 'EYY']
+    position = np.asarray(first.positions['EYY'])
+    wide = first.covariance.copy()
+    wide[np.ix_(row, row)] += np.outer(position, position) * 1e-4**2
+    blind = replace(first, covariance=wide, unidentifiable=(Unidentifiable(('EYY slope',), 'nobody looked'),))
+    machine = cell.description.machine
+    for level in ('tables', 'volume'):
+        found = levels.change(level, blind, machine, levels.held(control), partial=True)
+        assert found.refusals == ()
+        most = levels.K * found.after.size_sigma_m.max()
+        assert most > 1.5e-4 * position[-1], level
+        known = levels.change(level, first, machine, levels.held(control))
+        assert most > 5.0 * levels.K * known.after.size_sigma_m.max()
+
+
+def test_lost_motion_is_taken_out_and_into_screw_tables(cell, control):
+    """The tables are those of the machine without lost motion, and the lost motion itself in both directions."""
+    from stepdiag_ros.cli.known import known_errors
+    machine = cell.description.machine
+    lost = np.array([4.0e-6, 0.0, 0.0])
+    text = CELL.read_text(encoding='utf-8') + '\neffects: {backlash: {B: [4.0e-6, 0.0, 0.0]}}\n'
+    known = known_errors(simulate_log(parse_cell(text, str(CELL))), 'bag')
+    value, spread = known.reversal['X']
+    assert abs(value - lost[0]) < spread < 1e-6
+    assert any('backlash' in note for note in known.notes)
+    for name in ('EXX', 'EYY'):
+        position, found, sigma = known.solution.curve(name)
+        curve = to_reference_lines(cell.geometry).curves[name]
+        assert np.all(np.abs(found - curve(position))[1:] < 3.5 * sigma[1:])
+    tables = levels.change('tables', known.solution, machine, levels.held(control), reversal=known.reversal)
+    configuration.write(control, tables.files)
+    taken = levels.CONTROL.read(levels.held(control).present, levels.Place(machine, np.array(machine.origin)))
+    np.testing.assert_allclose(taken['EXX'].reverse - taken['EXX'].forward, value, atol=1e-8)
+    volume = levels.change('volume', known.solution, machine, levels.held(control), reversal=known.reversal)
+    assert any('lost motion of X' in note and 'BACKLASH' in note for note in volume.notes)
 
 
 def test_without_an_origin_nothing_is_written(cell, first, control):
