@@ -6,12 +6,14 @@ and counted.  Besides the mean the table keeps where a dwell's samples lie, so
 that what happens inside a dwell is not lost to the gap diagnosis.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.model.log import DONE, DWELL, MOVE, STOOD, CalibrationLog, Samples
+from stepdiag_ros.model.regulation import shortened
+from stepdiag_ros.model.sensor import nominal_sight
 
 MOVED_M = 1e-6
 """An axis moved if it is commanded further than this."""
@@ -128,13 +130,17 @@ def reduce_log(log: CalibrationLog, cut: bool = False) -> StopTable:
     if mended:
         warnings.append(f'{log.source}: sequencer/step: {mended} of {len(axis)} stops name another axis than the one '
                         'that their commanded positions moved; the positions count')
+    off_centre, missed = _off_centre(log, dwell_ns, done_ns, events.setup[first], events.commanded[first])
+    if missed:
+        warnings.append(f'{log.source}: psd/spot: {missed} dwells of a regulated beam hold no light; by how much the beam '
+                        'missed the retroreflector there is not known, and their lengths are left out')
     measured, setup = np.unique(events.setup[first], return_inverse=True)
     table = StopTable(
         events.run_ids, tuple(names[k] for k in measured), events.run[first], setup, events.repeat[first],
         events.direction[first], events.index[first], np.where(stood, STOOD, axis),
         events.commanded[first],
         move_ns, dwell_ns, done_ns,
-        lengths.mean, lengths.scatter, lengths.count, lengths.rows,
+        lengths.mean + off_centre[:, None], lengths.scatter, lengths.count, lengths.rows,
         spots.mean, spots.scatter, spots.count, spots.rows,
         spots.health, lengths.refractive_index, tuple(warnings),
         displacement_parts=lengths.parts, spot_parts=spots.parts)
@@ -142,6 +148,30 @@ def reduce_log(log: CalibrationLog, cut: bool = False) -> StopTable:
         raise StepdiagError(f'{log.source}: no dwell of sequencer/step holds a sample of '
                             'interferometer/displacement or psd/spot; check the stamps of both')
     return table
+
+
+def _off_centre(log: CalibrationLog, begin_ns: np.ndarray, end_ns: np.ndarray, setup: np.ndarray,
+                commanded: np.ndarray) -> tuple[np.ndarray, int]:
+    """By how much (k,) [m] the lengths of dwells read short because a regulated beam missed the retroreflector's centre,
+    NaN where no spot tells; and in how many."""
+    names, setups = log.steps.setup_names, log.description.setups
+    found = np.zeros(len(setup))
+    held = [name if name in setups and setups[name].regulated else '' for name in names]
+    mine = np.array([bool(name) for name in held], bool)[setup]
+    if not mine.any():
+        return found, 0
+    squares = replace(log.spot, values=np.sum(log.spot.values ** 2, axis=1, keepdims=True))
+    mean = _average(squares, begin_ns, end_ns, setup, tuple(held), np.ones(len(squares), bool)).mean[:, 0]
+    for number in np.unique(setup[mine]):
+        own = setup == number
+        found[own] = shortened(mean[own], nominal_sight(log.description.machine, setups[names[number]], commanded[own])[0])
+    return found, int(np.isnan(found).sum())
+
+
+def dwell_means(samples: Samples, log: CalibrationLog, table: StopTable, setup: str) -> np.ndarray:
+    """Means (n, k) of ``samples`` of ``setup`` over the dwells of ``table``, NaN where there are none."""
+    names = tuple(name if name == setup else '' for name in table.setup_names)
+    return _average(samples, table.dwell_ns, table.done_ns, table.setup, names, np.ones(len(samples), bool)).mean
 
 
 def _moved_axis(run: np.ndarray, index: np.ndarray, axis: np.ndarray,
