@@ -12,7 +12,7 @@ import numpy as np
 
 from stepdiag_ros.estimate.reduce import StopTable, dwell_means
 from stepdiag_ros.model.log import CalibrationLog
-from stepdiag_ros.model.regulation import angles_of, steering_frame
+from stepdiag_ros.model.regulation import angles_of, missed, steering_frame
 
 FAR_M = 1e-3
 """Angles that put the retroreflector farther than this from where lengths and machine have it do not agree."""
@@ -30,9 +30,11 @@ def held_beams(log: CalibrationLog, table: StopTable, stations: Mapping[str, Map
             continue
         mine = table.setup == table.setup_names.index(name)
         arm = table.commanded[mine] + np.array(setup.tool_of(log.description.machine)) - stations[name]['position_m']
-        spot = dwell_means(log.spot, log, table, name)[mine]
-        rms, turn = _agreement(steering_frame(log.description.machine, setup), arm,
-                               dwell_means(log.beam_angle, log, table, name)[mine])
+        spot = dwell_means(log.spot, table, name)[mine]
+        beam = dwell_means(log.beam_angle, table, name)[mine]
+        # The beam points where the mirrors turn it; the retroreflector is where the spot says beside it.
+        seen = beam + missed(spot, beam[:, 1], np.linalg.norm(arm, axis=1))
+        rms, turn = _agreement(steering_frame(log.description.machine, setup), arm, seen)
         found[name] = {'spot_rms_m': float(np.sqrt(np.nanmean(spot ** 2))) if np.isfinite(spot).any() else None,
                        'angle_rms_rad': rms, 'turn_rad': turn}
         off = 0.0 if rms is None else rms * float(np.linalg.norm(arm, axis=1).mean())

@@ -109,14 +109,18 @@ def reduce_log(log: CalibrationLog, cut: bool = False) -> StopTable:
     first, stood = visits[:, 1], number > 0
     move_ns = np.where((visits[:, 0] >= 0) & ~stood, events.time_ns[visits[:, 0]], -1)
     names, setups = tuple(events.setup_names), log.description.setups
-    lengths = _average(log.displacement, dwell_ns, done_ns, events.setup[first], names,
+    displacement, dark = _on_centre(log, dwell_ns, done_ns, events.setup[first], events.commanded[first])
+    if dark:
+        warnings.append(f'{log.source}: psd/spot: {dark} dwells of a regulated beam hold no light; by how much the beam '
+                        'missed the retroreflector there is not known, and their lengths are left out')
+    lengths = _average(displacement, dwell_ns, done_ns, events.setup[first], names,
                        log.displacement.health > 0)
     # What a detector streams in a setup that has none is no reading.
     looks = np.array([name not in setups or setups[name].sees_tilt for name in names], bool)
     spots = _average(log.spot, dwell_ns, done_ns, events.setup[first],
                      tuple(name if looking else '' for name, looking in zip(names, looks, strict=True)),
                      np.ones(len(log.spot), bool))
-    for topic, part, samples in (('interferometer/displacement', lengths, log.displacement),
+    for topic, part, samples in (('interferometer/displacement', lengths, displacement),
                                  ('psd/spot', spots, log.spot)):
         if part.left_out:
             warnings.append(f'{log.source}: {topic}: {part.left_out} dwell samples without signal '
@@ -130,17 +134,13 @@ def reduce_log(log: CalibrationLog, cut: bool = False) -> StopTable:
     if mended:
         warnings.append(f'{log.source}: sequencer/step: {mended} of {len(axis)} stops name another axis than the one '
                         'that their commanded positions moved; the positions count')
-    off_centre, missed = _off_centre(log, dwell_ns, done_ns, events.setup[first], events.commanded[first])
-    if missed:
-        warnings.append(f'{log.source}: psd/spot: {missed} dwells of a regulated beam hold no light; by how much the beam '
-                        'missed the retroreflector there is not known, and their lengths are left out')
     measured, setup = np.unique(events.setup[first], return_inverse=True)
     table = StopTable(
         events.run_ids, tuple(names[k] for k in measured), events.run[first], setup, events.repeat[first],
         events.direction[first], events.index[first], np.where(stood, STOOD, axis),
         events.commanded[first],
         move_ns, dwell_ns, done_ns,
-        lengths.mean + off_centre[:, None], lengths.scatter, lengths.count, lengths.rows,
+        lengths.mean, lengths.scatter, lengths.count, lengths.rows,
         spots.mean, spots.scatter, spots.count, spots.rows,
         spots.health, lengths.refractive_index, tuple(warnings),
         displacement_parts=lengths.parts, spot_parts=spots.parts)
@@ -150,25 +150,38 @@ def reduce_log(log: CalibrationLog, cut: bool = False) -> StopTable:
     return table
 
 
-def _off_centre(log: CalibrationLog, begin_ns: np.ndarray, end_ns: np.ndarray, setup: np.ndarray,
-                commanded: np.ndarray) -> tuple[np.ndarray, int]:
-    """By how much (k,) [m] the lengths of dwells read short because a regulated beam missed the retroreflector's centre,
-    NaN where no spot tells; and in how many."""
+def _on_centre(log: CalibrationLog, begin_ns: np.ndarray, end_ns: np.ndarray, setup: np.ndarray,
+               commanded: np.ndarray) -> tuple[Samples, int]:
+    """The lengths as a regulated beam would have read them that meets the retroreflector's centre, sample by sample; NaN
+    where no spot tells by how much it missed it.  And the number of such dwells without a spot."""
     names, setups = log.steps.setup_names, log.description.setups
-    found = np.zeros(len(setup))
-    held = [name if name in setups and setups[name].regulated else '' for name in names]
-    mine = np.array([bool(name) for name in held], bool)[setup]
-    if not mine.any():
-        return found, 0
-    squares = replace(log.spot, values=np.sum(log.spot.values ** 2, axis=1, keepdims=True))
-    mean = _average(squares, begin_ns, end_ns, setup, tuple(held), np.ones(len(squares), bool)).mean[:, 0]
-    for number in np.unique(setup[mine]):
-        own = setup == number
-        found[own] = shortened(mean[own], nominal_sight(log.description.machine, setups[names[number]], commanded[own])[0])
-    return found, int(np.isnan(found).sum())
+    mine = np.flatnonzero([names[s] in setups and setups[names[s]].regulated for s in setup])
+    if not len(mine):
+        return log.displacement, 0
+    values, dark = log.displacement.values.copy(), 0
+    square = np.sum(log.spot.values ** 2, axis=1)
+    for i in mine:
+        name = names[setup[i]]
+        rows, seen = (slice(*np.searchsorted(samples.time_ns, (begin_ns[i], end_ns[i]))) for samples in (
+            log.displacement, log.spot))
+        lit = np.isfinite(square[seen]) & (log.spot.setup[seen] == _number(log.spot, name))
+        dark += not lit.any()
+        if not lit.any():
+            values[rows] = np.nan
+            continue
+        times = log.spot.time_ns[seen][lit]
+        distance = nominal_sight(log.description.machine, setups[name], commanded[i])[0]
+        own = log.displacement.setup[rows] == _number(log.displacement, name)
+        missed = np.interp(log.displacement.time_ns[rows] - times[0], times - times[0], square[seen][lit])
+        values[rows][own] += shortened(missed, distance)[own, None]
+    return replace(log.displacement, values=values), dark
 
 
-def dwell_means(samples: Samples, log: CalibrationLog, table: StopTable, setup: str) -> np.ndarray:
+def _number(samples: Samples, setup: str) -> int:
+    return samples.setup_names.index(setup) if setup in samples.setup_names else -1
+
+
+def dwell_means(samples: Samples, table: StopTable, setup: str) -> np.ndarray:
     """Means (n, k) of ``samples`` of ``setup`` over the dwells of ``table``, NaN where there are none."""
     names = tuple(name if name == setup else '' for name in table.setup_names)
     return _average(samples, table.dwell_ns, table.done_ns, table.setup, names, np.ones(len(samples), bool)).mean

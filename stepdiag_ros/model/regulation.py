@@ -72,6 +72,12 @@ def steered(frame: np.ndarray, angles: np.ndarray, arm: np.ndarray) -> tuple[np.
             2.0 * np.stack([np.sum(arm * first, axis=-1), np.sum(arm * second, axis=-1)], axis=-1))
 
 
+def missed(spot: np.ndarray, elevation: np.ndarray, distance: np.ndarray) -> np.ndarray:
+    """Azimuth and elevation (n, 2) [rad] by which a beam at ``elevation`` (n,) misses a centre at ``distance`` (n,) [m]
+    when it returns to ``spot`` (n, 2) [m]."""
+    return spot / (2.0 * np.asarray(distance)[..., None] * np.stack([np.cos(elevation), np.ones_like(elevation)], axis=-1))
+
+
 def shortened(spot_squared: np.ndarray, distance: np.ndarray) -> np.ndarray:
     """By how much [m] a length reads short where the beam returns off the centre: ``|s|²/(8 |a|)``."""
     return spot_squared / (8.0 * distance)
@@ -148,7 +154,7 @@ class Regulator:
             self.command = centre + self._pitch * np.sqrt(place) * np.array(
                 [np.cos(GOLDEN * place), np.sin(GOLDEN * place)])
             return self.command
-        error = spot / (2.0 * self._distance * np.array([np.cos(self.command[1]), 1.0]))
+        error = missed(spot, self.command[1], self._distance)
         self.command = self._held = self.command + self._gain * np.where(np.abs(error) > self._deadband, error, 0.0)
         self._dark = 0
         return self.command

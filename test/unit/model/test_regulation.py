@@ -33,7 +33,7 @@ def test_the_spot_is_where_three_mirrors_of_a_corner_send_the_beam():
     path to the vertex's foot is half of the way there and back."""
     rng = np.random.default_rng(2)
     corner = np.linalg.qr(rng.normal(size=(3, 3)))[0]
-    angles, vertex = np.array([0.11, -0.07]), FRAME[2] * 0.35 + np.array([0.004, -0.003, 0.002])
+    angles = np.array([0.11, -0.07])
     beam, first, second = (axis[0] for axis in beam_axes(FRAME, angles[None]))
     vertex = beam * 0.35 + 0.0008 * first - 0.0011 * second
     # Opened towards the beam: each mirror's normal against it.
