@@ -91,8 +91,8 @@ def _scalars(topic: str, series: dict[str, ScalarSeries]) -> Iterator[_Message]:
 
 
 def _angles(angles: Samples) -> Iterator[_Message]:
-    for time, setup, (azimuth, elevation) in zip(angles.time_ns.tolist(), angles.setup, angles.values.tolist(), strict=True):
-        yield time, BEAM_ANGLE, time, encode_angles(time, angles.setup_names[setup], azimuth, elevation)
+    for time, setup, pair in zip(angles.time_ns.tolist(), angles.setup, angles.values.tolist(), strict=True):
+        yield time, BEAM_ANGLE, time, encode_angles(time, angles.setup_names[setup], *pair)
 
 
 def _blocks(samples: Samples, topic: str, most: int | None) -> Iterator[_Message]:

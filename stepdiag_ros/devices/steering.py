@@ -1,7 +1,7 @@
 """Two mirrors on the analogue lines of the input box that turn a beam: angles to volts and back.
 
-The box's two outputs command the angles, 0 to 5 V for the whole range in 12 bits; a mirror's position sensor, where it has
-one, answers ±5 V on an input that is streamed beside the photocurrents.
+The box's two outputs command the angles, 0 to 5 V for the whole range in 12 bits; a mirror's position sensor, where
+it has one, answers ±5 V on an input that is streamed beside the photocurrents.
 """
 
 from dataclasses import dataclass

@@ -22,8 +22,9 @@ LEAST = 3
 
 def held_beams(log: CalibrationLog, table: StopTable, stations: Mapping[str, Mapping[str, Any]]
                ) -> tuple[dict[str, dict[str, float | list[float] | None]], list[str]]:
-    """By setup ``spot_rms_m`` over its dwells, ``angle_rms_rad`` by which the measured angles differ from the directions
-    and ``turn_rad`` of the base (3,), both None where angles were not measured; and what does not agree, in words."""
+    """By setup ``spot_rms_m`` over its dwells, ``angle_rms_rad`` by which the measured angles differ from the
+    directions and ``turn_rad`` of the base (3,), both None where angles were not measured; and what does not agree,
+    in words."""
     found, warnings = {}, []
     for name, setup in log.description.setups.items():
         if not setup.regulated or name not in stations:

@@ -111,8 +111,8 @@ def reduce_log(log: CalibrationLog, cut: bool = False) -> StopTable:
     names, setups = tuple(events.setup_names), log.description.setups
     displacement, dark = _on_centre(log, dwell_ns, done_ns, events.setup[first], events.commanded[first])
     if dark:
-        warnings.append(f'{log.source}: psd/spot: {dark} dwells of a regulated beam hold no light; by how much the beam '
-                        'missed the retroreflector there is not known, and their lengths are left out')
+        warnings.append(f'{log.source}: psd/spot: {dark} dwells of a regulated beam hold no light; by how much the '
+                        'beam missed the retroreflector there is not known, and their lengths are left out')
     lengths = _average(displacement, dwell_ns, done_ns, events.setup[first], names,
                        log.displacement.health > 0)
     # What a detector streams in a setup that has none is no reading.
@@ -152,8 +152,8 @@ def reduce_log(log: CalibrationLog, cut: bool = False) -> StopTable:
 
 def _on_centre(log: CalibrationLog, begin_ns: np.ndarray, end_ns: np.ndarray, setup: np.ndarray,
                commanded: np.ndarray) -> tuple[Samples, int]:
-    """The lengths as a regulated beam would have read them that meets the retroreflector's centre, sample by sample; NaN
-    where no spot tells by how much it missed it.  And the number of such dwells without a spot."""
+    """The lengths as a regulated beam would have read them that meets the retroreflector's centre, sample by sample;
+    NaN where no spot tells by how much it missed it.  And the number of such dwells without a spot."""
     names, setups = log.steps.setup_names, log.description.setups
     mine = np.flatnonzero([names[s] in setups and setups[names[s]].regulated for s in setup])
     if not len(mine):

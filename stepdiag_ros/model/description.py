@@ -335,7 +335,8 @@ def setup_problem(setup: Setup, machine: Machine, steps: int) -> tuple[str, str]
     """The key of a setup and what is wrong with it; None where it can be measured.  ``steps``: the plan's."""
     way = setup.way
     if setup.regulated and not (setup.follows and setup.psd):
-        return 'regulated', 'is for a beam that follows a retroreflector by a detector: it needs a station, and no psd: false'
+        return 'regulated', ('is for a beam that follows a retroreflector by a detector: it needs a station, and no '
+                             'psd: false')
     if way is None and (setup.follows or setup.tool is not None):
         return 'station' if setup.follows else 'tool', \
             'needs a way with from and to; a short name has a base unit and a mirror'

@@ -1,23 +1,23 @@
 """A beam that a detector holds on a retroreflector: the optics of a steered beam, and the law of the loop.
 
-The beam starts at the station P.  Two mirrors turn it by the azimuth α and the elevation β away from ``d``, the direction
-from where the station is said to stand to the middle of the way:
+The beam starts at the station P.  Two mirrors turn it by the azimuth α and the elevation β away from ``d``, the
+direction from where the station is said to stand to the middle of the way:
 
     b = cos β (cos α · d + sin α · u) + sin β · v,   e₁ = ∂b/∂α / cos β,   e₂ = ∂b/∂β
 
-A retroreflector at a = p − P sends it back parallel to itself, mirrored at the centre: what it misses the centre by comes
-back doubled, wherever the detector stands, and the interferometer reads the part of a along the beam:
+A retroreflector at a = p − P sends it back parallel to itself, mirrored at the centre: what it misses the centre by
+comes back doubled, wherever the detector stands, and the interferometer reads the part of a along the beam:
 
     s = 2 (a·e₁, a·e₂),   L = a·b = √(|a|² − |s|²/4) ≈ |a| − |s|²/(8 |a|)
 
-So the detector shows by which angle the beam is off, ``(s₁/(2 |a| cos β), s₂/(2 |a|))`` to first order, and what the loop
-leaves of it costs a length that the detector tells and an evaluation puts back.
+So the detector shows by which angle the beam is off, ``(s₁/(2 |a| cos β), s₂/(2 |a|))`` to first order, and what the
+loop leaves of it costs a length that the detector tells and an evaluation puts back.
 
-The loop adds a share ``gain`` of that angle to what it commands, once a period.  With ``delay`` further periods until a
-command shows, an error follows ``ε[k+1] = ε[k] − gain·ε[k−delay] + v·period`` where the retroreflector crosses the beam at
-v.  It dies out where ``gain < 2 sin(π/(2 (2 delay + 1)))`` (Levin & May 1976), and in steady motion the beam trails by
-``v·period/gain``.  What lies within the deadband (the mirrors' smallest step) is left alone: an integrator that went on
-would swing between two steps for ever.
+The loop adds a share ``gain`` of that angle to what it commands, once a period.  With ``delay`` further periods until
+a command shows, an error follows ``ε[k+1] = ε[k] − gain·ε[k−delay] + v·period`` where the retroreflector crosses the
+beam at v.  It dies out where ``gain < 2 sin(π/(2 (2 delay + 1)))`` (Levin & May 1976), and in steady motion the beam
+trails by ``v·period/gain``.  What lies within the deadband (the mirrors' smallest step) is left alone: an integrator
+that went on would swing between two steps for ever.
 """
 
 from collections.abc import Mapping, Sequence
@@ -75,7 +75,8 @@ def steered(frame: np.ndarray, angles: np.ndarray, arm: np.ndarray) -> tuple[np.
 def missed(spot: np.ndarray, elevation: np.ndarray, distance: np.ndarray) -> np.ndarray:
     """Azimuth and elevation (n, 2) [rad] by which a beam at ``elevation`` (n,) misses a centre at ``distance`` (n,) [m]
     when it returns to ``spot`` (n, 2) [m]."""
-    return spot / (2.0 * np.asarray(distance)[..., None] * np.stack([np.cos(elevation), np.ones_like(elevation)], axis=-1))
+    narrowed = np.stack([np.cos(elevation), np.ones_like(elevation)], axis=-1)
+    return spot / (2.0 * np.asarray(distance)[..., None] * narrowed)
 
 
 def shortened(spot_squared: np.ndarray, distance: np.ndarray) -> np.ndarray:
@@ -85,7 +86,7 @@ def shortened(spot_squared: np.ndarray, distance: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Aim:
-    """Where a regulated beam begins: azimuth and elevation [rad] of the first stop, and the farthest ``distance`` [m]."""
+    """Where a regulated beam begins: azimuth and elevation [rad] of the first stop; the farthest ``distance`` [m]."""
 
     azimuth: float
     elevation: float
@@ -113,8 +114,8 @@ def aims_of(given: Sequence[str]) -> dict[str, Aim]:
         try:
             azimuth, elevation, distance = (float(number) for number in numbers.split(','))
         except ValueError:
-            distance = np.nan
-        if not name or not (np.isfinite([distance]).all() and distance > 0.0 and np.isfinite([azimuth, elevation]).all()):
+            azimuth = elevation = distance = np.nan
+        if not name or not (distance > 0.0 and np.isfinite([azimuth, elevation, distance]).all()):
             raise StepdiagError(f'parameter regulated holds {entry!r}; write '
                                 'setup=azimuth,elevation,distance in rad and m, e.g. around=0.10,-0.05,0.40')
         found[name] = Aim(azimuth, elevation, distance)
@@ -146,7 +147,7 @@ class Regulator:
         return self._dark > 0
 
     def next(self, spot: np.ndarray | None) -> np.ndarray:
-        """The command (2,) after a period in which the mean of the spots was ``spot`` (2,); None: there was no light."""
+        """Command (2,) after a period in which the mean of the spots was ``spot`` (2,); None: there was no light."""
         if spot is None:
             turn, place = divmod(self._dark // SEARCH_STAYS, SEARCH_PLACES)
             self._dark += 1

@@ -1,7 +1,7 @@
 """The position-sensitive detector's node: ``psd/spot``, and ``psd/beam_angle`` where the angles of a beam are measured.
 
-Service ``psd/select_setup`` tells it which setup the next blocks belong to.  In setups that regulate their beam the node
-holds it on the retroreflector.
+Service ``psd/select_setup`` tells it which setup the next blocks belong to.  In setups that regulate their beam the
+node holds it on the retroreflector.
 """
 
 import array
@@ -44,8 +44,8 @@ class PsdDriver(DriverNode):
         self.text('gain', [1.0, 1.0], "factors of the detector's x and y [1]", fixed=True)
         self.text('zero', [0.0, 0.0], "zero in the detector's axes, taken off first [m]", fixed=True)
         self.number('dark', 0.05, 'sum signal below which there is no spot', 0.0, 10.0, 'V')
-        self.text('regulated', [''], 'setups whose beam is held, each setup=azimuth,elevation,distance: its aim and the '
-                                     'farthest stop [rad, rad, m]', fixed=True)
+        self.text('regulated', [''], 'setups whose beam is held, each setup=azimuth,elevation,distance: its aim and '
+                                     'the farthest stop [rad, rad, m]', fixed=True)
         self.number('steering_range', 0.5, 'angles of the steered beam go from minus this to this', 1.0e-3, 1.5, 'rad',
                     fixed=True)
         self.text('steering_inputs', [-1], 'analogue inputs of the sensors of azimuth and elevation; -1: none',
@@ -79,8 +79,8 @@ class PsdDriver(DriverNode):
     def _steering(self, channels: tuple[int, ...]) -> Steering:
         inputs = tuple(i for i in self.value('steering_inputs') if i >= 0)
         if inputs and (len(inputs) != 2 or len({*inputs, *channels}) != 6 or max(inputs) > 13):
-            raise StepdiagError(f'psd_driver: parameter steering_inputs is {list(inputs)}; name two analogue inputs from 0 '
-                                'to 13, others than the photocurrents\', or -1')
+            raise StepdiagError(f'psd_driver: parameter steering_inputs is {list(inputs)}; name two analogue '
+                                'inputs from 0 to 13, others than the photocurrents\', or -1')
         if inputs and self._angle is None:
             self._angle = self.marked.publisher(Vector3Stamped, BEAM_ANGLE)
         return Steering(self.value('steering_range'), inputs)

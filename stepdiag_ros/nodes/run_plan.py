@@ -13,7 +13,8 @@ from stepdiag_ros.model.description import Description
 @dataclass(frozen=True)
 class Stop:
     """One stop of a run: its index along the path, the axis that moved to it, position (3,) [m], direction of the
-    traverse; ``beyond_m`` (3,): where the machine passes before it, None: nowhere; ``most_m_s``: greatest feed [m/s]."""
+    traverse; ``beyond_m`` (3,): where the machine passes before it, None: nowhere; ``most_m_s``: greatest feed
+    [m/s]."""
 
     index: int
     axis: int

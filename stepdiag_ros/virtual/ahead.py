@@ -41,7 +41,7 @@ class Ahead:
                        self._table[beams + 2, nearest], columns[beams + 3], columns[beams + 4])
 
     def _notice(self) -> None:
-        """A move or a turn of the beam that was announced meanwhile: from its beginning on nothing is known any more."""
+        """A move or a turn of the beam that was announced meanwhile: from then on nothing is known any more."""
         count = self._world.history.follow()
         if count != self._known:
             starts = self._world.history.records['start_ns'][max(self._known, 0):] + self._late_ns

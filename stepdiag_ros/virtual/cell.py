@@ -108,7 +108,7 @@ class Detector:
     gain: tuple[float, float] = (1.0, 1.0)
     zero: tuple[float, float] = (0.0, 0.0)
     mode: str = 'stream'
-    steering: Steering = Steering()
+    steering: Steering = field(default_factory=Steering)
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,8 @@
 """The loop that holds a beam on the retroreflector, on a virtual clock.
 
-As the detector's node does it live (:mod:`stepdiag_ros.nodes.beam_loop`): once a period a command from the spot, in effect a
-little later.  The spot is that of the beam alone: sensor noise is far below the mirrors' smallest step, and what an effect
-does to the detector does not act back on the beam here.
+As the detector's node does it live (:mod:`stepdiag_ros.nodes.beam_loop`): once a period a command from the spot, in
+effect a little later.  The spot is that of the beam alone: sensor noise is far below the mirrors' smallest step, and
+what an effect does to the detector does not act back on the beam here.
 """
 
 from collections.abc import Sequence
@@ -18,8 +18,8 @@ EFFECT_NS = 6_000_000
 
 
 def hold_beams(world: World, runs: Sequence[tuple[str, int, int]]) -> None:
-    """Give ``world`` the beam's angles during ``runs`` (setup, begin and end [ns]) in order of time; without a setup that
-    regulates its beam it stays as it is."""
+    """Give ``world`` the beam's angles during ``runs`` (setup, begin and end [ns]) in order of time; without a setup
+    that regulates its beam it stays as it is."""
     setups = world.cell.description.setups
     if not any(setups[setup].regulated for setup, _, _ in runs):
         return
@@ -34,7 +34,8 @@ def hold_beams(world: World, runs: Sequence[tuple[str, int, int]]) -> None:
 
 def _regulator(world: World, setup: str) -> Regulator:
     detector = world.cell.instruments.detector
-    return Regulator(aim_of(world.cell.description, setup), DEADBAND * detector.steering.step_rad, 0.5 * detector.length)
+    return Regulator(aim_of(world.cell.description, setup), DEADBAND * detector.steering.step_rad,
+                     0.5 * detector.length)
 
 
 def _taken(world: World, command: np.ndarray) -> np.ndarray:

@@ -27,8 +27,8 @@ from stepdiag_ros.model.regulation import PERIOD_S
 from stepdiag_ros.virtual.air import environment
 from stepdiag_ros.virtual.cell import Cell, Motion
 from stepdiag_ros.virtual.draw import normals
-from stepdiag_ros.virtual.history import History
 from stepdiag_ros.virtual.held import hold_beams
+from stepdiag_ros.virtual.history import History
 from stepdiag_ros.virtual.motion import Profile, point_to_point, settling_time, tabulate
 from stepdiag_ros.virtual.world import Reading, World
 

@@ -1,4 +1,4 @@
-"""A live run of a beam that is held on the retroreflector by the detector's node, over Modbus: held, recorded, evaluated."""
+"""A live run of a beam that the detector's node holds on the retroreflector: recorded, replayed, evaluated."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""A beam that is held on the retroreflector, on a virtual clock: cells/held_beam.yaml, one plane of it, without noise."""
+"""A beam that is held on the retroreflector, on a virtual clock: one plane of cells/held_beam.yaml without noise."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -54,7 +54,7 @@ def test_the_beam_is_held_in_motion_and_at_rest(held):
 
 
 def table_rows(log, table):
-    return np.stack([np.searchsorted(log.spot.time_ns, table.dwell_ns), np.searchsorted(log.spot.time_ns, table.done_ns)], 1)
+    return np.stack([np.searchsorted(log.spot.time_ns, when) for when in (table.dwell_ns, table.done_ns)], axis=1)
 
 
 def test_lengths_are_those_of_a_beam_that_meets_the_centre(held, followed):
