@@ -6,14 +6,13 @@ and counted.  Besides the mean the table keeps where a dwell's samples lie, so
 that what happens inside a dwell is not lost to the gap diagnosis.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.estimate.on_centre import on_centre
 from stepdiag_ros.model.log import DONE, DWELL, MOVE, STOOD, CalibrationLog, Samples
-from stepdiag_ros.model.regulation import shortened
-from stepdiag_ros.model.sensor import nominal_sight
 
 MOVED_M = 1e-6
 """An axis moved if it is commanded further than this."""
@@ -95,8 +94,10 @@ class StopTable:
 def reduce_log(log: CalibrationLog, cut: bool = False) -> StopTable:
     """Average every dwell of ``log``, a long one in pieces where it is to be ``cut``; raises
     :class:`StepdiagError` where nothing is left."""
+    log, unlit = on_centre(log)
     events = log.steps
     visits, warnings = _visits(log)
+    warnings += unlit
     if not len(visits):
         raise StepdiagError(f'{log.source}: sequencer/step holds no dwell; '
                             'nothing to evaluate, record a whole run')
@@ -109,18 +110,14 @@ def reduce_log(log: CalibrationLog, cut: bool = False) -> StopTable:
     first, stood = visits[:, 1], number > 0
     move_ns = np.where((visits[:, 0] >= 0) & ~stood, events.time_ns[visits[:, 0]], -1)
     names, setups = tuple(events.setup_names), log.description.setups
-    displacement, dark = _on_centre(log, dwell_ns, done_ns, events.setup[first], events.commanded[first])
-    if dark:
-        warnings.append(f'{log.source}: psd/spot: {dark} dwells of a regulated beam hold no light; by how much the '
-                        'beam missed the retroreflector there is not known, and their lengths are left out')
-    lengths = _average(displacement, dwell_ns, done_ns, events.setup[first], names,
+    lengths = _average(log.displacement, dwell_ns, done_ns, events.setup[first], names,
                        log.displacement.health > 0)
     # What a detector streams in a setup that has none is no reading.
     looks = np.array([name not in setups or setups[name].sees_tilt for name in names], bool)
     spots = _average(log.spot, dwell_ns, done_ns, events.setup[first],
                      tuple(name if looking else '' for name, looking in zip(names, looks, strict=True)),
                      np.ones(len(log.spot), bool))
-    for topic, part, samples in (('interferometer/displacement', lengths, displacement),
+    for topic, part, samples in (('interferometer/displacement', lengths, log.displacement),
                                  ('psd/spot', spots, log.spot)):
         if part.left_out:
             warnings.append(f'{log.source}: {topic}: {part.left_out} dwell samples without signal '
@@ -148,37 +145,6 @@ def reduce_log(log: CalibrationLog, cut: bool = False) -> StopTable:
         raise StepdiagError(f'{log.source}: no dwell of sequencer/step holds a sample of '
                             'interferometer/displacement or psd/spot; check the stamps of both')
     return table
-
-
-def _on_centre(log: CalibrationLog, begin_ns: np.ndarray, end_ns: np.ndarray, setup: np.ndarray,
-               commanded: np.ndarray) -> tuple[Samples, int]:
-    """The lengths as a regulated beam would have read them that meets the retroreflector's centre, sample by sample;
-    NaN where no spot tells by how much it missed it.  And the number of such dwells without a spot."""
-    names, setups = log.steps.setup_names, log.description.setups
-    mine = np.flatnonzero([names[s] in setups and setups[names[s]].regulated for s in setup])
-    if not len(mine):
-        return log.displacement, 0
-    values, dark = log.displacement.values.copy(), 0
-    square = np.sum(log.spot.values ** 2, axis=1)
-    for i in mine:
-        name = names[setup[i]]
-        rows, seen = (slice(*np.searchsorted(samples.time_ns, (begin_ns[i], end_ns[i]))) for samples in (
-            log.displacement, log.spot))
-        lit = np.isfinite(square[seen]) & (log.spot.setup[seen] == _number(log.spot, name))
-        dark += not lit.any()
-        if not lit.any():
-            values[rows] = np.nan
-            continue
-        times = log.spot.time_ns[seen][lit]
-        distance = nominal_sight(log.description.machine, setups[name], commanded[i])[0]
-        own = log.displacement.setup[rows] == _number(log.displacement, name)
-        missed = np.interp(log.displacement.time_ns[rows] - times[0], times - times[0], square[seen][lit])
-        values[rows][own] += shortened(missed, distance)[own, None]
-    return replace(log.displacement, values=values), dark
-
-
-def _number(samples: Samples, setup: str) -> int:
-    return samples.setup_names.index(setup) if setup in samples.setup_names else -1
 
 
 def dwell_means(samples: Samples, table: StopTable, setup: str) -> np.ndarray:
