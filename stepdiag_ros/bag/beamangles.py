@@ -10,11 +10,16 @@ from stepdiag_ros.model.log import Samples
 
 def beam_angles(table: TopicTable | None, setup_names: tuple[str, ...]) -> tuple[Samples, list[str]]:
     """Azimuth and elevation [rad] in order of time; those that are no angles or of no setup are left out."""
-    if table is None or not table.groups:
+    if table is None:
         return Samples.empty(2), []
+    malformed = [f'{table.topic}: left out {table.malformed} message(s) that do not hold their type'] \
+        if table.malformed else []
+    if not table.groups:
+        return Samples.empty(2), malformed
     stamp, number, sequence = (np.concatenate(parts) for parts in zip(*(
         (stamps_ns(group.values), group.number, group.sequence) for group in table.groups), strict=True))
-    warnings, order = backwards(stamp, number, table.topic), order_of(stamp, sequence, number)
+    warnings = malformed + backwards(stamp, number, table.topic)
+    order = order_of(stamp, sequence, number)
     values = np.stack([np.concatenate([group.values[path] for group in table.groups])
                        for path in ('vector.x', 'vector.y')], axis=1)[order].astype(float)
     names, inverse = text(np.concatenate([group.values['header.frame_id'] for group in table.groups])[order])

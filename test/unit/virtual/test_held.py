@@ -90,6 +90,14 @@ def test_angles_are_recorded_where_they_are_measured(held, tmp_path):
     np.testing.assert_array_equal(without.displacement.values, held.displacement.values)
 
 
+def test_angles_that_are_none_are_left_out_and_said(held, tmp_path):
+    values = held.beam_angle.values.copy()
+    values[3], values[4] = np.nan, 1e9
+    again = read_log(write_log(replace(held, beam_angle=replace(held.beam_angle, values=values)), tmp_path / 'bag'))
+    assert len(again.beam_angle) == len(held.beam_angle) - 2
+    assert any('psd/beam_angle: left out 2 angle(s)' in warning for warning in again.warnings)
+
+
 def test_the_evaluation_says_how_the_beam_was_held_and_whether_its_angles_agree():
     cell = load_cell(FILE)
     setups = {name: replace(setup, repeats=1) for name, setup in cell.description.setups.items() if name[-1] != 'z'}
