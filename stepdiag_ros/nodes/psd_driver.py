@@ -50,7 +50,7 @@ class PsdDriver(DriverNode):
                     fixed=True)
         self.text('steering_inputs', [-1], 'analogue inputs of the sensors of azimuth and elevation; -1: none',
                   fixed=True)
-        self.number('regulator_gain', GAIN, 'share of an error that a period takes away', 0.01, 1.0, fixed=True)
+        self.number('regulator_gain', GAIN, 'share of an error that a period takes away', 0.01, 1.0, '1', fixed=True)
         self._publisher = self.marked.publisher(SpotPosition, SPOT)
         self._timing = self.marked.publisher(SampleTiming, SPOT_TIMING)
         self._mean = self.create_lifecycle_publisher(SpotMean, SPOT_MEAN, reliable(),
