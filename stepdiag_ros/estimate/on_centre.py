@@ -15,6 +15,8 @@ from stepdiag_ros.model.sensor import nominal_sight
 
 NEAR_NS = 20_000_000
 """A spot tells of samples that are no farther from it in time."""
+HELD_M = 2e-8
+"""A beam that shortens its length by more is not held yet."""
 
 
 def on_centre(log: CalibrationLog) -> tuple[CalibrationLog, list[str]]:
@@ -24,7 +26,7 @@ def on_centre(log: CalibrationLog) -> tuple[CalibrationLog, list[str]]:
     regulated = [name for name, setup in description.setups.items() if setup.regulated]
     if not regulated or not len(log.steps):
         return log, []
-    values, warnings = log.displacement.values.copy(), []
+    values, held, warnings = log.displacement.values.copy(), np.ones(len(log.displacement), bool), []
     event = np.maximum(np.searchsorted(log.steps.time_ns, log.displacement.time_ns, side='right') - 1, 0)
     for name in regulated:
         rows = np.flatnonzero(_of(log.displacement, name))
@@ -32,20 +34,27 @@ def on_centre(log: CalibrationLog) -> tuple[CalibrationLog, list[str]]:
         times, squares = log.spot.time_ns[seen], np.sum(log.spot.values[seen] ** 2, axis=1)
         distance, _ = nominal_sight(description.machine, description.setups[name], log.steps.commanded[event[rows]])
         square, near = _between(log.displacement.time_ns[rows], times, squares)
-        values[rows] += np.where(near, shortened(square, distance), np.nan)[:, None]
+        short = shortened(square, distance)
+        values[rows] += short[:, None]
+        held[rows] = near & (short <= HELD_M)
         if not near.all():
             warnings.append(f'{log.source}: psd/spot: no light near {int((~near).sum())} of {len(rows)} lengths of the '
                             f'regulated beam of {name}; by how much it missed the retroreflector there is not known, '
                             'and they are left out')
     setups = {name: replace(setup, regulated=False) for name, setup in description.setups.items()}
     return replace(log, description=replace(description, setups=setups),
-                   displacement=replace(log.displacement, values=values)), warnings
+                   displacement=_kept(replace(log.displacement, values=values), held)), warnings
 
 
 def _of(samples: Samples, setup: str) -> np.ndarray:
     """Mask (n,) of the samples of a setup."""
     names = samples.setup_names
     return samples.setup == (names.index(setup) if setup in names else -1)
+
+
+def _kept(samples: Samples, rows: np.ndarray) -> Samples:
+    return replace(samples, **{name: value[rows] for name, value in vars(samples).items()
+                               if isinstance(value, np.ndarray)})
 
 
 def _between(at: np.ndarray, times: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

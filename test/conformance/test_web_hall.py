@@ -66,7 +66,8 @@ def test_who_has_the_laser_and_who_waits_is_seen(hall, tmp_path):
                                    stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path)
         try:
             # Whoever has it, the other waits with its place and the time to go.
-            browser.until(f"/_mill has the light/.test({LIGHTS}) && /1\\. \\w+_mill in about \\d+ s/.test({LIGHTS})",
+            browser.until("document.getElementById('machines').textContent.includes('stops') && "
+                          f"/_mill has the light/.test({LIGHTS}) && /1\\. \\w+_mill in about \\d+ s/.test({LIGHTS})",
                           180.0)
             fits(browser, 'desk', tmp_path / 'hall_desk.png')
             fits(browser, 'telephone', tmp_path / 'hall_telephone.png')
