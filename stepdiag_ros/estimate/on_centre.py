@@ -20,8 +20,8 @@ HELD_M = 2e-8
 
 
 def on_centre(log: CalibrationLog) -> tuple[CalibrationLog, list[str]]:
-    """``log`` with corrected lengths, its beams no longer regulated, and what was left out, in words; itself where no
-    setup regulates its beam."""
+    """``log`` with corrected lengths and without the spots that corrected them, its beams no longer regulated, and what
+    was left out, in words; itself where no setup regulates its beam."""
     description = log.description
     regulated = [name for name, setup in description.setups.items() if setup.regulated]
     if not regulated or not len(log.steps):
@@ -43,7 +43,8 @@ def on_centre(log: CalibrationLog) -> tuple[CalibrationLog, list[str]]:
                             'and they are left out')
     setups = {name: replace(setup, regulated=False) for name, setup in description.setups.items()}
     return replace(log, description=replace(description, setups=setups),
-                   displacement=_kept(replace(log.displacement, values=values), held)), warnings
+                   displacement=_kept(replace(log.displacement, values=values), held),
+                   spot=_kept(log.spot, ~np.any([_of(log.spot, name) for name in regulated], axis=0))), warnings
 
 
 def _of(samples: Samples, setup: str) -> np.ndarray:

@@ -36,7 +36,7 @@ KINDS = {
     'rectangle': ['s0: {station: [-0.15, -0.12, -0.12], from: [0, 0, 0], to: [0.2, 0.16, 0], moves: around}']
     + [one.replace('MORE', '') for one in EDGES],
     'regulated': ['s0: {station: [-0.15, -0.12, -0.12], from: [0, 0, 0], to: [0.2, 0.16, 0], moves: around, '
-                  'regulated: true, feed: 0.025}'] + [one.replace('MORE', '') for one in EDGES],
+                  'regulated: true, feed: 0.015}'] + [one.replace('MORE', '') for one in EDGES],
     'diagonals in one motion': [
         f'{name}: {{standoff: 0.2, {SEEN}, from: {start}, to: {end}}}' for name, start, end in (
             ('b1', [0, 0, 0], [0.2, 0.16, 0.12]), ('b2', [0.2, 0, 0], [0, 0.16, 0.12]),
