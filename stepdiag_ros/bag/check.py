@@ -100,7 +100,7 @@ def listed(numbers: Sequence[object], most: int = 6) -> str:
 
 def _looks(description: Description, setup: str) -> bool:
     """Whether a detector looks in a setup; one that is not described may have one."""
-    return setup not in description.setups or description.setups[setup].sees_tilt
+    return setup not in description.setups or description.setups[setup].sees_spot
 
 
 def stop_warnings(description: Description, steps: StepEvents, displacement: Samples,

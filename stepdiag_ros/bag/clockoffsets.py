@@ -11,6 +11,7 @@ import numpy as np
 from stepdiag_ros.bag.blocks import SECOND, stamps_ns, text
 from stepdiag_ros.bag.clocksteps import set_stamps, shift_ns, steps_of
 from stepdiag_ros.bag.schemas import (
+    BEAM_ANGLE,
     CLOCK_OFFSET,
     CLOCK_STEP,
     DISPLACEMENT,
@@ -23,7 +24,7 @@ from stepdiag_ros.bag.tables import TopicTable
 
 #: What is stamped by a sensor's clock.
 STAMPED = {'interferometer': (DISPLACEMENT, DISPLACEMENT_TIMING, *(t for t in TOPICS if t.startswith('environment/'))),
-           'psd': (SPOT, SPOT_TIMING)}
+           'psd': (SPOT, SPOT_TIMING, BEAM_ANGLE)}
 LONGEST_S = 1.0e9
 
 

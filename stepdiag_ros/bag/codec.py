@@ -87,4 +87,9 @@ def encode_scalar(stamp_ns: int, frame_id: str, value: float, variance: float = 
     return CdrWriter(order).header(stamp_ns, frame_id).put('d', value, variance).bytes()
 
 
+def encode_angles(stamp_ns: int, setup: str, azimuth_rad: float, elevation_rad: float, order: str = '<') -> bytes:
+    """``geometry_msgs/msg/Vector3Stamped`` of a beam's angles."""
+    return CdrWriter(order).header(stamp_ns, setup).put('d', azimuth_rad, elevation_rad, 0.0).bytes()
+
+
 encode_temperature = encode_fluid_pressure = encode_relative_humidity = encode_scalar

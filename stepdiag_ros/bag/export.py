@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from stepdiag_ros.bag.codec import (
+    encode_angles,
     encode_displacement,
     encode_scalar,
     encode_spot,
@@ -18,7 +19,7 @@ from stepdiag_ros.bag.codec import (
     encode_string,
 )
 from stepdiag_ros.bag.qos import LATCHED, RELIABLE
-from stepdiag_ros.bag.schemas import DESCRIPTION, DISPLACEMENT, SCALE, SPOT, STEP, TOPICS, WORKPIECE
+from stepdiag_ros.bag.schemas import BEAM_ANGLE, DESCRIPTION, DISPLACEMENT, SCALE, SPOT, STEP, TOPICS, WORKPIECE
 from stepdiag_ros.bag.writer import BagWriter
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.model.log import CalibrationLog, Samples, ScalarSeries, StepEvents
@@ -45,6 +46,8 @@ def write_log(log: CalibrationLog, path: str | Path, block_samples: int | None =
                SPOT: _blocks(log.spot, SPOT, block_samples)}
     if not len(log.spot):
         del streams[SPOT]
+    if len(log.beam_angle):
+        streams[BEAM_ANGLE] = _angles(log.beam_angle)
     for key in ('air_temperature', 'air_pressure', 'humidity'):
         if key in log.environment:
             streams[f'environment/{key}'] = _scalars(f'environment/{key}', {'air': log.environment[key]})
@@ -85,6 +88,11 @@ def _scalars(topic: str, series: dict[str, ScalarSeries]) -> Iterator[_Message]:
     for time, frame, k in rows:
         yield time, topic, time, encode_scalar(time, frame, float(series[frame].value[k]),
                                                float(series[frame].variance[k]))
+
+
+def _angles(angles: Samples) -> Iterator[_Message]:
+    for time, setup, pair in zip(angles.time_ns.tolist(), angles.setup, angles.values.tolist(), strict=True):
+        yield time, BEAM_ANGLE, time, encode_angles(time, angles.setup_names[setup], *pair)
 
 
 def _blocks(samples: Samples, topic: str, most: int | None) -> Iterator[_Message]:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from stepdiag_ros.bag.beamangles import beam_angles
 from stepdiag_ros.bag.blocks import (
     backwards,
     displacement_samples,
@@ -23,6 +24,7 @@ from stepdiag_ros.bag.check import lost_messages, stop_warnings
 from stepdiag_ros.bag.clockoffsets import ClockOffsets, offsets_of, put_on_one_clock
 from stepdiag_ros.bag.clocksteps import put_right
 from stepdiag_ros.bag.schemas import (
+    BEAM_ANGLE,
     DESCRIPTION,
     DISPLACEMENT,
     DISPLACEMENT_TIMING,
@@ -135,6 +137,8 @@ def build_log(source: BagSource, tables: Tables, namespace: str | None = None,
     else:
         spot, notes = spot_samples(spots, setup_names, mine[SPOT_TIMING])
         warnings += notes
+    angles, notes = beam_angles(mine[BEAM_ANGLE], setup_names)
+    warnings += notes
     environment: dict[str, ScalarSeries] = {}
     for relative, table in mine.items():
         if table is not None and TOPICS[relative] in SCALAR_FIELD:
@@ -150,7 +154,7 @@ def build_log(source: BagSource, tables: Tables, namespace: str | None = None,
     displacement, spot = (_less_certain(samples, offsets.get(sensor))
                           for sensor, samples in (('interferometer', displacement), ('psd', spot)))
     return CalibrationLog(description, steps, displacement, spot, environment, str(source.path),
-                          name, tuple(warnings), _clocks(mine))
+                          name, tuple(warnings), _clocks(mine), angles)
 
 
 def _less_certain(samples: Samples, clock: ClockOffsets | None) -> Samples:

@@ -19,6 +19,7 @@ DEFINITIONS = {
         'std_msgs/Header header\nfloat64 fluid_pressure\nfloat64 variance\n',
     'sensor_msgs/msg/RelativeHumidity':
         'std_msgs/Header header\nfloat64 relative_humidity\nfloat64 variance\n',
+    'geometry_msgs/msg/Vector3Stamped': 'std_msgs/Header header\nVector3 vector\n',
     'stepdiag_msgs/msg/Displacement':
         'std_msgs/Header header\nfloat64 sample_period\nuint8 beams\nfloat64[] displacement\n'
         'float64 refractive_index\nuint8[] quality\n',
@@ -46,10 +47,11 @@ WORKPIECE = 'workpiece'
 DISPLACEMENT_TIMING = 'interferometer/timing'
 SPOT_TIMING = 'psd/timing'
 STEP_TIMING = 'sequencer/timing'
+BEAM_ANGLE = 'psd/beam_angle'
 CLOCK_STEP = 'clock_step'
 CLOCK_OFFSET = 'clock_offset'
 #: Topics that most logs lack and do not miss.
-OCCASIONAL = (CLOCK_STEP, CLOCK_OFFSET)
+OCCASIONAL = (CLOCK_STEP, CLOCK_OFFSET, BEAM_ANGLE)
 
 #: Contract topics, relative to a machine's namespace, and their types.
 TOPICS = {
@@ -66,6 +68,7 @@ TOPICS = {
     STEP_TIMING: 'stepdiag_msgs/msg/SampleTiming',
     CLOCK_STEP: 'stepdiag_msgs/msg/ClockStep',
     CLOCK_OFFSET: 'stepdiag_msgs/msg/ClockOffset',
+    BEAM_ANGLE: 'geometry_msgs/msg/Vector3Stamped',
 }
 
 #: The scalar of each environment type, and the key of ``CalibrationLog.environment``.

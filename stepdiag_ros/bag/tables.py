@@ -31,6 +31,7 @@ WANTED = {
     'stepdiag_msgs/msg/SampleTiming': (*_STAMP, 'taken', 'uncertainty', 'clock'),
     'stepdiag_msgs/msg/ClockOffset': (*_STAMP, 'clock', 'reference', 'offset', 'uncertainty'),
     'stepdiag_msgs/msg/ClockStep': (*_STAMP, 'step', 'topic', 'published'),
+    'geometry_msgs/msg/Vector3Stamped': (*_STAMP, 'vector.x', 'vector.y'),
     'sensor_msgs/msg/Temperature': (*_STAMP, 'temperature', 'variance'),
     'sensor_msgs/msg/FluidPressure': (*_STAMP, 'fluid_pressure', 'variance'),
     'sensor_msgs/msg/RelativeHumidity': (*_STAMP, 'relative_humidity', 'variance'),

@@ -49,6 +49,7 @@ class SpotBlock:
 
     ``x_m``, ``y_m`` (n,) along u and v of the setup; ``intensity_V`` (n,) the sum signal.
     A sample without light has NaN positions and its intensity as measured.  ``accuracy`` of the stamps.
+    ``angle_rad`` (n, 2): azimuth and elevation of a steered beam, where they are measured.
     """
 
     stamp_ns: int
@@ -57,6 +58,7 @@ class SpotBlock:
     y_m: np.ndarray
     intensity_V: np.ndarray
     accuracy: Accuracy = field(default_factory=Accuracy)
+    angle_rad: np.ndarray | None = None
 
 
 class Interferometer(Protocol):
@@ -101,6 +103,13 @@ class SpotSensor(Protocol):
 
     def shift_time(self, step_s: float) -> None:
         """The host's clock has jumped by ``step_s`` [s] since the last block."""
+
+
+class SteeredSpotSensor(SpotSensor, Protocol):
+    """A detector whose box also turns the beam."""
+
+    def steer(self, angles: np.ndarray) -> None:
+        """Command azimuth and elevation (2,) [rad]."""
 
 
 class MotionController(Protocol):

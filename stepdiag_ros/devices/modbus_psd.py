@@ -22,6 +22,7 @@ from stepdiag_ros.devices.base import DeviceError, SpotBlock
 from stepdiag_ros.devices.hostclock import HOST
 from stepdiag_ros.devices.link import FIRST_PAUSE_S, Link
 from stepdiag_ros.devices.psd_signal import SpotOptics
+from stepdiag_ros.devices.steering import Steering
 from stepdiag_ros.devices.timing import GAP_PERIODS, Accuracy, ClockMatch, Grid, times_of_polls
 
 CHANNELS = (0, 1, 2, 3)
@@ -43,19 +44,21 @@ logging.getLogger('pymodbus').setLevel(logging.CRITICAL)
 class ModbusPsd:
     """Client of one detector: ``channels`` are the inputs of I1…I4.
 
-    ``mode``: ``stream`` or ``poll``.  ``optics`` says how currents become a spot.
+    ``mode``: ``stream`` or ``poll``.  ``optics`` says how currents become a spot, ``steering`` what turns the beam.
     """
 
     def __init__(self, host: str, port: int = t7.CONTROL_PORT, stream_port: int = t7.STREAM_PORT,
                  optics: SpotOptics | None = None, channels: tuple[int, ...] = CHANNELS,
-                 mode: str = 'stream', timeout_s: float = 5.0, unit: int = 1):
+                 mode: str = 'stream', timeout_s: float = 5.0, unit: int = 1, steering: Steering | None = None):
         if mode not in ('stream', 'poll'):
             raise DeviceError(f'PSD at {host}:{port}: mode is {mode!r}; choose stream or poll')
         self._where = f'PSD at {host}:{port}'
         self._address = (host, port)
         self._timeout_s = timeout_s
         self._optics = optics or SpotOptics()
-        self._channels = channels
+        self._steering = steering or Steering()
+        # Currents first, then the sensors of the mirrors' angles.
+        self._channels = (*channels, *self._steering.inputs)
         self._mode = mode
         self._unit = unit
         self._client: ModbusTcpClient | None = None
@@ -108,8 +111,14 @@ class ModbusPsd:
             raise DeviceError(f'{self._where}: is not connected; connect first')
         read = self._streamed if self._mode == 'stream' else self._polled
         stamp_ns, spacing_s, volts, accuracy = read(samples, period_s)
-        spot, intensity = self._optics.spot(volts)
-        return SpotBlock(stamp_ns, spacing_s, spot[:, 0], spot[:, 1], intensity, accuracy)
+        spot, intensity = self._optics.spot(volts[:, :4])
+        angles = self._steering.sensed(volts[:, 4:]) if self._steering.inputs else None
+        return SpotBlock(stamp_ns, spacing_s, spot[:, 0], spot[:, 1], intensity, accuracy, angles)
+
+    def steer(self, angles: np.ndarray) -> None:
+        """Command azimuth and elevation (2,) [rad] of the beam by the box's two outputs."""
+        self._write(t7.DAC0, [word for volts in self._steering.command_volts(angles)
+                              for word in t7.float_registers(float(volts))])
 
     def shift_time(self, step_s: float) -> None:
         """The host's clock has jumped by ``step_s`` [s] since the last block."""
@@ -291,6 +300,6 @@ class ModbusPsd:
 
 def from_settings(settings: Mapping[str, Any]) -> ModbusPsd:
     """A client by the settings of the detector's node: ``host``, ``port``, ``stream_port``, ``optics``, ``channels``,
-    ``mode``, ``timeout`` [s]."""
+    ``mode``, ``timeout`` [s]; ``steering`` where a beam is steered."""
     return ModbusPsd(settings['host'], settings['port'], settings['stream_port'], settings['optics'],
-                     settings['channels'], settings['mode'], settings['timeout'])
+                     settings['channels'], settings['mode'], settings['timeout'], steering=settings.get('steering'))

@@ -10,6 +10,7 @@ from stepdiag_ros.estimate.contributions import contributions
 from stepdiag_ros.estimate.enhanced import PRIOR_LASER_RAD, Fit, fit
 from stepdiag_ros.estimate.gauge import GAUGE, reporting_matrix
 from stepdiag_ros.estimate.held import with_open_held
+from stepdiag_ros.estimate.held_beam import held_beams
 from stepdiag_ros.estimate.identifiability import unidentifiable
 from stepdiag_ros.estimate.metres import Metres, in_metres
 from stepdiag_ros.estimate.parameters import STATION
@@ -84,6 +85,7 @@ def evaluate_in_full(log: CalibrationLog, budget: Budget | None = None, stops: S
     solution = replace(solution_of(result, table, log.warnings + table.warnings),
                        closure=closures(log, table, result.noise),
                        parts=contributions(log.description, table, result))
+    solution = _with_beams(solution, log, table)
     insane = insane or check_fit(log.description, table, result)
     if insane:
         status = status_of([*(finding.found for finding in insane), *reasons(result, table)])
@@ -132,6 +134,16 @@ def solution_of(result: Fit, table: StopTable, warnings: tuple[str, ...] = ()) -
         unidentifiable=open_directions, gauge=GAUGE, misalignments=misalignments, noise=noise,
         residuals=_residuals(result, table), warnings=warnings,
         extra={'iterations': result.iterations} | ({'stations': stations} if stations else {}))
+
+
+def _with_beams(solution: Solution, log: CalibrationLog, table: StopTable) -> Solution:
+    """``solution`` with how the beams of regulated stations were held."""
+    stations = solution.extra.get('stations', {})
+    beams, warnings = held_beams(log, table, stations)
+    if not beams:
+        return solution
+    told = {name: station | ({'beam': beams[name]} if name in beams else {}) for name, station in stations.items()}
+    return replace(solution, extra=solution.extra | {'stations': told}, warnings=(*solution.warnings, *warnings))
 
 
 def _station(result: Fit, table: StopTable, setup: str, moved: tuple[float, ...]) -> dict[str, list[float] | float]:

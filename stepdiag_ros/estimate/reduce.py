@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.estimate.on_centre import on_centre
 from stepdiag_ros.model.log import DONE, DWELL, MOVE, STOOD, CalibrationLog, Samples
 
 MOVED_M = 1e-6
@@ -93,8 +94,10 @@ class StopTable:
 def reduce_log(log: CalibrationLog, cut: bool = False) -> StopTable:
     """Average every dwell of ``log``, a long one in pieces where it is to be ``cut``; raises
     :class:`StepdiagError` where nothing is left."""
+    log, unlit = on_centre(log)
     events = log.steps
     visits, warnings = _visits(log)
+    warnings += unlit
     if not len(visits):
         raise StepdiagError(f'{log.source}: sequencer/step holds no dwell; '
                             'nothing to evaluate, record a whole run')
@@ -142,6 +145,12 @@ def reduce_log(log: CalibrationLog, cut: bool = False) -> StopTable:
         raise StepdiagError(f'{log.source}: no dwell of sequencer/step holds a sample of '
                             'interferometer/displacement or psd/spot; check the stamps of both')
     return table
+
+
+def dwell_means(samples: Samples, table: StopTable, setup: str) -> np.ndarray:
+    """Means (n, k) of ``samples`` of ``setup`` over the dwells of ``table``, NaN where there are none."""
+    names = tuple(name if name == setup else '' for name in table.setup_names)
+    return _average(samples, table.dwell_ns, table.done_ns, table.setup, names, np.ones(len(samples), bool)).mean
 
 
 def _moved_axis(run: np.ndarray, index: np.ndarray, axis: np.ndarray,

@@ -16,6 +16,7 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 
 from stepdiag_ros.effects.base import Effect
+from stepdiag_ros.estimate.on_centre import on_centre
 from stepdiag_ros.gap.alternatives.unmodelled import NAME as UNKNOWN
 from stepdiag_ros.gap.constants import (
     ALARM,
@@ -55,6 +56,7 @@ UNTIMED = ('the readings drift in the order in which they were taken; the times 
 def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
     """Diagnose one log against ``effects`` (one instance of each class)."""
     effects = {effect.name: effect for effect in effects}
+    log, unlit = on_centre(log)
     log, left_out = clean(log)
     log, observation, clocks, late = set_clocks(log, observe(log))
     observation, beyond_range = within_range(observation)
@@ -101,7 +103,7 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
         tuple((tuple(sorted({*(UNKNOWN if n in untimed else n for n in s.names), *outside})), w)
               for s, w in zip(sets, weights, strict=True))[:20],
         groups, observation, joint, clocks, disturbances.dwell_spectrum.displacement, unmodelled,
-        log.warnings + observation.table.warnings + ((beyond_range,) if beyond_range else ()) + left_out
+        log.warnings + observation.table.warnings + ((beyond_range,) if beyond_range else ()) + left_out + tuple(unlit)
         + stated(joint, disturbances.quanta), sets, screen, words, run,
         separations(sets, doubtful), hint, len(effects) + 1)
 

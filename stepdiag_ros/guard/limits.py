@@ -45,6 +45,7 @@ LENGTH_M = 100.0
 """Of a working volume, a tool, a standoff or an offset."""
 ANGLE_RAD = 1.0
 """Of a misalignment."""
+BEAM_ANGLE_RAD = 3.2
 SLOWEST = 1.0e-9
 """Of feed, acceleration and jerk [m/s, m/s², m/s³]: with less no axis arrives in a lifetime."""
 NUMBER = 1.0e15

@@ -77,6 +77,8 @@ class Setup:
     without a short name.  ``repeats``: of this setup, None: as many as the plan's.  ``psd``: whether it has a detector.
     ``station`` (3,) [m]: about where an interferometer stands that follows a retroreflector at the tool, instead of a
     base unit and a mirror; ``tool`` (3,) [m] to that retroreflector, None: the machine's tool vector.
+    ``regulated``: a detector at the station shows by what the beam misses it, and holds it there.  ``feed`` [m/s]: the
+    axes go no faster, None: as fast as ever.
     """
 
     name: str
@@ -90,6 +92,8 @@ class Setup:
     psd: bool = True
     station: tuple[float, ...] | None = None
     tool: tuple[float, ...] | None = None
+    regulated: bool = False
+    feed: float | None = None
 
     @property
     def follows(self) -> bool:
@@ -100,6 +104,11 @@ class Setup:
     def sees_tilt(self) -> bool:
         """Whether a detector shows how the mirror tilts."""
         return self.psd and not self.follows
+
+    @property
+    def sees_spot(self) -> bool:
+        """Whether light on a detector is expected."""
+        return self.sees_tilt or self.regulated
 
     @property
     def overrun(self) -> float:
@@ -243,6 +252,10 @@ class Description:
                              if value is not None}
             if not s.psd:
                 setups[name]['psd'] = False
+            if s.regulated:
+                setups[name]['regulated'] = True
+            if s.feed is not None:
+                setups[name]['feed'] = s.feed
             if s.repeats is not None:
                 setups[name]['repeats'] = s.repeats
         machine = {'name': self.machine.name, 'chain': self.machine.chain,
@@ -279,9 +292,10 @@ def _setup(get: '_Getter', name: str, body: dict, machine: Machine, steps: int) 
         raise StepdiagError(f'{get.source}: {path}.beams must be a list of 1 to {limits.BEAMS} [u, v] offsets '
                             'in metres')
     beams = tuple(get.vector({'beams': b}, f'{path}.beams', 2) for b in raw)
-    psd = body.get('psd', True)
-    if not isinstance(psd, bool):
-        raise StepdiagError(f'{get.source}: {path}.psd is {_short(psd)}; write true or false')
+    psd, regulated = (_boolean(get, body, f'{path}.{key}', default) for key, default in (
+        ('psd', True), ('regulated', False)))
+    feed = None if body.get('feed') is None else get.number(
+        body, f'{path}.feed', default=0.0, minimum=limits.SLOWEST, maximum=limits.LENGTH_M)
     repeats = None if body.get('repeats') is None else get.count(body, f'{path}.repeats', 1, limits.REPEATS)
     station, tool = (None if body.get(key) is None else get.vector(body, f'{path}.{key}', 3)
                      for key in ('station', 'tool'))
@@ -292,11 +306,18 @@ def _setup(get: '_Getter', name: str, body: dict, machine: Machine, steps: int) 
                             default=machine.volume['xyz'.index(path_of(name)[-1])])
         stops = get.count(body, f'{path}.stops', 2, limits.STOPS, default=2)
     setup = Setup(name, standoff, offset, beams, length, stops, _way(get, path, body) if own else None, repeats, psd,
-                  station, tool)
+                  station, tool, regulated, feed)
     wrong = setup_problem(setup, machine, steps)
     if wrong is not None:
         raise StepdiagError(f'{get.source}: {path}.{wrong[0]} {wrong[1]}')
     return setup
+
+
+def _boolean(get: '_Getter', body: dict, path: str, default: bool) -> bool:
+    value = body.get(path.rpartition('.')[2], default)
+    if not isinstance(value, bool):
+        raise StepdiagError(f'{get.source}: {path} is {_short(value)}; write true or false')
+    return value
 
 
 def _way(get: '_Getter', path: str, body: dict) -> Way:
@@ -313,6 +334,9 @@ def _way(get: '_Getter', path: str, body: dict) -> Way:
 def setup_problem(setup: Setup, machine: Machine, steps: int) -> tuple[str, str] | None:
     """The key of a setup and what is wrong with it; None where it can be measured.  ``steps``: the plan's."""
     way = setup.way
+    if setup.regulated and not (setup.follows and setup.psd):
+        return 'regulated', ('is for a beam that follows a retroreflector by a detector: it needs a station, and no '
+                             'psd: false')
     if way is None and (setup.follows or setup.tool is not None):
         return 'station' if setup.follows else 'tool', \
             'needs a way with from and to; a short name has a base unit and a mirror'

@@ -33,7 +33,8 @@ def joined(first: CalibrationLog, further: CalibrationLog) -> CalibrationLog:
     return replace(
         first, description=replace(first.description, setups=setups), steps=_steps(first.steps, further.steps, renamed),
         displacement=_samples(first.displacement, further.displacement, renamed),
-        spot=_samples(first.spot, further.spot, renamed), environment=environment,
+        spot=_samples(first.spot, further.spot, renamed),
+        beam_angle=_samples(first.beam_angle, further.beam_angle, renamed), environment=environment,
         source=f'{first.source} and {further.source}', warnings=(*first.warnings, *further.warnings))
 
 

@@ -107,6 +107,7 @@ class CalibrationLog:
     ``environment`` maps ``air_temperature``, ``air_pressure``, ``humidity``,
     ``scale_temperature/x`` (``/y``, ``/z``, ``/workpiece``) to series; absent keys were not logged.
     ``clocks`` maps ``sequencer``, ``interferometer``, ``psd`` to the name of the clock that stamped them, where known.
+    ``beam_angle``: azimuth and elevation [rad] of a regulated beam, where they were measured.
     ``warnings`` say what the reader repaired or left out; ``namespace`` is the machine's.
     """
 
@@ -119,3 +120,4 @@ class CalibrationLog:
     namespace: str = ''
     warnings: tuple[str, ...] = ()
     clocks: dict[str, str] = field(default_factory=dict)
+    beam_angle: Samples = field(default_factory=lambda: Samples.empty(2))

@@ -68,6 +68,14 @@ def turned(triad: np.ndarray, angles: np.ndarray) -> np.ndarray:
     return vector / np.linalg.norm(vector, axis=-1, keepdims=True)
 
 
+def turned_frame(triad: np.ndarray, angles: np.ndarray) -> np.ndarray:
+    """Rows u, v, d (3, 3) turned by small ``angles`` (2,) [rad] about u and v, rectangular again."""
+    d = turned(triad, angles)
+    u = triad[0] - (triad[0] @ d) * d
+    u /= np.linalg.norm(u)
+    return np.array([u, np.cross(d, u), d])
+
+
 def distance(point: np.ndarray, normal: np.ndarray, origin: np.ndarray,
              beam: np.ndarray) -> np.ndarray:
     """Distance along ``beam`` from ``origin`` to the plane: broadcast (…, 3) → (…) [m]."""

@@ -70,8 +70,11 @@ class DriverNode(StepdiagNode):
         if step_s := self.marked.follow_clock():
             self.instrument.shift_time(step_s)
             self.acquisition.retime()
-        return self.instrument.read_block(self.value('block_samples'),
-                                          1.0 / self.value('sample_rate'))
+        return self.instrument.read_block(self.samples(), 1.0 / self.value('sample_rate'))
+
+    def samples(self) -> int:
+        """Samples of the next block."""
+        return self.value('block_samples')
 
     def lost(self) -> None:
         """The connection broke (in the acquisition's thread)."""

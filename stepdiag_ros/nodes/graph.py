@@ -13,6 +13,7 @@ from typing import Any
 import yaml
 
 from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.model.regulation import aim_of, told
 from stepdiag_ros.virtual.cell import Cell
 
 #: Nodes that keep the log: they receive all of it or the sequencer does not begin.
@@ -98,7 +99,11 @@ def parameters(cell: Cell, endpoints: Mapping[str, Mapping[str, Any]], descripti
             'stream_port': where['psd']['stream_port'], 'setup': first,
             'channels': list(detector.channels), 'length': float(detector.length),
             'rotation': float(detector.rotation), 'gain': [float(g) for g in detector.gain],
-            'zero': [float(z) for z in detector.zero], 'mode': detector.mode, **rate(sampling.psd)},
+            'zero': [float(z) for z in detector.zero], 'mode': detector.mode, **rate(sampling.psd),
+            'regulated': told({name: aim_of(cell.description, name)
+                               for name, setup in cell.description.setups.items() if setup.regulated}),
+            'steering_range': float(detector.steering.range_rad),
+            'steering_inputs': [*detector.steering.inputs] or [-1]},
         'step_sequencer': {
             'driver': drivers['cnc'],
             'host': where['cnc']['host'], 'port': where['cnc']['port'],

@@ -13,13 +13,15 @@ from stepdiag_ros.model.description import Description
 @dataclass(frozen=True)
 class Stop:
     """One stop of a run: its index along the path, the axis that moved to it, position (3,) [m], direction of the
-    traverse; ``beyond_m`` (3,): where the machine passes before it, None: nowhere."""
+    traverse; ``beyond_m`` (3,): where the machine passes before it, None: nowhere; ``most_m_s``: greatest feed
+    [m/s]."""
 
     index: int
     axis: int
     position_m: np.ndarray
     direction: int = 1
     beyond_m: np.ndarray | None = None
+    most_m_s: float = np.inf
 
 
 @dataclass(frozen=True)
@@ -56,10 +58,10 @@ def planned_runs(description: Description, setups: Sequence[str] = (), repeats: 
         raise StepdiagError('a setup is named twice; repeats are asked for with the field repeats')
     runs = []
     for name in names:
-        begin = (first_repeat or {}).get(name, 0)
+        begin, most = (first_repeat or {}).get(name, 0), description.setups[name].feed or np.inf
         for repeat in range(begin, begin + (repeats or description.repeats_of(name))):
             for part in cycle(description, name):
-                visits = tuple(Stop(v.index, v.axis, v.position, v.direction, v.beyond) for v in part.visits)
+                visits = tuple(Stop(v.index, v.axis, v.position, v.direction, v.beyond, most) for v in part.visits)
                 runs.append(Run(f'{name}/{repeat}/{part.name}', name, repeat, visits[0].direction, visits))
     return runs
 

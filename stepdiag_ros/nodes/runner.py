@@ -174,7 +174,7 @@ class Runner:
 
     def _move(self, stop: Stop, position_m: np.ndarray) -> None:
         self._breathe()
-        self.controller.move(position_m, self.feed_m_s)
+        self.controller.move(position_m, min(self.feed_m_s, stop.most_m_s))
         end = time.monotonic() + self.move_timeout_s
         while not self.controller.in_position():
             self._breathe()

@@ -496,7 +496,7 @@ class StepSequencer(StepdiagNode):
             self._call(client, SelectSetup.Request(setup=setup), f'{sensor}/select_setup')
         if SPOT in self.value('sources'):
             # Where no detector looks its stream goes on, dark.
-            self._watch.expect(self.resolve_topic_name(SPOT), self.description.setups[setup].sees_tilt)
+            self._watch.expect(self.resolve_topic_name(SPOT), self.description.setups[setup].sees_spot)
         self._watch.begin()
 
     def _zero(self) -> None:

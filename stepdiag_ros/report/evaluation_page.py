@@ -120,7 +120,20 @@ def _stations(stations: Mapping[str, Mapping[str, Any]], description: Descriptio
         for name, s in stations.items()]
     return ('<h2>Where the stations stood</h2><p>Found together with the errors, from changes of length alone; '
             'U (k = 2) by repeats. The dead path is that of the first run.</p>'
-            + table(['setup', '>X', '>Y', '>Z', '>dead path', '>tool to the retroreflector'], rows))
+            + table(['setup', '>X', '>Y', '>Z', '>dead path', '>tool to the retroreflector'], rows)
+            + _beams({name: s['beam'] for name, s in stations.items() if 'beam' in s}))
+
+
+def _beams(beams: Mapping[str, Mapping[str, Any]]) -> str:
+    """How regulated beams were held on the retroreflector."""
+    rows = [[escape(name), 'no light' if b['spot_rms_m'] is None else f'{1e6 * b["spot_rms_m"]:.3g} µm',
+             'not measured' if b['angle_rms_rad'] is None else f'{1e6 * b["angle_rms_rad"]:.2g} µrad']
+            for name, b in beams.items()]
+    return '' if not beams else (
+        '<h2>How the beams were held</h2><p>A detector held each of these beams on the retroreflector. What it missed '
+        'shortens a length and is put back by the spot. Where its angles were measured, they are compared with the '
+        'directions from the station found to the stops, up to a turn of the base.</p>'
+        + table(['setup', '>spot while measuring, rms', '>angles from directions, rms'], rows))
 
 
 def _mirrors(mirrors: Mapping[str, Misalignment], solution: Solution, description: Description) -> str:

@@ -20,6 +20,7 @@ class Ahead:
     def __init__(self, world: World, late_ns: int):
         self._world, self._late_ns = world, late_ns
         self._known = -1
+        self._commands = 0
         self._setup = ''
         self._time = np.zeros(0, np.int64)
         self._end = 0
@@ -40,12 +41,16 @@ class Ahead:
                        self._table[beams + 2, nearest], columns[beams + 3], columns[beams + 4])
 
     def _notice(self) -> None:
-        """A move that was announced meanwhile: from its beginning on nothing is known any more."""
+        """A move or a turn of the beam that was announced meanwhile: from then on nothing is known any more."""
         count = self._world.history.follow()
         if count != self._known:
             starts = self._world.history.records['start_ns'][max(self._known, 0):] + self._late_ns
             self._end = min(self._end, int(starts.min())) if self._known >= 0 and len(starts) else self._end
             self._known = count
+        steering = self._world.steering
+        if steering is not None and (commands := steering.follow()) != self._commands:
+            self._end = min(self._end, int(steering.records['time_ns'][self._commands]) + self._late_ns)
+            self._commands = commands
 
     def _look(self, first: int, last: int, setup: str) -> None:
         self._time = np.arange(first, last + WINDOW_NS + STEP_NS, STEP_NS)

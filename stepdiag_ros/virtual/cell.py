@@ -8,11 +8,12 @@ loaded.
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from stepdiag_ros.devices.registry import DEFAULT, drivers
+from stepdiag_ros.devices.steering import Steering
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.guard import limits
 from stepdiag_ros.model.description import (
@@ -28,6 +29,7 @@ from stepdiag_ros.model.description import (
     setup_problem,
 )
 from stepdiag_ros.model.machine import GeometricErrors
+from stepdiag_ros.model.regulation import sight
 from stepdiag_ros.model.sensor import Misalignment
 from stepdiag_ros.model.way import TOGETHER, Way
 from stepdiag_ros.virtual import drawn
@@ -36,7 +38,7 @@ from stepdiag_ros.virtual.surroundings import BELIEVED, believed_air, budget, sc
 from stepdiag_ros.virtual.yamlreader import Reader, parse_yaml, read_yaml
 
 SCHEMA = 1
-OWN_KEYS = ('from', 'to', 'moves', 'steps', 'targets', 'overrun', 'station', 'tool')
+OWN_KEYS = ('from', 'to', 'moves', 'steps', 'targets', 'overrun', 'station', 'tool', 'regulated')
 
 
 @dataclass(frozen=True)
@@ -96,6 +98,7 @@ class Detector:
 
     ``channels``: inputs of I1…I4; ``rotation`` [rad] from the detector's x to u, ``gain``
     along its x and y, ``zero`` [m] as the driver is configured to take them off.  ``mode``: ``stream`` or ``poll``.
+    ``steering``: what turns a regulated beam.
     """
 
     length: float = 0.010
@@ -105,6 +108,7 @@ class Detector:
     gain: tuple[float, float] = (1.0, 1.0)
     zero: tuple[float, float] = (0.0, 0.0)
     mode: str = 'stream'
+    steering: Steering = field(default_factory=Steering)
 
 
 @dataclass(frozen=True)
@@ -191,6 +195,11 @@ class Cell:
     def setup_names(self) -> tuple[str, ...]:
         return tuple(self.description.setups)
 
+    def motion_in(self, setup: str) -> Motion:
+        """How the axes move in a setup: no faster than it says."""
+        feed = self.description.setups[setup].feed
+        return self.motion if feed is None else replace(self.motion, feed=min(feed, self.motion.feed))
+
 
 def load_cell(path: str | Path) -> Cell:
     """Read a cell file; :class:`~stepdiag_ros.errors.StepdiagError` names file, line and key."""
@@ -225,11 +234,13 @@ def _cell(top: Reader) -> Cell:
         'jerk': {'above': 0.0, 'minimum': limits.SLOWEST, 'unit': 'm/s³'}, 'in_position': {'above': 0.0, 'unit': 'm'},
         'settling': {'minimum': 0.0, 'unit': 's'}, 'dwell': {'above': 0.0, 'unit': 's'},
         'stand': {'minimum': 0.0, 'maximum': 3600.0, 'unit': 's'}, 'mount': {'minimum': 0.0, 'unit': 's'}})
+    instruments = _instruments(keys.get('instruments'), machine.name, tuple(setups))
+    _check_steering(top, description, instruments.detector.steering)
     return Cell(source=top.source, seed=seed, description=description,
                 geometry=drawn.geometry(keys.get('geometry'), seed, description),
                 misalignments=misalignments, psd_zero=zero, air=_air(keys.get('air')),
                 motion=motion, effects=_named_mappings(keys.get('effects')),
-                instruments=_instruments(keys.get('instruments'), machine.name, tuple(setups)),
+                instruments=instruments,
                 sampling=_sampling(keys.get('sampling')),
                 faults=_named_mappings(keys.get('faults')), client=_client(keys.get('client')),
                 network=keys['network'].text(('loopback', 'open')) if 'network' in keys else 'loopback',
@@ -268,7 +279,7 @@ def _setups(node: Reader, machine: Machine, steps: int) -> dict[str, Setup]:
         linear, short = name in LINEAR, name in DIAGONALS + LINEAR
         if not short and not OWN_NAME.fullmatch(name):
             raise child.fail(f'is no name of a setup; {NAMING}')
-        keys = child.mapping(('standoff', 'psd_offset', 'beams', 'repeats', 'psd')
+        keys = child.mapping(('standoff', 'psd_offset', 'beams', 'repeats', 'psd', 'feed')
                              + (('length', 'stops') if linear else () if short else OWN_KEYS))
         if not short and not {'from', 'to'} <= set(keys):
             raise child.fail(f'is not a short name and lacks from or to; {NAMING}')
@@ -288,7 +299,10 @@ def _setups(node: Reader, machine: Machine, steps: int) -> dict[str, Setup]:
         station, tool = (keys[key].vector(3, unit='m') if key in keys else None for key in ('station', 'tool'))
         setups[name] = Setup(name, standoff, offset, beams, length, stops, None if short else _way(keys),
                              keys['repeats'].count(1, limits.REPEATS) if 'repeats' in keys else None,
-                             keys['psd'].boolean() if 'psd' in keys else True, station, tool)
+                             keys['psd'].boolean() if 'psd' in keys else True, station, tool,
+                             keys['regulated'].boolean() if 'regulated' in keys else False,
+                             keys['feed'].number(above=0.0, minimum=limits.SLOWEST, maximum=limits.LENGTH_M,
+                                                 unit='m/s') if 'feed' in keys else None)
         if wrong := setup_problem(setups[name], machine, steps):
             raise keys.get(wrong[0], child).fail(wrong[1] if wrong[0] in keys else ' '.join(wrong))
     if not setups:
@@ -387,7 +401,7 @@ def _instruments(node: Reader | None, name: str, setups: tuple[str, ...]) -> Ins
             given |= _multiplexer(keys['multiplexer'], name)
     if 'psd' in top:
         keys = top['psd'].mapping(('host', 'port', 'stream_port', 'length', 'sum_voltage',
-                                   'channels', 'rotation', 'gain', 'zero', 'mode', 'driver'))
+                                   'channels', 'rotation', 'gain', 'zero', 'mode', 'driver', 'steering'))
         _driver(keys, 'psd', given)
         given['psd'], given['psd_stream'] = _endpoint(keys), _endpoint(keys, 'stream_port')
         detector: dict[str, Any] = {}
@@ -406,6 +420,8 @@ def _instruments(node: Reader | None, name: str, setups: tuple[str, ...]) -> Ins
             if len(channels) != 4 or len(set(channels)) != 4:
                 raise keys['channels'].fail('must name four different analogue inputs')
             detector['channels'] = channels
+        if 'steering' in keys:
+            detector['steering'] = _steering(keys['steering'], detector.get('channels', Detector.channels))
         given['detector'] = Detector(**detector)
     if 'cnc' in top:
         keys = top['cnc'].mapping(('host', 'port', 'watchdog', 'control', 'config', 'watch_port', 'setup_codes',
@@ -463,6 +479,28 @@ def _multiplexer(node: Reader, name: str) -> dict[str, Any]:
         names.append(other.description.machine.name)
         files.append(str(file))
     return {'multiplexer': tuple(names), 'machine_files': tuple(files), 'switch': _endpoint(keys)}
+
+
+def _steering(node: Reader, channels: tuple[int, ...]) -> Steering:
+    keys = node.mapping(('range', 'inputs'))
+    given: dict[str, Any] = {}
+    if 'range' in keys:
+        given['range_rad'] = keys['range'].number(above=0.0, maximum=1.5, unit='rad')
+    if 'inputs' in keys:
+        inputs = tuple(item.count(0, 13) for item in keys['inputs'].items())
+        if len(inputs) != 2 or len({*inputs, *channels}) != 2 + len(channels):
+            raise keys['inputs'].fail('must name the inputs of both angles, two others than the photocurrents\'')
+        given['inputs'] = inputs
+    return Steering(**given)
+
+
+def _check_steering(top: Reader, description: Description, steering: Steering) -> None:
+    """A regulated beam must reach every stop."""
+    for name, setup in description.setups.items():
+        if setup.regulated and (most := float(abs(sight(description, name)[0]).max())) > steering.range_rad:
+            raise top.fail(f'setups.{name}: its beam would turn by {most:.3g} rad and the mirrors turn it by '
+                           f'{steering.range_rad:g} rad (instruments.psd.steering.range); let the station stand '
+                           'farther off, or the way be shorter')
 
 
 def _client(node: Reader | None) -> Client:

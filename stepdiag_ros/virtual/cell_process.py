@@ -26,6 +26,7 @@ from stepdiag_ros.virtual.serving import (
     ENDPOINTS_FILE,
     FAULT_FILE,
     MOTION_FILE,
+    STEERING_FILE,
     write_atomically,
 )
 from stepdiag_ros.virtual.truth import truth
@@ -128,7 +129,7 @@ class CellProcess:
 
     @staticmethod
     def _clean(runtime: Path) -> None:
-        for name in (ENDPOINTS_FILE, MOTION_FILE, FAULT_FILE, 'switch.yaml',
+        for name in (ENDPOINTS_FILE, MOTION_FILE, STEERING_FILE, FAULT_FILE, 'switch.yaml',
                      *(f'{n}.yaml' for n in SERVERS)):
             (runtime / name).unlink(missing_ok=True)
 

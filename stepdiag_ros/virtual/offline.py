@@ -23,9 +23,11 @@ from stepdiag_ros.model.log import (
     ScalarSeries,
     StepEvents,
 )
+from stepdiag_ros.model.regulation import PERIOD_S
 from stepdiag_ros.virtual.air import environment
 from stepdiag_ros.virtual.cell import Cell, Motion
 from stepdiag_ros.virtual.draw import normals
+from stepdiag_ros.virtual.held import hold_beams
 from stepdiag_ros.virtual.history import History
 from stepdiag_ros.virtual.motion import Profile, point_to_point, settling_time, tabulate
 from stepdiag_ros.virtual.world import Reading, World
@@ -86,6 +88,7 @@ def simulate_log(cell: Cell, start_ns: int = START_NS, setups: tuple[str, ...] |
     history = History()
     runs = execute(cell, history, start_ns, setups or cell.setup_names, visits)
     world = World(cell, history, start_ns, effects)
+    hold_beams(world, [(run.setup, int(run.move_ns[0]), int(run.done_ns[-1])) for run in runs])
     moving = cell.sampling.in_motion if in_motion is None else in_motion
     spans = [(run, *span) for run in runs for span in _spans(run, moving)]
     memory: dict = {}
@@ -94,7 +97,7 @@ def simulate_log(cell: Cell, start_ns: int = START_NS, setups: tuple[str, ...] |
     return CalibrationLog(cell.description, _events(cell, runs), displacement, spot,
                           _environment(world, start_ns, int(runs[-1].done_ns[-1])),
                           source=f'simulated from {cell.source}',
-                          namespace=f'/{cell.description.machine.name}')
+                          namespace=f'/{cell.description.machine.name}', beam_angle=_angles(world, spans))
 
 
 def execute(cell: Cell, history: History, start_ns: int, setups: tuple[str, ...],
@@ -113,13 +116,13 @@ def execute(cell: Cell, history: History, start_ns: int, setups: tuple[str, ...]
         now += COMMAND_DELAY_NS + round(visit.wait * 1e9)
         history.append(now, place, place, rest, number)
         now += int((cell.motion.mount if visit.mount is None else visit.mount) * 1e9)
-        repeats = cell.description.repeats_of(setup)
+        repeats, motion = cell.description.repeats_of(setup), cell.motion_in(setup)
         for repeat in range(repeats if visit.again is None else 2 * repeats):
             if repeat == repeats:
                 now += int(visit.again * 1e9)
             for part in parts:
                 watch = visit.watch if repeat == 0 and part is parts[0] else 0.0
-                run = _run(cell.motion, history, now, place, part, number, setup, repeat, watch)
+                run = _run(motion, history, now, place, part, number, setup, repeat, watch)
                 runs.append(run)
                 now, place = int(run.done_ns[-1]) + COMMAND_DELAY_NS, part.visits[-1].position
     return runs
@@ -221,16 +224,34 @@ def _displacement(world: World, spans: list, rate: float, memory: dict) -> Sampl
 def _spot(world: World, spans: list, rate: float, memory: dict) -> Samples:
     late_ns = round(world.clock_offset('psd') * 1e9)
     setups = world.cell.description.setups
-    spans = [span for span in spans if setups[span[0].setup].sees_tilt]
+    spans = [span for span in spans if setups[span[0].setup].sees_spot]
     if not spans:
         return Samples.empty(2)
 
     def look(times, run, first):
         reading = _read(world, times - late_ns - world.spot.delays_ns(first, len(times)), run.setup, memory)
         dark = world.spot.dark(first, len(times))
+        if setups[run.setup].regulated:
+            # A beam that is lost goes beside the detector, which does not move with a mirror.
+            dark |= (np.abs(reading.spot) > 0.5 * world.cell.instruments.detector.length).any(axis=1)
         return (np.where(dark[:, None], np.nan, world.spot.readings(reading.spot, first)),
                 np.where(dark, 2.0 * DARK_V, reading.intensity), np.ones(len(times)))
     return _collect(world, spans, rate, 2, look)
+
+
+def _angles(world: World, spans: list) -> Samples:
+    """The beam's angles once a period, where they are measured."""
+    names, setups = world.cell.setup_names, world.cell.description.setups
+    times, setup = [np.zeros(0, np.int64)], [np.zeros(0, np.intp)]
+    if world.steering is not None and world.cell.instruments.detector.steering.inputs:
+        for run, begin, end in spans:
+            if setups[run.setup].regulated:
+                times.append(np.arange(begin, end, round(PERIOD_S * 1e9)))
+                setup.append(np.full(len(times[-1]), names.index(run.setup)))
+    time = np.concatenate(times)
+    values = world.steering.angles(time) if len(time) else np.zeros((0, 2))
+    return Samples(time, values, np.ones(len(time)), np.ones(len(time)), names, np.concatenate(setup),
+                   np.arange(len(time)))
 
 
 def _read(world: World, times: np.ndarray, setup: str, memory: dict) -> Reading:

@@ -1,4 +1,7 @@
-"""A virtual PSD behind a LabJack T7: Modbus registers, and stream packets on a second port."""
+"""A virtual PSD behind a LabJack T7: Modbus registers, and stream packets on a second port.
+
+The box's two outputs turn the beam of setups that regulate it.
+"""
 
 import asyncio
 import struct
@@ -15,6 +18,7 @@ from stepdiag_ros.virtual.history import now_ns
 from stepdiag_ros.virtual.modbus import ILLEGAL_VALUE, READ, ModbusServer
 from stepdiag_ros.virtual.offline import DARK_V
 from stepdiag_ros.virtual.serving import announce, open_world, serve
+from stepdiag_ros.virtual.steering import SharedSteering
 from stepdiag_ros.virtual.world import World
 
 INPUTS = 14
@@ -24,7 +28,7 @@ BACKLOG_BYTES = 1 << 22
 """What a client may leave unread before scans are skipped, as in the box's own buffer."""
 BLOCKS = ((t7.AIN0, 2 * INPUTS), (t7.STREAM_SCANRATE_HZ, 26), (t7.CORE_TIMER, 2),
           (t7.STREAM_SCANLIST_ADDRESS0, 256), (t7.STREAM_ENABLE, 2), (t7.AIN0_RANGE, 2 * INPUTS),
-          (t7.AIN0_NEGATIVE_CH, INPUTS), (t7.INTERNAL_FLASH_READ_POINTER, 2),
+          (t7.AIN0_NEGATIVE_CH, INPUTS), (t7.DAC0, 4), (t7.INTERNAL_FLASH_READ_POINTER, 2),
           (t7.INTERNAL_FLASH_READ, 82))
 """First register and number of registers of what is served."""
 
@@ -42,6 +46,7 @@ class Box:
         detector = cell.instruments.detector
         self._channels = detector.channels
         self._optics = SpotOptics(detector.length, detector.rotation, detector.gain, detector.zero)
+        self._mirrors = detector.steering
         self._calibration = t7.Calibration()
         self._ahead = Ahead(world, round(world.clock_offset('psd') * 1e9))
         self._taken = 0            # scans so far: addresses their noise
@@ -56,7 +61,9 @@ class Box:
         setup = self.world.setup_at(int(times[-1]))
         first, self._taken = self._taken, self._taken + len(times)
         inputs[:, self._channels] = DARK_V
-        looks = setup is not None and self.cell.description.setups[setup].sees_tilt
+        looks = setup is not None and self.cell.description.setups[setup].sees_spot
+        if self._mirrors.inputs and self.world.steering is not None:
+            inputs[:, self._mirrors.inputs] = self._mirrors.sensed_volts(self.world.steering.angles(times))
         if looks and self.faults.kind != 'no_signal':
             noise = self.world.spot
             reading = self._ahead.read(times - noise.delays_ns(first, len(times)), setup)
@@ -87,6 +94,11 @@ class Box:
                 registers[address:address + len(words)] = words
         elif values and address == t7.STREAM_ENABLE:
             return self._enable(registers, values)
+        elif values and address == t7.DAC0 and len(values) == 4 and isinstance(self.world.steering, SharedSteering):
+            volts = t7.floats(values)
+            if not np.isfinite(volts).all():
+                return ILLEGAL_VALUE
+            self.world.steering.steer(self._mirrors.commanded(volts))
         return None
 
     @staticmethod
@@ -163,7 +175,7 @@ class Stream:
 
 
 async def main(cell: Cell, runtime: Path) -> None:
-    world = await open_world(cell, runtime)
+    world = await open_world(cell, runtime, steers=True)
     box = Box(cell, world, Faults(runtime, 'psd', cell.faults))
 
     async def listener(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:

@@ -23,9 +23,11 @@ from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.virtual.cell import Cell, load_cell
 from stepdiag_ros.virtual.history import SharedHistory, now_ns
 from stepdiag_ros.virtual.sampled import SampledHistory
+from stepdiag_ros.virtual.steering import SharedSteering
 from stepdiag_ros.virtual.world import World
 
 MOTION_FILE = 'motion.bin'
+STEERING_FILE = 'steering.bin'
 FAULT_FILE = 'faults.yaml'
 ENDPOINTS_FILE = 'endpoints.yaml'
 _PR_SET_PDEATHSIG = 1
@@ -50,15 +52,19 @@ def die_with_parent(parent: int) -> None:
         sys.exit(1)   # it ended before the kernel knew
 
 
-async def open_world(cell: Cell, runtime: Path, timeout_s: float = 60.0) -> World:
-    """The world of a running cell; waits for the control to have made the history."""
+async def open_world(cell: Cell, runtime: Path, timeout_s: float = 60.0, steers: bool = False) -> World:
+    """The world of a running cell; waits for the control to have made the history.  ``steers``: this process turns the
+    beam of setups that regulate it."""
     path = runtime / MOTION_FILE
     for _ in range(int(timeout_s / 0.02)):
         if path.exists():
             # A real control is watched; the virtual one says what it will do.
             history = SampledHistory(path) if cell.instruments.control == 'linuxcnc' else SharedHistory(path)
             if history.follow():
-                return World(cell, history, int(history.records['start_ns'][0]))
+                world = World(cell, history, int(history.records['start_ns'][0]))
+                if any(setup.regulated for setup in cell.description.setups.values()):
+                    world.steering = SharedSteering(runtime / STEERING_FILE, steers)
+                return world
         await asyncio.sleep(0.02)
     raise StepdiagError(f'{path}: no motion history after {timeout_s:g} s; '
                         'the control did not start, see its message')

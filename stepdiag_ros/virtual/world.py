@@ -15,6 +15,8 @@ import numpy as np
 from stepdiag_ros.effects.base import Effect, Moment
 from stepdiag_ros.model.log import NONE
 from stepdiag_ros.model.machine import compose, rotation
+from stepdiag_ros.model.regulation import steered, steering_frame
+from stepdiag_ros.model.sensor import turned_frame
 from stepdiag_ros.virtual.acting import Draws, create_effects
 from stepdiag_ros.virtual.air import environment, index_at
 from stepdiag_ros.virtual.cell import Cell
@@ -22,6 +24,7 @@ from stepdiag_ros.virtual.history import History
 from stepdiag_ros.virtual.motion import settling_time, tabulate
 from stepdiag_ros.virtual.noise import Numbers, SensorNoise
 from stepdiag_ros.virtual.scene import SensorScene
+from stepdiag_ros.virtual.steering import SteeringHistory
 
 WALK_LIMIT = 4.0e-3
 """Return beam's walk [m] at which the interferometer's contrast has fallen to 1/e."""
@@ -49,11 +52,13 @@ class Reading:
 
 class World:
     """A cell in motion.  ``epoch_ns`` is the time at which drifts begin; ``effects`` act instead of
-    those that the cell names.  ``displacement``, ``spot``: what the sensors add (:class:`SensorNoise`)."""
+    those that the cell names.  ``displacement``, ``spot``: what the sensors add (:class:`SensorNoise`).  ``steering``:
+    where a regulated beam was turned to; None: it meets the retroreflector's centre."""
 
     def __init__(self, cell: Cell, history: History, epoch_ns: int,
                  effects: Sequence[Effect] | None = None):
         self.cell, self.history, self.epoch_ns = cell, history, epoch_ns
+        self.steering: SteeringHistory | None = None
         description = cell.description
         # A standoff of 0 was not stated: no mirror stands in the laser.
         self._scenes = {name: SensorScene.of_setup(description.machine,
@@ -170,7 +175,7 @@ class World:
         self._act('before_light', moment)
         misalignment = cell.misalignments[setup]
         if cell.description.setups[setup].follows:
-            return self._followed(moment, point)
+            return self._followed(moment, point, time_ns)
         seen = self._scenes[setup].measure(
             point, attitude, beam_tilt=moment.laser + np.array(misalignment.laser),
             mirror_tilt=moment.mirror + np.array(misalignment.mirror), mirror_form=moment.form,
@@ -182,14 +187,31 @@ class World:
         self._act('after_light', moment)
         return Reading(moment.length, moment.spot, moment.quality, moment.intensity, moment.divided)
 
-    def _followed(self, moment: Moment, point: np.ndarray) -> Reading:
+    def arm(self, time_ns: np.ndarray, setup: str) -> np.ndarray:
+        """From the station of ``setup`` to the centre of the retroreflector (n, 3) [m] at ``time_ns`` (n,)."""
+        moment, angle = self.moment(time_ns, setup)
+        self._act('before_pose', moment)
+        return self.pose(moment, angle)[0] - self._place(setup)
+
+    def _place(self, setup: str) -> np.ndarray:
+        return np.add(self.cell.description.setups[setup].station, self.cell.misalignments[setup].station)
+
+    def frame(self, setup: str) -> np.ndarray:
+        """The rows u, v, d (3, 3) from which a steered beam's angles count, the station mounted a little askew."""
+        given = self.cell.description.setups[setup]
+        return turned_frame(steering_frame(self.cell.description.machine, given), self.cell.misalignments[setup].laser)
+
+    def _followed(self, moment: Moment, point: np.ndarray, time_ns: np.ndarray) -> Reading:
         """What a beam reads that follows the retroreflector at ``point`` (n, 3) from the setup's station."""
-        place = np.add(self.cell.description.setups[moment.setup].station,
-                       self.cell.misalignments[moment.setup].station)
-        moment.length = (moment.index * np.linalg.norm(point - place, axis=1))[:, None]
-        moment.spot = np.zeros((len(point), 2))
-        moment.quality = np.full(len(point), CONTRAST)
-        moment.intensity = np.zeros(len(point))
+        setup, cell = moment.setup, self.cell
+        arm = point - self._place(setup)
+        regulated = cell.description.setups[setup].regulated
+        length, spot = np.linalg.norm(arm, axis=1), np.zeros((len(arm), 2))
+        if regulated and self.steering is not None:
+            length, spot = steered(self.frame(setup), self.steering.angles(time_ns), arm)
+        moment.length, moment.spot = (moment.index * length)[:, None], spot + np.array(cell.psd_zero[setup]) * regulated
+        moment.quality = CONTRAST * np.exp(-(np.linalg.norm(spot, axis=1) / WALK_LIMIT) ** 2)
+        moment.intensity = np.full(len(arm), cell.instruments.detector.sum_voltage * regulated)
         self._act('after_light', moment)
         return Reading(moment.length, moment.spot, moment.quality, moment.intensity, moment.divided)
 

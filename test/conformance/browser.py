@@ -15,6 +15,8 @@ OPTIONS = ('--headless', '--no-sandbox', '--disable-gpu', '--disable-dev-shm-usa
            '--disable-background-networking', '--disable-component-update', '--disable-extensions', '--hide-scrollbars',
            '--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1', '--remote-debugging-pipe')
 ANSWER_S = 120.0
+SIZES = {'desk': (1400, 900), 'telephone': (390, 844)}
+STEADY = 'document.documentElement.scrollWidth <= innerWidth'
 
 
 class Browser:
@@ -104,3 +106,15 @@ class Browser:
         """The whole page as a PNG, not the window alone."""
         answer = self._ask('Page.captureScreenshot', format='png', captureBeyondViewport=True)
         path.write_bytes(base64.b64decode(answer['data']))
+
+
+def fits(browser: Browser, size: str, picture: Path) -> None:
+    """Nothing runs over the right edge, at once and after a message more."""
+    browser.size(*SIZES[size])
+    browser.until(f'innerWidth === {SIZES[size][0]} && {STEADY}', 10.0)
+    beyond = browser.value("[...document.querySelectorAll('main *')].filter(e => e.getBoundingClientRect().right > "
+                           "innerWidth + 1).map(e => e.tagName + e.className).slice(0, 5)")
+    assert beyond == []
+    browser.picture(picture)
+    if 'STEPDIAG_PICTURES' in os.environ:    # for looking at them
+        shutil.copy(picture, os.environ['STEPDIAG_PICTURES'])

@@ -4,9 +4,7 @@ measured.
 Needs a headless Chromium (`apt-get install chromium`); skipped, saying so, without.
 """
 
-import os
 import re
-import shutil
 import signal
 import subprocess
 import sys
@@ -14,16 +12,14 @@ import threading
 from pathlib import Path
 
 import pytest
-from browser import CHROMIUM, Browser
+from browser import CHROMIUM, SIZES, Browser, fits
 
 from stepdiag_ros.nodes import environment
 
 environment.prepare()
 
 ROOT = Path(__file__).resolve().parents[2]
-SIZES = {'desk': (1400, 900), 'telephone': (390, 844)}
 EVIL = '<img src=x onerror=alert(1)><b>'
-STEADY = 'document.documentElement.scrollWidth <= innerWidth'
 OPEN_CURVES = "[...document.querySelectorAll('.curve figcaption')].filter(c => c.textContent.endsWith('open')).length"
 
 pytestmark = [
@@ -51,18 +47,6 @@ def live(module_domain, tmp_path_factory):
         web.send_signal(signal.SIGINT)
         said = web.communicate(timeout=60)[0]
         assert web.returncode == 0 and 'Traceback' not in said, said
-
-
-def fits(browser: Browser, size: str, picture: Path) -> None:
-    """Nothing runs over the right edge, at once and after a message more."""
-    browser.size(*SIZES[size])
-    browser.until(f'innerWidth === {SIZES[size][0]} && {STEADY}', 10.0)
-    beyond = browser.value("[...document.querySelectorAll('main *')].filter(e => e.getBoundingClientRect().right > "
-                           "innerWidth + 1).map(e => e.tagName + e.className).slice(0, 5)")
-    assert beyond == []
-    browser.picture(picture)
-    if 'STEPDIAG_PICTURES' in os.environ:    # for looking at them
-        shutil.copy(picture, os.environ['STEPDIAG_PICTURES'])
 
 
 @pytest.mark.timeout(900)
