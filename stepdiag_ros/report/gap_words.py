@@ -70,14 +70,15 @@ def sizes(found: Found) -> list[tuple[str, str]]:
 
 
 def size_words(found: Found) -> str:
-    """The largest sizes that count: ``X 5.71 µm, Y 5.15 µm``."""
+    """The largest sizes that count: ``X 5.71 ± 0.12 µm, Y 5.15 ± 0.11 µm, k = 1``."""
     known = {name: (value, found.sigma[name]) for name, value in found.parameters.items() if name in found.sigma}
     counted = [(abs(value), name) for name, (value, sigma) in known.items()
                if _speaks(name) and abs(value) > SIGNIFICANT * sigma > 0.0]
     counted.sort(reverse=True)
     chosen = [name for _, name in counted[:NAMED]]
-    return ', '.join(f'{parameter_name(n)} {quantity(v, parameter_unit(n, found.units))}'
-                     for n, (v, _) in known.items() if n in chosen)
+    said = [f'{parameter_name(n)} {quantity(value, parameter_unit(n, found.units), sigma)}'
+            for n, (value, sigma) in known.items() if n in chosen]
+    return ', '.join([*said, 'k = 1']) if said else ''
 
 
 def _speaks(name: str) -> bool:

@@ -80,8 +80,8 @@ def test_setups_are_described():
 
 
 @pytest.mark.parametrize(('parameters', 'said'), [
-    ({'X': 2.247e-5, 'X wave 1': 5e-6, 'Y': 1e-5}, 'X 22.5 µm, Y 10.0 µm'),
-    ({'jump': 2e-6, 'jump (2)': -1e-6}, 'jump 2.00 µm')])
+    ({'X': 2.247e-5, 'X wave 1': 5e-6, 'Y': 1e-5}, 'X 22.47 ± 0.10 µm, Y 10.00 ± 0.10 µm, k = 1'),
+    ({'jump': 2e-6, 'jump (2)': -1e-6}, 'jump 2.00 ± 0.10 µm, k = 1')])
 def test_forms_of_one_axis_are_one_size(parameters, said):
     found = Found('backlash', 'Lost motion.', 1.0, parameters, dict.fromkeys(parameters, 1e-7), 'm', '', 1.0, '')
     assert size_words(found) == said
