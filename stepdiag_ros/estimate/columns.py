@@ -191,7 +191,7 @@ def stop_columns(kind: str, setting: Setting) -> sparse.csr_array:
     place, count = _places(setting)
     visits = np.bincount(place, minlength=count)[place]
     each = replace(setting, table=replace(setting.table, index=np.arange(len(setting.table))))
-    return sparse.diags_array(np.sqrt(np.repeat(visits, setting.readings.shape[1]))) @ STOPWISE[kind](each)
+    return sparse.csr_array(STOPWISE[kind](each).multiply(np.sqrt(np.repeat(visits, setting.readings.shape[1]))[:, None]))
 
 
 def arrival_columns(setting: Setting) -> sparse.csr_array:
