@@ -2,12 +2,14 @@
 
 import numpy as np
 
-from stepdiag_ros.blind.hidden import Hidden, Stage, direction, profile, profiles
+from stepdiag_ros.blind.hidden import Hidden, Stage, direction, profile
 from stepdiag_ros.effects.base import Moment
 from stepdiag_ros.model.air import refractive_index
 from stepdiag_ros.model.mirror_form import HeightForm
 
 WAVELENGTHS = (1.53e-6, 632.8e-9)
+COUNTS = tuple(wave / part for wave in WAVELENGTHS for part in (2.0, 4.0))
+"""What a counter loses at a time [m]."""
 
 
 class AirRefractionDrift(Hidden):
@@ -17,7 +19,7 @@ class AirRefractionDrift(Hidden):
 
     def __init__(self, stage: Stage, rng: np.random.Generator):
         super().__init__(stage, rng)
-        self._profiles, kinds = profiles(rng, stage.span_s, 3)
+        self._profiles, kinds = stage.profiles(rng, 3)
         # 1 °C and 350 Pa change the index about alike.
         self._pressure, self._humidity = rng.normal(0.0, 200.0), rng.normal(0.0, 0.03)
         self.facts = {'profiles': kinds, 'pressure_Pa_per_degC': self._pressure}
@@ -71,10 +73,15 @@ class CountSlip(Hidden):
         self._jumps = rng.uniform(0.5, 1.0, count) * rng.choice([-1.0, 1.0], count)
         self._jumps /= np.abs(self._jumps).max()
         self._beam = int(rng.integers(8))
-        self.facts = {'times_s': self._times.tolist(), 'jumps': self._jumps.tolist()}
+        self._count = float(rng.choice(COUNTS)) if stage.wide else 0.0
+        self.facts = {'times_s': self._times.tolist(), 'jumps': self._jumps.tolist(), 'count_m': self._count}
 
     def after_light(self, moment: Moment) -> None:
-        jump = self.size * np.sum(self._jumps * (moment.seconds[:, None] >= self._times), axis=1)
+        jumps = self.size * self._jumps
+        if self._count:
+            # Whole counts, one at least.
+            jumps = np.sign(jumps) * np.maximum(np.rint(np.abs(jumps) / self._count), 1.0) * self._count
+        jump = np.sum(jumps * (moment.seconds[:, None] >= self._times), axis=1)
         length = moment.length.copy()
         length[:, self._beam % length.shape[1]] += jump
         moment.length = length
@@ -87,7 +94,7 @@ class BeamPointingDrift(Hidden):
 
     def __init__(self, stage: Stage, rng: np.random.Generator):
         super().__init__(stage, rng)
-        self._profiles, kinds = profiles(rng, stage.span_s, 2)
+        self._profiles, kinds = stage.profiles(rng, 2)
         self._weight = direction(rng, 2)
         self.facts = {'profiles': kinds, 'direction': self._weight.tolist()}
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from stepdiag_ros.blind.hidden import Hidden, Stage, chosen_axes, direction, profiles
+from stepdiag_ros.blind.hidden import Hidden, Stage, chosen_axes, direction
 from stepdiag_ros.effects.base import Moment
 from stepdiag_ros.model.log import CalibrationLog, Samples
 
@@ -16,7 +16,7 @@ class ScaleThermalExpansion(Hidden):
 
     def __init__(self, stage: Stage, rng: np.random.Generator):
         super().__init__(stage, rng)
-        self._profiles, kinds = profiles(rng, stage.span_s, 3)
+        self._profiles, kinds = stage.profiles(rng, 3)
         self._weight = chosen_axes(rng)
         self._coefficient = float(rng.choice([8e-6, 1.05e-5, 1.2e-5]))
         self._fixed = stage.travel * rng.choice([0.0, 0.5, 1.0], 3)
@@ -38,7 +38,7 @@ class StructuralThermalDrift(Hidden):
 
     def __init__(self, stage: Stage, rng: np.random.Generator):
         super().__init__(stage, rng)
-        self._profiles, kinds = profiles(rng, stage.span_s, 3)
+        self._profiles, kinds = stage.profiles(rng, 3)
         self._weight = direction(rng)
         self.facts = {'profiles': kinds, 'direction': self._weight.tolist()}
 
@@ -132,7 +132,7 @@ class SquarenessDrift(Hidden):
 
     def __init__(self, stage: Stage, rng: np.random.Generator):
         super().__init__(stage, rng)
-        self._profiles, kinds = profiles(rng, stage.span_s, 3)
+        self._profiles, kinds = stage.profiles(rng, 3)
         self._weight = chosen_axes(rng)
         self.facts = {'profiles': kinds, 'EC0Y_EB0Z_EA0Z': self._weight.tolist()}
 

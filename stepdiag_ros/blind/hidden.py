@@ -19,6 +19,8 @@ from stepdiag_ros.model.log import CalibrationLog
 from stepdiag_ros.virtual.cell import Cell
 
 TimeProfile = Callable[[np.ndarray], np.ndarray]
+BEGINS = ('log', 'setup', 'run', 'door', 'rest', 'jump')
+"""With what a time profile begins in wide worlds."""
 
 
 @dataclass(frozen=True)
@@ -26,18 +28,34 @@ class Stage:
     """What an effect may know when it is drawn: the cell, and when its runs take place.
 
     ``span_s`` [s]: length of the log; ``runs`` (r, 2) [s]: begin and end of each run;
-    ``run_setup`` (r,): number of its setup.
+    ``run_setup`` (r,): number of its setup.  ``wide``: time profiles may begin anew with each setup or run, wait for a
+    door to open, follow work and rest, or jump; without, all begin with the log.
     """
 
     cell: Cell
     span_s: float
     runs: np.ndarray
     run_setup: np.ndarray
+    wide: bool = False
 
     @property
     def travel(self) -> np.ndarray:
         """(3,) [m]."""
         return np.array(self.cell.description.machine.volume)
+
+    def profiles(self, rng: np.random.Generator, count: int) -> tuple[list[TimeProfile], list[str]]:
+        """Several time profiles that are not correlated, and their kinds; they begin alike."""
+        if not self.wide:
+            both = [profile(rng, self.span_s) for _ in range(count)]
+        else:
+            begins = str(rng.choice(BEGINS, p=[0.4, 0.12, 0.18, 0.1, 0.1, 0.1]))
+            both = [_beginning(rng, self, begins) for _ in range(count)]
+        return [c for c, _ in both], [kind for _, kind in both]
+
+    def profile(self, rng: np.random.Generator) -> tuple[TimeProfile, str]:
+        """One of them."""
+        (one,), (kind,) = self.profiles(rng, 1)
+        return one, kind
 
 
 class Hidden(Effect):
@@ -130,10 +148,42 @@ def profile(rng: np.random.Generator, span_s: float) -> tuple[TimeProfile, str]:
     return (lambda t: (at(t) - begin) / reach), kind
 
 
-def profiles(rng: np.random.Generator, span_s: float, count: int) -> tuple[list[TimeProfile], list[str]]:
-    """Several profiles that are not correlated."""
-    both = [profile(rng, span_s) for _ in range(count)]
-    return [c for c, _ in both], [kind for _, kind in both]
+def _beginning(rng: np.random.Generator, stage: Stage, begins: str) -> tuple[TimeProfile, str]:
+    """A random profile that begins with the log, each setup or run, or a door; that follows work and rest; a jump."""
+    starts = stage.runs[:, 0]
+    if begins in ('run', 'setup'):
+        first = starts if begins == 'run' else starts[np.diff(stage.run_setup, prepend=-1) != 0]
+        base, kind = profile(rng, float(np.diff(first, append=stage.span_s).max()))
+        strength = 1.0 + 0.25 * rng.uniform(-1.0, 1.0, len(first))
+
+        def along(t):
+            part = np.maximum(np.searchsorted(first, np.asarray(t, float), side='right') - 1, 0)
+            return strength[part] * base(t - first[part])
+    elif begins == 'door':
+        opened = stage.span_s * rng.uniform(0.15, 0.7)
+        base, kind = profile(rng, stage.span_s - opened)
+
+        def along(t):
+            return base(np.asarray(t, float) - opened)
+    elif begins == 'rest':
+        # First order: towards one while the axes run, towards zero while they rest.
+        kind, tau, grid = 'first order', stage.span_s * rng.uniform(0.02, 0.2), np.linspace(0.0, stage.span_s, 2000)
+        running = np.sum(grid[:, None] >= starts, axis=1) > np.sum(grid[:, None] > stage.runs[:, 1], axis=1)
+        state = np.zeros(len(grid))
+        for i in range(1, len(grid)):
+            state[i] = state[i - 1] + (running[i] - state[i - 1]) * (1.0 - np.exp(-(grid[1] - grid[0]) / tau))
+        state /= max(float(np.ptp(state)), 1e-12)
+
+        def along(t):
+            return np.interp(t, grid, state)
+    elif begins == 'jump':
+        kind, at = 'jump', stage.span_s * rng.uniform(0.1, 0.9)
+
+        def along(t):
+            return (np.asarray(t, float) >= at).astype(float)
+    else:
+        return profile(rng, stage.span_s)
+    return along, f'{kind}, {begins}'
 
 
 def direction(rng: np.random.Generator, size: int = 3) -> np.ndarray:

@@ -39,8 +39,8 @@ def measure(cell: Cell, conditions: Conditions, effects: Sequence[Hidden] = (),
         environment=_environment(log, effects, conditions.start_ns), source=cell.source)
 
 
-def stage_of(cell: Cell, log: CalibrationLog, start_ns: int) -> Stage:
-    """When the runs of ``log``, made of ``cell``, took place."""
+def stage_of(cell: Cell, log: CalibrationLog, start_ns: int, wide: bool = False) -> Stage:
+    """When the runs of ``log``, made of ``cell``, took place; ``wide`` as in :class:`Stage`."""
     events = log.steps
     begin, end = events.phase == DWELL, events.phase == DONE
     count = len(events.run_ids)
@@ -48,7 +48,7 @@ def stage_of(cell: Cell, log: CalibrationLog, start_ns: int) -> Stage:
     runs = np.array([[seconds[begin & (events.run == r)].min(), seconds[end & (events.run == r)].max()]
                      for r in range(count)])
     setup = np.array([events.setup[events.run == r][0] for r in range(count)])
-    return Stage(cell, float(seconds.max()), runs, setup)
+    return Stage(cell, float(seconds.max()), runs, setup, wide)
 
 
 def _environment(log: CalibrationLog, effects: Sequence[Hidden],

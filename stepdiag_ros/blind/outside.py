@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from stepdiag_ros.blind.hidden import Hidden, Stage, direction, profile
+from stepdiag_ros.blind.hidden import Hidden, Stage, direction
 from stepdiag_ros.effects.base import Moment
 from stepdiag_ros.model.log import CalibrationLog
 
@@ -61,7 +61,7 @@ class ThermalBending(Outside):
 
     def __init__(self, stage: Stage, rng: np.random.Generator):
         super().__init__(stage, rng)
-        self._profile, kind = profile(rng, stage.span_s)
+        self._profile, kind = stage.profile(rng)
         self._axis = int(rng.integers(3))
         self._across = (self._axis + int(rng.integers(1, 3))) % 3
         self._waves = float(rng.choice([1.0, 2.0]))

@@ -18,6 +18,7 @@ from stepdiag_ros.bag.export import write_log
 from stepdiag_ros.blind.cells import KINDS
 from stepdiag_ros.blind.live import write_live
 from stepdiag_ros.blind.outside import OUTSIDE
+from stepdiag_ros.blind.outside_more import MORE
 from stepdiag_ros.blind.pool import side_by_side
 from stepdiag_ros.blind.vocabulary import NAMES
 from stepdiag_ros.blind.world import PURPOSES, Order, make
@@ -31,11 +32,12 @@ NOT_TOGETHER = ({'psd_gain', 'ambient_light'},)
 
 
 def orders(purpose: str, seed: int, counts: dict[str, int], world: str = 'varied',
-           small: bool = False, untidy: float = 0.0) -> list[Order]:
+           small: bool = False, untidy: float = 0.0, wide: bool = False) -> list[Order]:
     """The orders of a set in the order of its logs, every effect about equally often.
 
     ``untidy``: share of the simulated worlds whose noise is as instruments have it; ``counts['live']`` logs come last,
-    measured through the running graph, every second one on a busy computer.
+    measured through the running graph, every second one on a busy computer.  ``wide``: more kinds from outside, larger
+    sizes, and time profiles that begin with anything.
     """
     if not 0.0 <= untidy <= 1.0:
         raise StepdiagError(f'--untidy {untidy:g} is no share; give a number from 0 to 1')
@@ -47,11 +49,11 @@ def orders(purpose: str, seed: int, counts: dict[str, int], world: str = 'varied
     wanted: list[tuple[str, tuple[str, ...]]] = [('null', ())] * counts.get('null', 0)
     wanted += [('single', (name,)) for name in _evenly(rng, NAMES, counts.get('single', 0))]
     wanted += [('outside', (name,)) for name in
-               _evenly(rng, [kind.name for kind in OUTSIDE], counts.get('outside', 0))]
+               _evenly(rng, [kind.name for kind in (*OUTSIDE, *(MORE if wide else ()))], counts.get('outside', 0))]
     for first in _evenly(rng, NAMES, counts.get('pair', 0)):
         others = [n for n in NAMES if n != first and {n, first} not in NOT_TOGETHER]
         wanted.append(('pair', (first, str(rng.choice(others)))))
-    simulated = [Order(purpose, seed, number + 1, *wanted[place], world, small, untidy)
+    simulated = [Order(purpose, seed, number + 1, *wanted[place], world, small, untidy, wide=wide)
                  for number, place in enumerate(rng.permutation(len(wanted)))]
     return simulated + [Order(purpose, seed, len(wanted) + number + 1, 'null', (), world, small, live=True,
                               loaded=number % 2 == 1) for number in range(counts.get('live', 0))]
@@ -61,7 +63,7 @@ def kind_order(purpose: str, seed: int, entry: dict[str, Any]) -> Order:
     """The order that the log of a truth's entry was made from."""
     return Order(purpose, seed, entry['number'], entry['category'],
                  tuple(e['name'] for e in entry['effects']), entry['world'], entry['small'],
-                 entry.get('untidy', 0.0))
+                 entry.get('untidy', 0.0), wide=entry.get('wide', False))
 
 
 def _evenly(rng: np.random.Generator, names: Iterable[str], count: int) -> list[str]:

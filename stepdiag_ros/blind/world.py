@@ -14,6 +14,7 @@ from stepdiag_ros.blind.cells import Conditions, draw_cell, untidy_law, without_
 from stepdiag_ros.blind.hidden import Hidden
 from stepdiag_ros.blind.logs import measure, stage_of
 from stepdiag_ros.blind.outside import OUTSIDE
+from stepdiag_ros.blind.outside_more import MORE
 from stepdiag_ros.blind.visibility import Visibility, Yardstick
 from stepdiag_ros.blind.vocabulary import VOCABULARY
 from stepdiag_ros.model.log import CalibrationLog
@@ -23,8 +24,8 @@ from stepdiag_ros.virtual.truth import truth
 
 PURPOSES = {'develop': 1, 'sealed': 2}
 CATEGORIES = ('null', 'single', 'pair', 'outside')
-LEAST, MOST, LARGE = 3.0, 40.0, 1000.0
-"""Visibilities that are drawn lie between the first two; a few go up to the third."""
+LEAST, MOST, LARGE, LARGEST = 3.0, 40.0, 1000.0, 4000.0
+"""Visibilities that are drawn lie between the first two; a few go up to the third, in wide worlds to the last."""
 CLOSE = 1.1
 """A size is found when the visibility is right within this factor."""
 ATTEMPTS = 10
@@ -35,7 +36,8 @@ class Order:
     """What one log is to be: its number, what acts, in which kind of world.
 
     ``untidy``: probability of noise as instruments have it; ``live``: measured through the running graph,
-    ``loaded``: while all cores are busy.
+    ``loaded``: while all cores are busy; ``wide``: effects of more kinds, of larger sizes, with time profiles that begin
+    with anything.
     """
 
     purpose: str
@@ -48,6 +50,7 @@ class Order:
     untidy: float = 0.0
     live: bool = False
     loaded: bool = False
+    wide: bool = False
 
 
 @dataclass(frozen=True)
@@ -64,15 +67,16 @@ class SealedWorld:
 
 def kind_of(name: str) -> type[Hidden]:
     """The class of a hidden effect."""
-    return next(kind for kind in (*VOCABULARY, *OUTSIDE) if kind.name == name)
+    return next(kind for kind in (*VOCABULARY, *OUTSIDE, *MORE) if kind.name == name)
 
 
-def draw_target(rng: np.random.Generator, pair: bool) -> float:
-    """A visibility: many near the threshold of 8 and above, some below, some far above, a few large."""
-    low, high = ((8.0, 20.0), (LEAST, 8.0), (20.0, MOST), (MOST, LARGE))[
-        rng.choice(4, p=[0.55, 0.2, 0.15, 0.1])]
+def draw_target(rng: np.random.Generator, pair: bool, wide: bool = False) -> float:
+    """A visibility: many near the threshold of 8 and above, some below, some far above, a few large; in wide worlds four in
+    ten large."""
+    low, high = ((8.0, 20.0), (LEAST, 8.0), (20.0, MOST), (MOST, LARGEST if wide else LARGE))[
+        rng.choice(4, p=[0.35, 0.1, 0.15, 0.4] if wide else [0.55, 0.2, 0.15, 0.1])]
     if pair:
-        low, high = (8.0, MOST)
+        low, high = (8.0, 10.0 * MOST if wide else MOST)
     return float(np.exp(rng.uniform(np.log(low), np.log(high))))
 
 
@@ -99,13 +103,13 @@ def _attempt(order: Order, rng: np.random.Generator, last: bool) -> SealedWorld 
     bare = measure(cell, conditions)
     stamps = any(kind.inside == 'stamps' for kind in kinds)
     yardstick = Yardstick(cell, bare, measure(without_sensor_noise(cell), conditions) if stamps else None)
-    stage = stage_of(cell, bare, conditions.start_ns)
+    stage = stage_of(cell, bare, conditions.start_ns, order.wide)
     effects, seen = [], []
     for kind in kinds:
         effect = kind(stage, rng)
         def see(effect: Hidden) -> Visibility:
             return _visible(yardstick, measure(_as_seen(cell, [effect]), conditions, [effect]), [effect])
-        target = draw_target(rng, order.category == 'pair')
+        target = draw_target(rng, order.category == 'pair', order.wide)
         if effect.drawn is not None:
             effect.size = float(np.exp(rng.uniform(*np.log(effect.drawn))))
             visible = see(effect)
@@ -169,7 +173,7 @@ def _finish(order: Order, cell, conditions, yardstick, effects, seen) -> SealedW
     log = measure(cell, conditions, effects)
     entry: dict[str, Any] = {
         'category': order.category if effects or order.category == 'null' else 'null',
-        'world': order.world, 'small': order.small, 'number': order.number,
+        'world': order.world, 'small': order.small, 'number': order.number, 'wide': order.wide,
         'effects': [{'name': e.name, 'outside': e.outside, **e.describe(),
                      'visibility': {'stops': v.stops, 'inside': v.inside, 'total': v.total}}
                     for e, v in zip(effects, seen, strict=True)],

@@ -29,6 +29,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     seal.add_argument('--untidy', type=float, default=0.0, metavar='SHARE',
                       help='share of the simulated worlds with untidy noise: heavy tails, correlation, steps, '
                            'dropouts, spikes, duplicates, late samples (0)')
+    seal.add_argument('--wide', action='store_true',
+                      help='more kinds of effects from outside, larger sizes, time profiles that begin with anything')
     seal.add_argument('--purpose', default='sealed',
                       help='sealed, or develop: to tune on, never the same logs (default: sealed)')
     seal.add_argument('--world', default='varied',
@@ -59,7 +61,7 @@ def run(args: argparse.Namespace) -> int:
 def _seal(args: argparse.Namespace) -> int:
     from stepdiag_ros.blind.seal import orders, seal
     counts = {name: getattr(args, name) for name in ('null', 'single', 'pair', 'outside', 'live')}
-    todo = orders(args.purpose, args.seed, counts, args.world, args.small, args.untidy)
+    todo = orders(args.purpose, args.seed, counts, args.world, args.small, args.untidy, args.wide)
     digest = seal(args.out, todo, args.processes, not args.quiet)
     print(f'{len(todo)} logs in {args.out / "logs"}\ntruth sealed, SHA-256 {digest}')
     return 0

@@ -5,11 +5,12 @@ import pytest
 
 from stepdiag_ros.blind.hidden import Hidden, profile
 from stepdiag_ros.blind.outside import OUTSIDE
+from stepdiag_ros.blind.outside_more import MORE
 from stepdiag_ros.blind.vocabulary import NAMES, VOCABULARY
 from stepdiag_ros.blind.world import Order, make
 from stepdiag_ros.effects import VOCABULARY as CONTRACT
 
-ALL = [kind.name for kind in (*VOCABULARY, *OUTSIDE)]
+ALL = [kind.name for kind in (*VOCABULARY, *OUTSIDE, *MORE)]
 
 
 def test_vocabulary_is_the_contracts() -> None:
@@ -17,10 +18,10 @@ def test_vocabulary_is_the_contracts() -> None:
 
 
 def test_outside_is_outside() -> None:
-    names = {kind.name for kind in OUTSIDE}
+    names = {kind.name for kind in (*OUTSIDE, *MORE)}
     assert len(names) >= 10
     assert not names & set(CONTRACT)
-    assert all(kind.outside for kind in OUTSIDE)
+    assert all(kind.outside for kind in (*OUTSIDE, *MORE))
     assert not any(kind.outside for kind in VOCABULARY)
 
 
