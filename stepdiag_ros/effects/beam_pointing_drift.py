@@ -11,11 +11,17 @@ import numpy as np
 
 from stepdiag_ros.effects.adoption import Fitted
 from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
+from stepdiag_ros.effects.made import Made
 from stepdiag_ros.effects.patterns import Drawn, by_setup, drawn_size, follow, saturating, settlings
 from stepdiag_ros.effects.timeforms import time_profiles
 
 FASTEST_S = 20.0
 """Least time constant of a stand that settles: what is over sooner is a jump."""
+
+
+def _each_run(derivative: np.ndarray, run: np.ndarray, runs: np.ndarray) -> np.ndarray:
+    """Derivatives (k, n, c) in each of the ``runs`` (r,) alone: (r·k, n, c)."""
+    return (derivative * (run == runs[:, None])[:, None, :, None]).reshape(-1, *derivative.shape[1:])
 
 
 class BeamPointingDrift(Effect):
@@ -52,7 +58,7 @@ class BeamPointingDrift(Effect):
                   for profile in settlings(view.run_time, FASTEST_S)]
         runs = np.unique(view.run)
         if len(runs) > 1:
-            own = np.concatenate([view.by_laser * (view.run == run)[:, None] for run in runs])
+            own = Made((2 * len(runs), *view.reading.shape), _each_run, view.by_laser, view.run, runs)
             names = tuple(f'{view.run_ids[run]} {axis}' for run in runs for axis in 'uv')
             forms += [follow(view, profile, own, names, 1e-5, 'rad', 'each run on its own')
                       for profile in settlings(view.run_time, FASTEST_S)[:1]]

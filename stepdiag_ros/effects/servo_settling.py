@@ -11,7 +11,7 @@ import numpy as np
 
 from stepdiag_ros.effects.adoption import Fitted
 from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
-from stepdiag_ros.effects.made import joined
+from stepdiag_ros.effects.made import Made, joined
 from stepdiag_ros.effects.patterns import Drawn
 from stepdiag_ros.model.log import NONE
 
@@ -28,6 +28,26 @@ SWINGS = (1.5, 3.0, 5.0, 8.0)
 """Frequencies [Hz] tried of a servo that swings in …"""
 SWING_TAU, CREEP_TAU = 0.1, 0.3
 """… which dies away with the first time constant [s], beside a creep with the second; both are tuned."""
+
+
+def _at_rest(along: np.ndarray, mean: np.ndarray) -> np.ndarray:
+    """Directions (a, n, c) times each mean (k, n) over the dwells: (a·k, n, c)."""
+    return np.einsum('anc,kn->aknc', along, mean).reshape(-1, *along.shape[1:])
+
+
+def _inside(along: np.ndarray, departures: np.ndarray) -> np.ndarray:
+    """The same by the departures (k, n, b) from it inside the dwells: (a·k, n, b, c)."""
+    n, c = along.shape[1:]
+    return np.einsum('anc,knb->aknbc', along, departures).reshape(-1, n, departures.shape[2], c)
+
+
+def _following(along: np.ndarray, shapes: np.ndarray) -> tuple[Made, Made]:
+    """What a lag that fades in ``shapes`` (k, n, b) along directions (a, n, c) does
+    at the stops and inside the dwells."""
+    mean, (n, c) = shapes.mean(axis=2), along.shape[1:]
+    size, bins = len(along) * len(shapes), shapes.shape[2]
+    return (Made((size, n, c), _at_rest, along, mean),
+            Made((size, n, bins, c), _inside, along, shapes - mean[:, :, None]))
 
 
 class ServoSettling(Effect):
@@ -99,16 +119,9 @@ class ServoSettling(Effect):
 
     def _form(self, along: np.ndarray, since: np.ndarray, start: str, tau: float, axes: str) -> Form:
         """One time constant of ``axes``, one of GROUPS."""
-        binned = self._bin_means(since, tau)
-        mean = binned.mean(axis=1)
-        columns = along * mean[:, None]
-        inside = along[:, :, None, :] * (binned - mean[:, None])[:, :, None]
         names = GROUPS[axes]
-        if names == ('all',):
-            columns, inside = columns.sum(axis=0, keepdims=True), inside.sum(axis=0, keepdims=True)
-        else:
-            chosen = ['XYZ'.index(axis) for axis in names]
-            columns, inside = columns[chosen], inside[chosen]
+        chosen = along.sum(axis=0, keepdims=True) if names == ('all',) else along[['XYZ'.index(axis) for axis in names]]
+        columns, inside = _following(chosen, self._bin_means(since, tau)[None])
         return Form(f'τ = {tau:.3g} s{start}, {axes}', columns, names,
                     np.full(len(names), TYPICAL_M), inside=inside, shape={'tau_s': tau},
                     retune=lambda shape: self._form(along, since, start, shape['tau_s'], axes))
@@ -118,13 +131,10 @@ class ServoSettling(Effect):
         """A loop of low damping swings to its goal, and something slower creeps after it; each axis for itself."""
         turning = self._bin_means(since, 1.0 / (1.0 / tau - 2.0j * np.pi * swing))
         shapes = np.stack([turning.real, turning.imag, self._bin_means(since, creep)])
-        mean = shapes.mean(axis=2)
-        columns = np.einsum('anc,kn->aknc', along, mean)
-        inside = np.einsum('anc,knb->aknbc', along, shapes - mean[:, :, None])
+        columns, inside = _following(along, shapes)
         names = tuple(f'{axis} {part}' for axis in 'XYZ' for part in ('cos', 'sin', 'creep'))
         return Form(f'swings at {swing:.3g} Hz, τ = {tau:.3g} s, creeps with {creep:.3g} s{start}, each axis',
-                    columns.reshape(9, *columns.shape[2:]), names, np.full(9, TYPICAL_M),
-                    inside=inside.reshape(9, *inside.shape[2:]),
+                    columns, names, np.full(9, TYPICAL_M), inside=inside,
                     shape={'tau_s': tau, 'swing_Hz': swing, 'creep_s': creep},
                     retune=lambda shape: self._swinging(along, since, start, shape['tau_s'],
                                                         shape['swing_Hz'], shape['creep_s']))

@@ -131,7 +131,7 @@ def with_constant(profile: TimeProfile) -> TimeProfile:
                   profile.shape, retune, None if profile.sizes is None else np.concatenate([[1.0], profile.sizes]))
 
 
-def _following(profile: np.ndarray, signature: np.ndarray) -> np.ndarray:
+def following(profile: np.ndarray, signature: np.ndarray) -> np.ndarray:
     """A signature (m, n, c) times each function (p, n) of a profile: (p·m, n, c)."""
     return np.einsum('tn,anc->tanc', profile, signature).reshape(-1, *signature.shape[1:])
 
@@ -139,7 +139,7 @@ def _following(profile: np.ndarray, signature: np.ndarray) -> np.ndarray:
 def _following_inside(rates: np.ndarray, signature: np.ndarray, bin_time: np.ndarray) -> np.ndarray:
     """The same inside the dwells (p·m, n, b, c), at the profile's ``rates`` (p, n) [1/s] from the dwell's middle."""
     away = bin_time - bin_time.mean(axis=1, keepdims=True)
-    return _following(rates, signature)[:, :, None, :] * away[None, :, :, None]
+    return following(rates, signature)[:, :, None, :] * away[None, :, :, None]
 
 
 def drift_form(view: StopView, profile: TimeProfile, signature: np.ndarray, names: tuple[str, ...],
@@ -151,7 +151,7 @@ def drift_form(view: StopView, profile: TimeProfile, signature: np.ndarray, name
     """
     count = len(profile.values)
     n, c = view.reading.shape
-    columns = Made((count * len(signature), n, c), _following, profile.values, signature)
+    columns = Made((count * len(signature), n, c), following, profile.values, signature)
     inside = Made((count * len(signature), n, view.bin_time.shape[1], c), _following_inside,
                   profile.rates, signature, view.bin_time)
     return Form(f'{label}{", " if label else ""}{profile.label}', columns,

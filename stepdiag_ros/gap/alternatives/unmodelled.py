@@ -11,6 +11,7 @@ import numpy as np
 
 from stepdiag_ros.effects.base import Form, StopView
 from stepdiag_ros.effects.made import Made
+from stepdiag_ros.effects.timeforms import following
 from stepdiag_ros.gap.preprocess.observe import channels
 
 NAME = 'unknown'
@@ -129,8 +130,8 @@ def _in_time(view: StopView) -> Iterator[Form]:
             profiles = ([(view.run == run).astype(float) * view.run_time / 30.0 for run in runs]
                        if run_wise else list(slow))
             profiles = [c for c in profiles if np.any(c)]
-            columns = np.einsum('tn,anc->tanc', np.array(profiles), derivative)
-            columns = columns.reshape(-1, *view.reading.shape)
+            columns = Made((len(profiles) * len(derivative), *view.reading.shape), following, np.array(profiles),
+                           derivative)
             yield Form(f'{label}: wandering {"inside the runs" if run_wise else "in time"}', columns,
                        tuple(str(i) for i in range(len(columns))), np.full(len(columns), scale))
 
@@ -225,6 +226,13 @@ def _between_channels(view: StopView) -> Iterator[Form]:
                        np.full(len(full), 3e-6))
 
 
+def _put_inside(shape: tuple[int, int], sign: np.ndarray, pattern: np.ndarray, columns: slice) -> np.ndarray:
+    """Patterns (k, b) times the dwells' signs (n,) in some of the c channels of ``shape`` (n, c): (k, n, b, c)."""
+    inside = np.zeros((len(pattern), shape[0], pattern.shape[1], shape[1]))
+    inside[..., columns] = (sign[None, :, None] * pattern[:, None, :])[..., None]
+    return inside
+
+
 def _inside(view: StopView) -> Iterator[Form]:
     """Something happens inside the dwells: alike in all, by direction, by axis, or setup by setup."""
     n, b = view.bin_time.shape
@@ -234,8 +242,7 @@ def _inside(view: StopView) -> Iterator[Form]:
         signs[f'after moves of {letter}'] = (view.axis == axis) * view.approach[:, axis]
     for name, columns, scale in _channels(view):
         for what, sign in signs.items():
-            inside = np.zeros((b, n, b, view.reading.shape[1]))
-            inside[:, :, :, columns] = (sign[None, :, None] * pattern[:, None, :])[..., None]
+            inside = Made((b, n, b, view.reading.shape[1]), _put_inside, view.reading.shape, sign, pattern, columns)
             yield Form(f'{name}: inside the dwells, {what}', view.zeros(b),
                        tuple(str(i) for i in range(b)), np.full(b, scale), inside=inside)
 

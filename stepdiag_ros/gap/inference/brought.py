@@ -3,6 +3,8 @@
 A log of n stops has ten thousand columns.  Many live in one run or one setup, most do nothing inside the dwells but
 tilt them; written out they would take a hundred times the memory of the log.  So forms are brought over some at a time,
 and of their columns only the runs, and the degrees of contrast inside the dwells, are kept in which they do something.
+They are kept in single precision: a form that is right to some per cent may be rounded to 10⁻⁷.  It is rounded before
+anything is worked out from it, so that all products are those of the rounded form.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -14,6 +16,7 @@ import numpy as np
 from stepdiag_ros.effects.base import Form
 from stepdiag_ros.gap.inference.parity import Parity
 
+KEPT = np.float32
 ROUNDING = 1e-9
 """Share of a column's largest value below which its bends are rounding."""
 AT_A_TIME = 1_000_000
@@ -70,12 +73,12 @@ class Brought:
                 at = slice(mine.start - first, mine.stop - first)
                 gram = white[:, at].T @ white[:, at] - absorbed[:, at].T @ absorbed[:, at]
                 if form.inside is not None:
-                    bins = space.bin_part(np.asarray(form.inside)) * form.scale
+                    bins = _rounded(space.bin_part(np.asarray(form.inside)) * form.scale)
                     gram += bins.T @ bins
                     along[mine] += bins.T @ data[space.stops:space.size]
                     _add(inside, bins, space.stops, mine.start)
                 if form.by_reading is not None:
-                    slopes = space.own_rows(form)
+                    slopes = _rounded(space.own_rows(form))
                     corrections[i] = slopes.T @ slopes
                     along[mine] += slopes.T @ data[space.size:]
                     _add(own, slopes, space.size, mine.start)
@@ -119,7 +122,7 @@ class _Gathering:
 
     def __init__(self, rows: np.ndarray):
         self.rows, self._count = rows, 0
-        self._places, self._columns = np.empty(64, np.intp), np.empty((len(rows), 64), order='F')
+        self._places, self._columns = np.empty(64, np.intp), np.empty((len(rows), 64), KEPT, order='F')
 
     def put(self, columns: np.ndarray, places: np.ndarray) -> None:
         """Columns (m, k) at ``places`` (k,)."""
@@ -127,7 +130,7 @@ class _Gathering:
         if self._count > len(self._places):
             room = max(self._count, len(self._places) * 3 // 2)
             self._places, places_before = np.empty(room, np.intp), self._places[:begin]
-            self._columns, before = np.empty((len(self.rows), room), order='F'), self._columns[:, :begin]
+            self._columns, before = np.empty((len(self.rows), room), KEPT, order='F'), self._columns[:, :begin]
             self._places[:begin], self._columns[:, :begin] = places_before, before
         self._places[begin:self._count], self._columns[:, begin:self._count] = places, columns
 
@@ -136,6 +139,11 @@ class _Gathering:
         places, columns = self._places[:self._count].copy(), self._columns[:, :self._count].copy(order='F')
         self._places, self._columns = places, columns
         return Block(self.rows, places, columns)
+
+
+def _rounded(columns: np.ndarray) -> np.ndarray:
+    """Columns as they will be kept."""
+    return columns.astype(KEPT).astype(float)
 
 
 def _add(blocks: Sequence[_Gathering], columns: np.ndarray, above: int, begin: int) -> None:
@@ -164,6 +172,7 @@ def _at_the_stops(space: Parity, forms: Sequence[Form], stops: Sequence[_Gatheri
     white = np.zeros((space.stops, len(columns)), order='F')
     absorbed = np.zeros((space.absorbed(white[:, :0]).shape[0], len(columns)))
     for gathering, (rows, there, part) in zip(stops, space.white_runs(columns), strict=True):
+        part = _rounded(part)
         white[rows, there] = part
         absorbed[:, there] += space.absorbed(part, rows)
         gathering.put(part, there + begin)
