@@ -11,18 +11,16 @@ import numpy as np
 
 from stepdiag_ros.effects.base import Effect, Form
 from stepdiag_ros.effects.made import Made
-from stepdiag_ros.estimate.eigen import eigen
 from stepdiag_ros.gap.constants import CONFUSED, CONTROL_SHARE, DISCREPANCY_SHARE, MEMBER_ALARM
 from stepdiag_ros.gap.inference.brought import Block, Brought
-from stepdiag_ros.gap.inference.discrepancy import LEAST, held
+from stepdiag_ros.gap.inference.discrepancy import LEAST
 from stepdiag_ros.gap.inference.discrepancy import columns as discrepancy_of
 from stepdiag_ros.gap.inference.evidence import SIZES, Judged, judge, log_evidence, log_mean, log_sum
+from stepdiag_ros.gap.inference.explained import Explained
 from stepdiag_ros.gap.inference.parity import Parity
 
-REMEMBERED = 32
-"""Discrepancies that are kept in mind, those last worked out: each is as long as the data."""
-LEAST_EXPLAINED = 0.02
-"""Directions of a set with less variance than this against the noise's are left out."""
+REMEMBERED = 12
+"""Sets of which is remembered what they explain, those last worked out: each takes hundreds of numbers a reading."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +80,7 @@ class Screen:
     _ratios: list = field(init=False)
     _alike: list = field(init=False)
     _judged: dict = field(init=False, default_factory=dict)
-    _discrepancies: dict = field(init=False, default_factory=dict)
+    _explained: dict = field(init=False, default_factory=dict)
 
     def __post_init__(self):
         forms = [c.form for c in self.candidates]
@@ -130,84 +128,81 @@ class Screen:
         white -= self.parity._basis @ self.parity.absorbed(white)
         return full * self._ratios[number]
 
-    def basis(self, members: Sequence[Member]) -> np.ndarray:
-        """Directions ``B`` (M, r) that several members explain, the discrepancies of their forms included: given them,
-        products are taken with 1 − BBᵀ."""
+    def explained(self, members: Sequence[Member]) -> Explained:
+        """What several members explain, the discrepancies of their forms included."""
         if not members:
-            return np.zeros((len(self.data), 0))
-        return _explained(np.concatenate([*self._blocks(members), *self.discrepancies(members)], axis=1))
+            return Explained.nothing(self.data)
+        key = _key(members)
+        if key not in self._explained:
+            before, mine = self.explained(members[:-1]), self._block(members[-1])
+            own = self._discrepancy(members[-1], before, mine)
+            found = before.and_then(mine)
+            while len(self._explained) >= REMEMBERED:
+                del self._explained[next(iter(self._explained))]
+            self._explained[key] = found if own is None else found.and_then(own)
+        return self._explained[key]
 
-    def _blocks(self, members: Sequence[Member]) -> list[np.ndarray]:
-        """Columns (M, k) of each member, in units of the sizes that are allowed."""
-        return [self.columns_of(m.candidate) * m.size for m in members]
+    def _block(self, member: Member) -> np.ndarray:
+        """Columns (M, k) of a member, in units of the sizes that are allowed."""
+        return self.columns_of(member.candidate) * member.size
 
-    def discrepancies(self, members: Sequence[Member]) -> list[np.ndarray]:
-        """Columns (M, m) of the discrepancy of each member's form, at the coefficients that it has beside those before
-        it; none of a member whose discrepancy is below the noise."""
+    def _discrepancy(self, member: Member, before: Explained, mine: np.ndarray) -> np.ndarray | None:
+        """Columns (M, m) of the discrepancy of a member's form, at the coefficients of its columns ``mine`` that it has
+        beside those before it; None where it is below the noise."""
         if self.modulations is None:
-            return []
-        found: list[np.ndarray] = []
-        for count in range(1, len(members) + 1):
-            key = tuple((m.candidate, m.size) for m in members[:count])
-            if key not in self._discrepancies:
-                while len(self._discrepancies) >= REMEMBERED:
-                    del self._discrepancies[next(iter(self._discrepancies))]
-                self._discrepancies[key] = self._discrepancy(members[:count], found)
-            if self._discrepancies[key] is not None:
-                found.append(self._discrepancies[key])
-        return found
-
-    def _discrepancy(self, members: Sequence[Member], before: Sequence[np.ndarray]) -> np.ndarray | None:
-        """That of the last of some members, given the discrepancies of those before it."""
-        *others, mine = self._blocks(members)
-        values = held(np.concatenate([mine, *others, *before], axis=1), self.data)[:mine.shape[1]]
+            return None
+        values, _ = before.coefficients(mine)
         if DISCREPANCY_SHARE * np.linalg.norm(mine @ values) < LEAST:
             return None
-        form = self.candidates[members[-1].candidate].form
-        sizes = values * members[-1].size * form.scale
+        form = self.candidates[member.candidate].form
+        sizes = values * member.size * form.scale
         inside = None if form.inside is None else np.tensordot(sizes, form.inside, axes=1)
         below = np.zeros((len(self.data) - self.parity.size, len(self.modulations)))
         return np.concatenate([discrepancy_of(
             self.parity, np.tensordot(sizes, form.columns, axes=1), inside, self.modulations), below])
 
-    def sizes(self, members: Sequence[Member]) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Coefficients (k,) of each member and their standard deviations, in its form's units."""
-        columns = self._blocks(members)
-        whole = np.concatenate([*columns, *self.discrepancies(members)], axis=1)
-        covariance = np.linalg.inv(whole.T @ whole + np.eye(whole.shape[1]))
-        values, spread = covariance @ (whole.T @ self.data), np.sqrt(np.diag(covariance))
-        result, start = [], 0
-        for member, part in zip(members, columns, strict=True):
-            mine, unit = slice(start, start + part.shape[1]), self.candidates[member.candidate].form.scale * member.size
-            result.append((values[mine] * unit, spread[mine] * unit))
-            start = mine.stop
-        return result
+    def sizes(self, members: Sequence[Member], number: int) -> tuple[np.ndarray, np.ndarray]:
+        """Coefficients (k,) of the member ``number`` of some, all others free, and their standard deviations, in its
+        form's units."""
+        parts, mine = [], self._block(members[number])
+        for count, member in enumerate(members):
+            block = mine if count == number else self._block(member)
+            own = self._discrepancy(member, self.explained(members[:count]), block)
+            parts += [part for part in (block, own) if part is not None and part is not mine]
+        beside = Explained.nothing(self.data)
+        if parts:
+            beside = beside.and_then(np.concatenate(parts, axis=1))
+        values, covariance = beside.coefficients(mine)
+        unit = self.candidates[members[number].candidate].form.scale * members[number].size
+        return values * unit, np.sqrt(np.diag(covariance)) * unit
 
     def with_discrepancy(self, members: Sequence[Member]) -> Member:
         """The last of some members, its evidence that of its form together with the discrepancy of that."""
-        before = self.discrepancies(members[:-1])
-        own = self.discrepancies(members)[len(before):]
-        if not own:
+        before, mine = self.explained(members[:-1]), self._block(members[-1])
+        own = self._discrepancy(members[-1], before, mine)
+        if own is None:
             return members[-1]
-        basis = _explained(np.concatenate([*self._blocks(members), *before], axis=1))
-        taken, cross = basis.T @ self.data, basis.T @ own[0]
-        gain = log_evidence(own[0].T @ own[0] - cross.T @ cross, own[0].T @ self.data - cross.T @ taken,
-                            float(self.data @ self.data - taken @ taken),
-                            sum(self.parity.dof) - float(np.sum(basis[:self.parity.size]**2)), self.noise_dof)
+        found = before.and_then(mine)
+        cross = found.basis.T @ own
+        gain = log_evidence(own.T @ own - cross.T @ cross, own.T @ self.data - cross.T @ found.taken, found.total,
+                            self._dof(found), self.noise_dof)
         return replace(members[-1], log_bayes=members[-1].log_bayes + gain)
+
+    def _dof(self, found: Explained) -> float:
+        """Free dimensions of the data beside what is explained."""
+        return sum(self.parity.dof) - float(np.sum(found.basis[:self.parity.size]**2))
 
     def judge_all(self, members: Sequence[Member], wanted: Sequence[int]) -> dict[int, Judged]:
         """The ``wanted`` candidates given the set ``members``; what was judged before is remembered."""
-        known = self._judged.setdefault(tuple((m.candidate, m.size) for m in members), {})
+        known = self._judged.setdefault(_key(members), {})
         open_ = np.zeros(len(self.candidates), bool)
         open_[[i for i in wanted if i not in known]] = True
         if not open_.any():
             return known
-        basis = self.basis(members)
-        taken = basis.T @ self.data
+        found = self.explained(members)
+        basis, taken = found.basis, found.taken
         correction = _Correction.by(self._brought.own, basis, self.data, taken, self._brought.width)
-        total = float(self.data @ self.data - taken @ taken) - correction.total
-        dof = sum(self.parity.dof) - float(np.sum(basis[:self.parity.size]**2))
+        total, dof = found.total - correction.total, self._dof(found)
         parts = [self._slices[i] for i in np.flatnonzero(open_)]
         overlap = self._brought.times(basis, slice(min(p.start for p in parts), max(p.stop for p in parts)))
         for alike in self._alike:
@@ -352,12 +347,9 @@ class _Correction:
         return gram, self.with_left[places] * ratios - cross @ self.among_left
 
 
-def _explained(columns: np.ndarray) -> np.ndarray:
-    """Directions ``B`` (N, r), ``1 − BBᵀ = (1 + ZZᵀ)⁻¹``, for columns ``Z`` (N, k) in units of the sizes
-    that are allowed for: what is as large as allowed is taken away, what is far below the noise left."""
-    value, vector = eigen(columns.T @ columns)
-    keep = value > LEAST_EXPLAINED
-    return columns @ (vector[:, keep] / np.sqrt(1.0 + value[keep]))
+def _key(members: Sequence[Member]) -> tuple:
+    """By what it is remembered what some members explain."""
+    return tuple((m.candidate, m.size) for m in members)
 
 
 def _first_alike(forms: Sequence[Form]) -> list[int]:

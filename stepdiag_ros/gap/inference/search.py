@@ -102,20 +102,21 @@ def search(screen: Screen) -> list[EffectSet]:
 def _with_imitations(screen: Screen, sets: Iterable[EffectSet]) -> Iterator[EffectSet]:
     """The sets, the sizes that physics allows of their effects weighed, and besides them those in which what has no
     name does what an effect does, of any size."""
+    sets = list(sets)
+    within = max(found.log_bayes for found in sets) - HOPELESS
     for found in sets:
         known = [screen.effects.get(m.effect) for m in found.members]
-        if not any(effect is not None and effect.imitated_by for effect in known):
+        restricted = [k for k, effect in enumerate(known) if effect is not None and effect.imitated_by]
+        if not restricted or found.log_bayes < within:
             yield found
             continue
-        evidence = sum(effect.size_evidence(screen.candidates[m.candidate].form, *size)
-                       for effect, m, size in zip(known, found.members, screen.sizes(found.members), strict=True)
-                       if effect is not None)
+        evidence = sum(known[k].size_evidence(screen.candidates[found.members[k].candidate].form,
+                                              *screen.sizes(found.members, k)) for k in restricted)
         yield replace(found, log_bayes=found.log_bayes + evidence)
         if UNKNOWN not in found.key:
             yield replace(found, members=tuple(
                 replace(m, effect=UNKNOWN, penalty=IMITATION_PENALTY)
-                if effect is not None and effect.imitated_by else m
-                for effect, m in zip(known, found.members, strict=True)))
+                if k in restricted else m for k, m in enumerate(found.members)))
 
 
 def _repeated(screen: Screen, found: EffectSet) -> Iterator[EffectSet]:

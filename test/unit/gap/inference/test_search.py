@@ -53,7 +53,7 @@ def wide() -> Form:
 def test_members_explain_as_much_as_their_size_allows(wide):
     screen = Screen(space(np.zeros(N)), [Candidate('wide', '', wide)], 1e9)
     columns = screen.columns_of(0)[:N] * 5.0
-    basis = screen.basis([Member('wide', 0, 10.0, 5.0)])[:N]
+    basis = screen.explained([Member('wide', 0, 10.0, 5.0)]).basis[:N]
     np.testing.assert_allclose(np.eye(N) - basis @ basis.T,
                                np.linalg.inv(np.eye(N) + columns @ columns.T), atol=0.02)
 
