@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from stepdiag_ros.blind.hidden import Hidden, Stage, direction
+from stepdiag_ros.blind.hidden import ANY, Hidden, Stage, direction
 from stepdiag_ros.effects.base import Moment
 
 HALF_EDGE = 5e-3
@@ -89,7 +89,7 @@ class AmbientLight(Hidden):
 
     def __init__(self, stage: Stage, rng: np.random.Generator):
         super().__init__(stage, rng)
-        self._daylight, kind = stage.profile(rng)
+        self._daylight, kind = stage.profile(rng, ANY)
         self._switch = np.sort(rng.uniform(0.0, stage.span_s, int(rng.integers(1, 6))))
         self._lamp = rng.uniform(0.2, 1.0)
         self.beam: dict[str, float] = {}

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from stepdiag_ros.blind.hidden import Hidden, Stage, direction, profile
+from stepdiag_ros.blind.hidden import ANY, Hidden, Stage, direction, profile
 from stepdiag_ros.effects.base import Moment
 from stepdiag_ros.model.air import refractive_index
 from stepdiag_ros.model.mirror_form import HeightForm
@@ -94,7 +94,7 @@ class BeamPointingDrift(Hidden):
 
     def __init__(self, stage: Stage, rng: np.random.Generator):
         super().__init__(stage, rng)
-        self._profiles, kinds = stage.profiles(rng, 2)
+        self._profiles, kinds = stage.profiles(rng, 2, ANY)
         self._weight = direction(rng, 2)
         self.facts = {'profiles': kinds, 'direction': self._weight.tolist()}
 

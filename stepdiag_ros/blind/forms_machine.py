@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from stepdiag_ros.blind.hidden import Hidden, Stage, chosen_axes, direction
+from stepdiag_ros.blind.hidden import ANY, Hidden, Stage, chosen_axes, direction
 from stepdiag_ros.effects.base import Moment
 from stepdiag_ros.model.log import CalibrationLog, Samples
 
@@ -38,7 +38,7 @@ class StructuralThermalDrift(Hidden):
 
     def __init__(self, stage: Stage, rng: np.random.Generator):
         super().__init__(stage, rng)
-        self._profiles, kinds = stage.profiles(rng, 3)
+        self._profiles, kinds = stage.profiles(rng, 3, ANY)
         self._weight = direction(rng)
         self.facts = {'profiles': kinds, 'direction': self._weight.tolist()}
 

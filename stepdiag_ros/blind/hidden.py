@@ -7,7 +7,7 @@ share with :mod:`stepdiag_ros.effects` is the interface by which an effect acts 
 virtual cell, and the contract's names.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,8 +19,10 @@ from stepdiag_ros.model.log import CalibrationLog
 from stepdiag_ros.virtual.cell import Cell
 
 TimeProfile = Callable[[np.ndarray], np.ndarray]
-BEGINS = ('log', 'setup', 'run', 'door', 'rest', 'jump')
-"""With what a time profile begins in wide worlds."""
+SLOW = {'log': 0.5, 'setup': 0.15, 'door': 0.15, 'rest': 0.2}
+"""With what the time profile of what is warmed begins in wide worlds, and how often."""
+ANY = {'log': 0.4, 'setup': 0.12, 'run': 0.18, 'door': 0.1, 'rest': 0.1, 'jump': 0.1}
+"""The same of what may also begin anew in each run, or jump: a beam, a lamp, a tool point that is knocked."""
 
 
 @dataclass(frozen=True)
@@ -43,18 +45,19 @@ class Stage:
         """(3,) [m]."""
         return np.array(self.cell.description.machine.volume)
 
-    def profiles(self, rng: np.random.Generator, count: int) -> tuple[list[TimeProfile], list[str]]:
+    def profiles(self, rng: np.random.Generator, count: int,
+                 begins: Mapping[str, float] = SLOW) -> tuple[list[TimeProfile], list[str]]:
         """Several time profiles that are not correlated, and their kinds; they begin alike."""
         if not self.wide:
             both = [profile(rng, self.span_s) for _ in range(count)]
         else:
-            begins = str(rng.choice(BEGINS, p=[0.4, 0.12, 0.18, 0.1, 0.1, 0.1]))
-            both = [_beginning(rng, self, begins) for _ in range(count)]
+            with_what = str(rng.choice(list(begins), p=list(begins.values())))
+            both = [_beginning(rng, self, with_what) for _ in range(count)]
         return [c for c, _ in both], [kind for _, kind in both]
 
-    def profile(self, rng: np.random.Generator) -> tuple[TimeProfile, str]:
+    def profile(self, rng: np.random.Generator, begins: Mapping[str, float] = SLOW) -> tuple[TimeProfile, str]:
         """One of them."""
-        (one,), (kind,) = self.profiles(rng, 1)
+        (one,), (kind,) = self.profiles(rng, 1, begins)
         return one, kind
 
 
@@ -154,6 +157,8 @@ def _beginning(rng: np.random.Generator, stage: Stage, begins: str) -> tuple[Tim
     if begins in ('run', 'setup'):
         first = starts if begins == 'run' else starts[np.diff(stage.run_setup, prepend=-1) != 0]
         base, kind = profile(rng, float(np.diff(first, append=stage.span_s).max()))
+        while kind == 'walk':   # which would wander within a dwell
+            base, kind = profile(rng, float(np.diff(first, append=stage.span_s).max()))
         strength = 1.0 + 0.25 * rng.uniform(-1.0, 1.0, len(first))
 
         def along(t):

@@ -36,8 +36,8 @@ class Order:
     """What one log is to be: its number, what acts, in which kind of world.
 
     ``untidy``: probability of noise as instruments have it; ``live``: measured through the running graph,
-    ``loaded``: while all cores are busy; ``wide``: effects of more kinds, of larger sizes, with time profiles that begin
-    with anything.
+    ``loaded``: while all cores are busy; ``wide``: effects of more kinds, of larger sizes, with time profiles that
+    begin with anything.
     """
 
     purpose: str
@@ -71,8 +71,8 @@ def kind_of(name: str) -> type[Hidden]:
 
 
 def draw_target(rng: np.random.Generator, pair: bool, wide: bool = False) -> float:
-    """A visibility: many near the threshold of 8 and above, some below, some far above, a few large; in wide worlds four in
-    ten large."""
+    """A visibility: many near the threshold of 8 and above, some below, some far above, a few large; in wide worlds
+    four in ten large."""
     low, high = ((8.0, 20.0), (LEAST, 8.0), (20.0, MOST), (MOST, LARGEST if wide else LARGE))[
         rng.choice(4, p=[0.35, 0.1, 0.15, 0.4] if wide else [0.55, 0.2, 0.15, 0.1])]
     if pair:

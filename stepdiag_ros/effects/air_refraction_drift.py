@@ -13,8 +13,8 @@ import numpy as np
 
 from stepdiag_ros.effects.adoption import Fitted
 from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
-from stepdiag_ros.effects.patterns import Drawn, drawn_size, follow, on_lengths, recorded, saturating
-from stepdiag_ros.effects.timeforms import ROUGHNESS, time_profiles
+from stepdiag_ros.effects.patterns import Drawn, drawn_size, drift_profiles, follow, on_lengths, recorded, saturating
+from stepdiag_ros.effects.timeforms import ROUGHNESS
 from stepdiag_ros.model.air import refractive_index
 
 TEMPERATURE, PRESSURE, HUMIDITY = 20.0, 101325.0, 0.5
@@ -61,7 +61,7 @@ class AirRefractionDrift(Effect):
 
     def appearance(self, view: StopView) -> list[Form]:
         way, forms = on_lengths(view, view.distance)[None], []
-        pace = time_profiles(view.elapsed, view.watches)
+        pace = drift_profiles(view)
         for share in (1.0, *DEAD_PATHS):
             # The air of the dead path changes as that of the way does: one profile, and one dead path a log.
             label = '' if share == 1.0 else f'dead path {share:g} times as described'

@@ -10,8 +10,8 @@ background from a wrong gain.
 import numpy as np
 
 from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
-from stepdiag_ros.effects.patterns import Drawn, follow, recorded
-from stepdiag_ros.effects.timeforms import drift_form, time_profiles, with_constant
+from stepdiag_ros.effects.patterns import Drawn, drift_profiles, follow, recorded
+from stepdiag_ros.effects.timeforms import drift_form, with_constant
 
 DIMMED = 0.7
 """A setup whose sum signal is a smaller share of the brightest's than this had less light in its beam: no
@@ -49,7 +49,7 @@ class AmbientLight(Effect):
         beam = _beam(view)
         pull_of_light = pull / beam[:, None]
         forms = [follow(view, with_constant(profile), pull_of_light, ('share',), 0.02, '1')
-                 for profile in time_profiles(view.elapsed, view.watches)]
+                 for profile in drift_profiles(view)]
         return self._from_intensity(view, pull, beam) + forms
 
     @staticmethod

@@ -11,17 +11,7 @@ import numpy as np
 
 from stepdiag_ros.effects.adoption import Fitted
 from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
-from stepdiag_ros.effects.made import Made
-from stepdiag_ros.effects.patterns import Drawn, by_setup, drawn_size, follow, saturating, settlings
-from stepdiag_ros.effects.timeforms import time_profiles
-
-FASTEST_S = 20.0
-"""Least time constant of a stand that settles: what is over sooner is a jump."""
-
-
-def _each_run(derivative: np.ndarray, run: np.ndarray, runs: np.ndarray) -> np.ndarray:
-    """Derivatives (k, n, c) in each of the ``runs`` (r,) alone: (r·k, n, c)."""
-    return (derivative * (run == runs[:, None])[:, None, :, None]).reshape(-1, *derivative.shape[1:])
+from stepdiag_ros.effects.patterns import Drawn, drawn_size, drift_profiles, follow, saturating
 
 
 class BeamPointingDrift(Effect):
@@ -46,23 +36,7 @@ class BeamPointingDrift(Effect):
         moment.laser = moment.laser + saturating(moment.seconds, self.tau)[:, None] * self.amp
 
     def appearance(self, view: StopView) -> list[Form]:
-        forms = [follow(view, profile, view.by_laser, ('u', 'v'), 1e-5, 'rad')
-                 for profile in time_profiles(view.elapsed, view.watches)]
-        if len(np.unique(view.setup)) > 1:
-            # The stand that carries the base unit settles after each move.
-            own, names = by_setup(view, view.by_laser, ('u', 'v'))
-            forms += [follow(view, profile, own, names, 1e-5, 'rad', 'each setup on its own')
-                      for profile in settlings(view.mount_time, FASTEST_S)]
-        # A shutter that opens for each run warms the source anew: alike in all runs, or each in its own way.
-        forms += [follow(view, profile, view.by_laser, ('u', 'v'), 1e-5, 'rad', 'anew in each run')
-                  for profile in settlings(view.run_time, FASTEST_S)]
-        runs = np.unique(view.run)
-        if len(runs) > 1:
-            own = Made((2 * len(runs), *view.reading.shape), _each_run, view.by_laser, view.run, runs)
-            names = tuple(f'{view.run_ids[run]} {axis}' for run in runs for axis in 'uv')
-            forms += [follow(view, profile, own, names, 1e-5, 'rad', 'each run on its own')
-                      for profile in settlings(view.run_time, FASTEST_S)[:1]]
-        return forms
+        return [follow(view, profile, view.by_laser, ('u', 'v'), 1e-5, 'rad') for profile in drift_profiles(view)]
 
     def guess(self, fitted: Fitted) -> Mapping[str, object]:
         return fitted.profile(fitted.view.by_laser)

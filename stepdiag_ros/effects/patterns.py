@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from stepdiag_ros.effects.base import Form, StopView
-from stepdiag_ros.effects.timeforms import SLOWING, TimeProfile, drift_form, exponential
+from stepdiag_ros.effects.timeforms import SLOWING, TimeProfile, drift_form, exponential, time_profiles, unknown
 
 BETWEEN_SETUPS = 0.1
 """Standard deviation from setup to setup of what is nearly the same in all, as a share of it."""
@@ -160,6 +160,50 @@ def _two(time: np.ndarray, fast: float, slow: float, ratio: float = 1.0) -> Time
                   sum(w * c.rates for w, c in zip(weights, both, strict=True)),
                   {'fast_s': fast, 'slow_s': slow, 'ratio': ratio},
                   lambda shape: _two(time, shape['fast_s'], shape['slow_s'], shape['ratio']))
+
+
+ANEW_S = 20.0
+"""Least time constant [s] of what begins anew with a run or a setup: what is over sooner is a jump."""
+ANEW_WAVES = 6
+"""Half waves of an unknown profile that begins anew."""
+BETWEEN_PARTS = 0.3
+"""Standard deviation from one to the next of the amount of what begins anew nearly alike, as a share of it."""
+MOST_OWN = 40
+"""Parts of a log up to which each may have an amount of its own; with more the whole log's unknown profile tells."""
+
+
+def drift_profiles(view: StopView) -> list[TimeProfile]:
+    """Time profiles of a drift, whatever drifts: those that begin with the log
+    (:func:`~stepdiag_ros.effects.timeforms.time_profiles`), and those that begin anew with each run or setup, alike in
+    all of them or by an amount of its own in each."""
+    return [*time_profiles(view.elapsed, view.watches), *anew(view.run_time, view.run, 'run'),
+            *anew(view.mount_time, view.setup, 'setup')]
+
+
+def anew(since: np.ndarray, part: np.ndarray, what: str) -> list[TimeProfile]:
+    """Profiles that begin anew in each ``part`` (n,) of the log, ``since`` (n,) [s] counted from there."""
+    parts = np.unique(part)
+    if len(parts) < 2:
+        return []
+    plain = settlings(since, ANEW_S)
+    smooth = unknown(since, most=ANEW_WAVES)[-1]
+    profiles = [_relabelled(profile, f'anew in each {what}, ') for profile in (*plain, smooth)]
+    if len(parts) <= MOST_OWN:
+        mask = part == parts[:, None]
+        some = plain[::3]
+        own, rates = (np.concatenate([one * mask for one in each])
+                      for each in ([p.values for p in some], [p.rates for p in some]))
+        profiles += [
+            TimeProfile(f'by its own amount in each {what}', own, rates, {}, sizes=np.ones(len(own))),
+            TimeProfile(f'nearly alike in each {what}', np.concatenate([smooth.values, own]),
+                        np.concatenate([smooth.rates, rates]), {},
+                        sizes=np.concatenate([smooth.sizes, np.full(len(own), BETWEEN_PARTS)]))]
+    return profiles
+
+
+def _relabelled(profile: TimeProfile, before: str) -> TimeProfile:
+    retune = None if profile.retune is None else lambda shape: _relabelled(profile.retune(shape), before)
+    return replace(profile, label=before + profile.label, retune=retune)
 
 
 def drawn_size(rng: np.random.Generator, low: float, high: float, size: int | None = None

@@ -12,7 +12,7 @@ import numpy as np
 from stepdiag_ros.effects.adoption import Fitted
 from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
 from stepdiag_ros.effects.made import joined
-from stepdiag_ros.effects.patterns import Drawn, drawn_size, each_alone, follow, recorded, saturating
+from stepdiag_ros.effects.patterns import Drawn, drawn_size, drift_profiles, each_alone, follow, recorded, saturating
 from stepdiag_ros.effects.timeforms import ROUGHNESS, drift_form, time_profiles
 
 HELD = {'': 0.0, ', held in the middle': 0.5, ', held at the end': 1.0}
@@ -57,7 +57,7 @@ class ScaleThermalExpansion(Effect):
         axes = ('X', 'Y', 'Z')
         growth = view.commanded.T[:, :, None] * view.by_shift
         pace = time_profiles(view.elapsed, view.watches)
-        forms = [follow(view, profile, growth, axes, 1e-5, '1') for profile in pace]
+        forms = [follow(view, profile, growth, axes, 1e-5, '1') for profile in drift_profiles(view)]
         # A scale that is held elsewhere than at its zero also shifts the axis as a whole: somewhere along the
         # travel, so that it is taken from the middle on, by at most half of it either way.
         travel = np.maximum(np.ptp(view.commanded, axis=0), 1e-3)

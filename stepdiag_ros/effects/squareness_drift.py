@@ -10,7 +10,7 @@ import numpy as np
 
 from stepdiag_ros.effects.adoption import Fitted
 from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
-from stepdiag_ros.effects.patterns import Drawn, drawn_size, each_alone, follow, saturating
+from stepdiag_ros.effects.patterns import Drawn, drawn_size, drift_profiles, each_alone, follow, saturating
 from stepdiag_ros.effects.timeforms import time_profiles
 from stepdiag_ros.model.machine import CURVES, SQUARENESS, SQUARENESS_SHIFT
 
@@ -42,7 +42,7 @@ class SquarenessDrift(Effect):
     def appearance(self, view: StopView) -> list[Form]:
         signature = np.stack([self._column(view, name) for name in SQUARENESS])
         pace = time_profiles(view.elapsed, view.watches)
-        return [follow(view, profile, signature, SQUARENESS, 1e-5, 'rad') for profile in pace] \
+        return [follow(view, profile, signature, SQUARENESS, 1e-5, 'rad') for profile in drift_profiles(view)] \
             + each_alone(view, pace, signature, SQUARENESS, 1e-5, 'rad')
 
     @staticmethod

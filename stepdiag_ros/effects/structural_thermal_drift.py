@@ -10,7 +10,7 @@ import numpy as np
 
 from stepdiag_ros.effects.adoption import Fitted
 from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
-from stepdiag_ros.effects.patterns import each_alone, follow
+from stepdiag_ros.effects.patterns import drift_profiles, each_alone, follow
 from stepdiag_ros.effects.timeforms import time_profiles
 
 
@@ -33,7 +33,7 @@ class StructuralThermalDrift(Effect):
 
     def appearance(self, view: StopView) -> list[Form]:
         pace, axes = time_profiles(view.elapsed, view.watches), ('X', 'Y', 'Z')
-        return [follow(view, profile, view.by_shift, axes, 1e-5) for profile in pace] \
+        return [follow(view, profile, view.by_shift, axes, 1e-5) for profile in drift_profiles(view)] \
             + each_alone(view, pace, view.by_shift, axes, 1e-5)
 
     def guess(self, fitted: Fitted) -> Mapping[str, object]:

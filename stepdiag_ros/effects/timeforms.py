@@ -58,19 +58,19 @@ def cycle(since: np.ndarray, period: float) -> TimeProfile:
                   lambda shape: cycle(since, shape['period_s']))
 
 
-def unknown(time: np.ndarray, watches: Sequence[np.ndarray] = ()) -> list[TimeProfile]:
+def unknown(time: np.ndarray, watches: Sequence[np.ndarray] = (), most: int = MOST_WAVES) -> list[TimeProfile]:
     """Time profiles of no known formula over ``time`` (n,) [s] since the log began: a straight line and half waves
     whose typical sizes fall with their number.
 
     ``cos(kπt/T)/k`` are the Karhunen-Loève functions of a walk at random (its mean left out), so their
     coefficients are a Gaussian process: how fine a profile is taken to be costs no more evidence than it
-    needs.  All begin at zero.  In each of ``watches``, stops (k,) that follow each other, there are finer ones:
-    between its ends a walk is a bridge independent of all else (Lévy's construction), in the same units
-    ``√(ℓ/T) sin(jπs/ℓ)/j``.
+    needs.  At most ``most`` of them are taken.  All begin at zero.  In each of ``watches``, stops (k,) that follow each
+    other, there are finer ones: between its ends a walk is a bridge independent of all else (Lévy's construction), in
+    the same units ``√(ℓ/T) sin(jπs/ℓ)/j``.
     """
     span = max(float(time.max()), 1e-9)
     share = time / span
-    number = np.arange(1, int(np.clip(len(time) // STOPS_A_WAVE, 5, MOST_WAVES)) + 1)
+    number = np.arange(1, int(np.clip(len(time) // STOPS_A_WAVE, 5, most)) + 1)
     values, slopes = _half_waves(share, number)
     rates = slopes / span
     bridges = [_bridge(time, watch) for watch in watches]

@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
-from stepdiag_ros.blind.hidden import Hidden, profile
+from stepdiag_ros.blind.forms_instrument import COUNTS, CountSlip
+from stepdiag_ros.blind.hidden import ANY, Hidden, Stage, profile
 from stepdiag_ros.blind.outside import OUTSIDE
 from stepdiag_ros.blind.outside_more import MORE
 from stepdiag_ros.blind.vocabulary import NAMES, VOCABULARY
-from stepdiag_ros.blind.world import Order, make
+from stepdiag_ros.blind.world import LARGE, Order, draw_target, make
 from stepdiag_ros.effects import VOCABULARY as CONTRACT
 
 ALL = [kind.name for kind in (*VOCABULARY, *OUTSIDE, *MORE)]
@@ -84,3 +85,46 @@ def test_null_log_holds_nothing_but_noise() -> None:
     assert made.truth['effects'] == []
     assert 'visibility' not in made.truth
     assert made.effects == ()
+
+
+def wide_stage() -> Stage:
+    """Six runs of a minute, two in each of three setups, with pauses."""
+    begin = np.array([0.0, 70.0, 400.0, 470.0, 800.0, 870.0])
+    return Stage(None, 930.0, np.stack([begin, begin + 60.0], axis=1), np.repeat(np.arange(3), 2), wide=True)
+
+
+@pytest.mark.parametrize('seed', range(4))
+@pytest.mark.parametrize('begins', ANY)
+def test_profiles_of_wide_worlds_begin_as_drawn(begins: str, seed: int) -> None:
+    stage = wide_stage()
+    (along,), (kind,) = stage.profiles(np.random.default_rng(seed), 1, {begins: 1.0})
+    starts = stage.runs[:, 0]
+    assert along(np.zeros(1))[0] == pytest.approx(0.0, abs=1e-12)
+    assert np.ptp(along(np.linspace(0.0, stage.span_s, 2000))) > 0.1
+    again = {'run': starts, 'setup': starts[::2]}.get(begins)
+    if again is not None:
+        np.testing.assert_allclose(along(again), 0.0, atol=1e-12)
+        assert np.all(np.abs(along(again + 30.0)) > 1e-6)
+    if begins == 'door':
+        assert not along(np.linspace(0.0, 0.15 * stage.span_s, 50)).any()
+    if begins == 'jump':
+        assert set(along(np.linspace(0.0, stage.span_s, 2000))) == {0.0, 1.0}
+    if begins == 'rest':   # cools in the pause between two setups
+        assert along(np.array([399.0]))[0] < along(np.array([129.0]))[0]
+    assert kind.endswith(begins) or begins == 'log'
+
+
+def test_slips_of_wide_worlds_are_whole_counts() -> None:
+    made = make(Order('develop', 7, 6, 'single', ('count_slip',), 'field', small=True, wide=True))
+    slip = made.effects[0]
+    assert isinstance(slip, CountSlip)
+    unit = made.truth['effects'][0]['count_m']
+    assert unit in COUNTS
+    change = (made.log.displacement.values - made.yardstick.log.displacement.values)[:, 0]
+    np.testing.assert_allclose(change / unit, np.rint(change / unit), atol=1e-6)
+    assert np.abs(change).max() > 0.9 * unit
+
+
+def test_wide_worlds_hold_larger_effects() -> None:
+    drawn = [[draw_target(np.random.default_rng(seed), False, wide) for seed in range(400)] for wide in (False, True)]
+    assert max(drawn[0]) <= LARGE < max(drawn[1]) <= 4.0 * LARGE
