@@ -27,8 +27,8 @@ def judge_floors(folder: Path, processes: int = 2, progress: bool = True) -> Non
 
 
 def judge_apart(folder: Path, processes: int = 2, progress: bool = True) -> None:
-    """Find for every log with one effect that counts how far the nearest competing effect stays off."""
-    _judge(folder, ('single',), 'least_apart', _apart, processes, progress)
+    """Find for every log with one effect that counts how far the nearest effect of the vocabulary stays off."""
+    _judge(folder, ('single', 'outside'), 'least_apart', _apart, processes, progress)
 
 
 def _floor(purpose: str, seed: int, entry: Entry) -> Entry:
@@ -40,7 +40,7 @@ def _apart(purpose: str, seed: int, entry: Entry) -> Entry:
     left = apart(made, observe(made.yardstick.log))
     own = made.effects[0].name
     rival = min((n for n in left if n != own), key=left.__getitem__)
-    return {'least_apart': left[rival], 'rival': rival, 'own_left': left[own]}
+    return {'least_apart': left[rival], 'rival': rival, 'own_left': left.get(own)}
 
 
 def _judge(folder: Path, categories: tuple[str, ...], key: str, judged: Callable[[str, int, Entry], Entry],

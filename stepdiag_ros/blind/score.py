@@ -16,9 +16,11 @@ from stepdiag_ros.gap.inference.search import NOTHING
 from stepdiag_ros.model.machine import CURVES, SQUARENESS, Curve, GeometricErrors
 
 COUNTS_FROM = 8.0
-CURVE_EDGES = (3.0, 4.0, 5.5, 8.0, 11.0, 15.0, 20.0, 40.0)
-NAMED_FROM = 0.5
-"""An effect is named when it gets at least this probability."""
+CURVE_EDGES = (3.0, 4.0, 5.5, 8.0, 11.0, 15.0, 20.0, 40.0, 200.0, 1000.0, 4000.0)
+LARGE = 200.0
+"""Visibility from which effects are large: their calibration stands apart too."""
+NAMED_FROM, SURE = 0.5, 0.85
+"""An effect is named when it gets at least the first probability, and surely with the second."""
 COVER = 0.9
 """Where: the smallest set of cells that holds this share of the excess."""
 CHANNELS = ('displacement', 'spot_x', 'spot_y')
@@ -73,7 +75,7 @@ class Case:
 
     @property
     def separable(self) -> bool:
-        """Whether the sealed truth says that no other could stand for the effect."""
+        """Whether the sealed truth says that no (other) effect of the vocabulary could stand for the one that acts."""
         return self.truth.get('least_apart', np.inf) >= SEPARABLE
 
 
@@ -112,6 +114,10 @@ def score(cases: Sequence[Case]) -> dict[str, Any]:
         'set_size': mean(len(credible_set(c)) for c in single),
         'outside_unknown': share(outside, lambda c: c.unknown and not c.named),
         'outside_misnamed': share(outside, lambda c: bool(c.named)),
+        'outside_sure': share(outside, lambda c: any(e['probability'] >= SURE for e in c.gap['effects'])),
+        'outside_unknown_separable': share([c for c in outside if c.separable], lambda c: c.unknown and not c.named),
+        'outside_sure_separable': share([c for c in outside if c.separable],
+                                        lambda c: any(e['probability'] >= SURE for e in c.gap['effects'])),
         'pair_exact': share(pair, lambda c: set(c.named) == set(c.true_names)),
         'where_f1': mean(where_f1(c) for c in known if c.alarmed and c.in_means),
         'gap_closed': mean(closed(c) for c in known if c.alarmed and np.isfinite(closed(c))),
@@ -123,6 +129,7 @@ def score(cases: Sequence[Case]) -> dict[str, Any]:
         'bias_removed_median': median(v for c in known if np.isfinite(v := bias_removed_of(c))),
         'en_at_most_1': en_within(known),
         'calibration_error': calibration(cases)['error'],
+        'calibration_error_large': calibration([c for c in cases if c.weakest >= LARGE])['error'],
         'seconds': median(c.extra['seconds'] for c in cases)}
     return {'figures': figures, 'curve': curve(cases), 'calibration': calibration(cases),
             'by_effect': by_effect(cases), 'seconds_at_most': float(

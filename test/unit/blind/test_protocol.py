@@ -139,17 +139,20 @@ def test_purposes_never_share_a_log() -> None:
 
 def test_open_asks_the_sealed_worlds(copy: Path, monkeypatch: pytest.MonkeyPatch,
                                      capsys: pytest.CaptureFixture[str]) -> None:
-    """What noise alone leaves and how far competing effects are, of each log with effects of the vocabulary."""
+    """What noise alone leaves of each log with effects of the vocabulary; how far what competes with one effect is."""
     monkeypatch.setattr('stepdiag_ros.blind.judge.COUNTS_FROM', 0.0)
     assert main(['blind', 'open', str(copy), '--floor', '--apart', '--settle', '--processes', '1', '--quiet']) == 0
     assert 'gap closed on held-out data' in capsys.readouterr().out
     logs = json.loads((copy / SEALED).read_text())['logs']
     judged = json.loads((copy / 'worlds.json').read_text())
-    assert set(judged) == {name for name, entry in logs.items() if entry['category'] == 'single'}
-    assert all(entry['noise_chi2'] > 0.0 and entry['least_apart'] >= 0.0 for entry in judged.values())
+    one = {category: {name for name, entry in logs.items() if entry['category'] == category}
+           for category in ('single', 'outside')}
+    assert set(judged) == one['single'] | one['outside']
+    assert all(entry['least_apart'] >= 0.0 and entry['rival'] in NAMES for entry in judged.values())
+    assert all((judged[name].get('noise_chi2', 0.0) > 0.0) == (name in one['single']) for name in judged)
     assert (copy / 'settled.json').exists()
     # What is judged already is kept.
-    (copy / 'worlds.json').write_text(json.dumps({name: {'noise_chi2': 7.0} for name in judged}))
+    (copy / 'worlds.json').write_text(json.dumps({name: {'noise_chi2': 7.0} for name in one['single']}))
     judge_floors(copy, processes=1, progress=False)
     assert all(entry == {'noise_chi2': 7.0} for entry in json.loads((copy / 'worlds.json').read_text()).values())
 
