@@ -191,7 +191,8 @@ def stop_columns(kind: str, setting: Setting) -> sparse.csr_array:
     place, count = _places(setting)
     visits = np.bincount(place, minlength=count)[place]
     each = replace(setting, table=replace(setting.table, index=np.arange(len(setting.table))))
-    return sparse.csr_array(STOPWISE[kind](each).multiply(np.sqrt(np.repeat(visits, setting.readings.shape[1]))[:, None]))
+    weight = np.sqrt(np.repeat(visits, setting.readings.shape[1]))
+    return sparse.csr_array(STOPWISE[kind](each).multiply(weight[:, None]))
 
 
 def arrival_columns(setting: Setting) -> sparse.csr_array:
