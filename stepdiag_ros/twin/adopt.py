@@ -14,7 +14,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import yaml
 
-from stepdiag_ros.effects.base import Effect
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate.enhanced import Fit
 from stepdiag_ros.estimate.gauge import slope_weights
@@ -24,7 +23,7 @@ from stepdiag_ros.gap.inference.averaged import averaged_fit
 from stepdiag_ros.gap.inference.joint import inverse
 from stepdiag_ros.gap.preprocess.observe import sane_fit
 from stepdiag_ros.model.machine import CURVES
-from stepdiag_ros.twin.physical import physical
+from stepdiag_ros.twin.physical import Physical, physical
 from stepdiag_ros.twin.twin import Twin
 from stepdiag_ros.virtual.cell import Cell, parse_cell
 
@@ -32,6 +31,10 @@ SQUARE_OF = {'EXY': ('EC0Y', -1.0), 'EXZ': ('EB0Z', 1.0), 'EYZ': ('EA0Z', -1.0)}
 """Straightness curve whose slope is a squareness error, and its sign."""
 CLOSED = 1.05
 """Times the noise up to which an adopted simulator closes the gap."""
+ROUNDS = 6
+"""Turns of machine and effects at most."""
+STEADY = 0.98
+"""Turns end when the reduced χ² of what is left does not shrink below this share."""
 RESET_S = 0.02
 """The simulator's time between in position and the first dwell of a run."""
 FAST = 1000.0
@@ -66,30 +69,17 @@ def adopt(diagnosis: Diagnosis, base: Mapping[str, Any] | None = None) -> Adopte
         cell['air'] = _air(diagnosis)
         cell['sampling'] = _sampling(diagnosis)
     effects = dict(cell.get('effects') or {})
-    notes: list[str] = []
-    twin = Twin(diagnosis, _bare(cell, diagnosis.joint.fit, base))
-    adopted: list[Effect] = []
-    taken = sum(a.contribution for a in diagnosis.joint.active if not a.effect.name)
-    for name in dict.fromkeys(f.name for f in diagnosis.effects):
-        found = next(f for f in diagnosis.effects if f.name == name)
-        said = physical(diagnosis, found, twin)
-        taken = taken + said.contribution
-        values = said.values
-        if said.note:
-            notes.append(f'{found.name}: {said.note}')
-        if values:
-            if found.name in effects:
-                raise StepdiagError(f'the cell has {found.name} already; take it out of the file that --cell '
-                                    'names, the diagnosis finds its whole size')
-            effects[found.name] = values
-            if said.effect is not None:
-                adopted.append(said.effect)
-    cell['effects'] = effects
-    fit = _machine_without(diagnosis, taken)
+    for found in diagnosis.effects:
+        if found.name in effects:
+            raise StepdiagError(f'the cell has {found.name} already; take it out of the file that --cell '
+                                'names, the diagnosis finds its whole size')
+    fit, said, left, chi2 = _in_turn(diagnosis, cell, base)
+    notes = [f'{name}: {one.note}' for name, one in said.items() if one.note]
+    cell['effects'] = effects | {name: one.values for name, one in said.items() if one.values}
     cell['geometry'] = _geometry(fit)
     cell['misalignments'] = {'given': _misalignments(fit, base)}
+    adopted = [one.effect for one in said.values() if one.effect is not None]
     twin = Twin(diagnosis, _bare(cell, fit, base))
-    left, chi2 = twin.left(adopted)
     times = float(np.sqrt(chi2))
     notes.append(f'run along the moves of the log this simulator leaves {times:.2f} times its noise at the '
                  f'stops (reduced chi2 {chi2:.2f})' + (
@@ -102,6 +92,28 @@ def adopt(diagnosis: Diagnosis, base: Mapping[str, Any] | None = None) -> Adopte
                      + ', '.join(sorted({n for u in diagnosis.solution.unidentifiable for n in u.names})[:8]))
     made = sum((twin.adds(effect).mean(axis=1) for effect in adopted), np.zeros_like(left))
     return Adopted(cell, tuple(notes), made, left)
+
+
+def _in_turn(diagnosis: Diagnosis, cell: Mapping[str, Any],
+             base: Mapping[str, Any] | None) -> tuple[Fit, dict[str, Physical], np.ndarray, float]:
+    """The machine, each effect in physical terms, and what they leave of the log (n, c) [m], with its reduced χ².
+
+    What an effect does to a spot depends on where the spot is, and so on the misalignments: a large effect, or one of
+    which a part was taken for a misalignment, moves these far, and machine and effects are found in turn until no less
+    is left.
+    """
+    taken = sum(a.contribution for a in diagnosis.joint.active if not a.effect.name)
+    fit, best, said = diagnosis.joint.fit, None, {}
+    for _ in range(ROUNDS):
+        twin = Twin(diagnosis, _bare(cell, fit, base))
+        said = {found.name: physical(diagnosis, found, twin, said.get(found.name)) for found in diagnosis.effects}
+        fit = _machine_without(diagnosis, taken + sum(one.contribution for one in said.values()))
+        left, chi2 = Twin(diagnosis, _bare(cell, fit, base)).left(
+            [one.effect for one in said.values() if one.effect is not None])
+        before, best = best, min((fit, said, left, chi2), best or (fit, said, left, chi2), key=lambda turn: turn[3])
+        if chi2 < 1.0 or (before is not None and chi2 > STEADY * before[3]):
+            break
+    return best
 
 
 def _bare(cell: Mapping[str, Any], fit: Fit, base: Mapping[str, Any] | None) -> Cell:

@@ -42,8 +42,8 @@ class Physical:
     effect: Effect | None = None
 
 
-def physical(diagnosis: Diagnosis, found: Found, twin: Twin) -> Physical:
-    """One effect in physical terms."""
+def physical(diagnosis: Diagnosis, found: Found, twin: Twin, near: Physical | None = None) -> Physical:
+    """One effect in physical terms; ``near``: the same as it was found with a machine that hardly differs."""
     nothing = np.zeros(diagnosis.nominal.view.reading.shape)
     if found.name == STAMPS:
         values = {sensor: found.parameters.get(f'{sensor}_s', 0.0) for sensor in ('interferometer', 'psd')}
@@ -60,10 +60,10 @@ def physical(diagnosis: Diagnosis, found: Found, twin: Twin) -> Physical:
     whole = sum(a.contribution for a in active)
     if active[0].effect.not_adopted:
         return Physical({}, active[0].effect.not_adopted, whole)
-    return _fitted(diagnosis, active, twin)
+    return _fitted(diagnosis, active, twin, near)
 
 
-def _fitted(diagnosis: Diagnosis, active: list[Active], twin: Twin) -> Physical:
+def _fitted(diagnosis: Diagnosis, active: list[Active], twin: Twin, near: Physical | None) -> Physical:
     space, effect = diagnosis.joint.parity, type(active[0].effect)
     own = sum(space.project(a.form) @ (a.coefficients / a.form.scale) for a in active)
     rest = unexplained(space, diagnosis.joint.active)
@@ -76,8 +76,9 @@ def _fitted(diagnosis: Diagnosis, active: list[Active], twin: Twin) -> Physical:
         made = twin.projected(twin.adds(effect(**values)))
         return target - (made - basis @ (basis.T @ made))
 
-    best, left = min((_refined(effect.parameters, start, missed)
-                      for start in _starts(diagnosis, active, effect, target, missed)), key=lambda pair: pair[1])
+    starts = [{p.name: near.values[p.name] for p in effect.parameters}] if near is not None and near.values else \
+        _starts(diagnosis, active, effect, target, missed)
+    best, left = min((_refined(effect.parameters, start, missed) for start in starts), key=lambda pair: pair[1])
     # Noise is left in any case; what counts is how much more than the forms leave.
     noise, nothing = (v - basis @ (basis.T @ v) for v in (rest, target))
     done = (nothing @ nothing - left) / max(float(nothing @ nothing - noise @ noise), 1e-300)

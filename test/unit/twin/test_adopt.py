@@ -16,7 +16,7 @@ from stepdiag_ros.virtual.cell import Cell, parse_cell
 from stepdiag_ros.virtual.offline import simulate_log
 
 CASES = {'backlash': {'B': [4e-6, 3e-6, 5e-6]},
-         'psd_zero_offset': {'x': 3e-4, 'y': -2e-4},
+         'psd_zero_offset': {'x': 5e-5, 'y': -1.8e-3},   # so large that machine and effect are found in turn
          'mirror_curvature': {'radius': 1200.0, 'astigmatism': 0.0},
          'structural_thermal_drift': {'amp': [9e-5, -6e-5, 1.2e-4], 'tau': 300.0},
          'count_slip': {'jump': 6e-6, 'arrival': 60.0}}
