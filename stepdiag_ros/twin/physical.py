@@ -16,7 +16,7 @@ from stepdiag_ros.effects.base import Effect, Parameter
 from stepdiag_ros.gap.diagnosis import STAMPS, Diagnosis, Found
 from stepdiag_ros.gap.inference.joint import Active, unexplained
 from stepdiag_ros.twin.guess import Values, guess
-from stepdiag_ros.twin.story import basis_of, unknown_starts
+from stepdiag_ros.twin.story import basis_of, started, unknown_starts
 from stepdiag_ros.twin.twin import Twin
 
 LOSS = 0.05
@@ -91,8 +91,7 @@ def _fitted(diagnosis: Diagnosis, active: list[Active], twin: Twin, near: Physic
     added = twin.adds(fitted)
     # Where it is the story that differs, the machine must not be made to imitate it.
     apart = sum(a.contribution for a in active) - added.mean(axis=1)
-    sizes = np.linalg.lstsq(space.stop_part(story), space.stop_part(apart[None])[:, 0], rcond=1e-10)[0]
-    before = np.tensordot(sizes, story, axes=1)
+    before = started(story, space, apart)
     seen = basis.T @ (rest + own - twin.projected(added))
     if seen @ seen > LOSS * float(nothing @ nothing):
         notes.append('how the axes came to the first stop of a setup is the log\'s own story: until each has moved '

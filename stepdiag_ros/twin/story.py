@@ -12,6 +12,8 @@ from stepdiag_ros.gap.inference.parity import Parity
 from stepdiag_ros.gap.inference.select_effects import noise_of
 from stepdiag_ros.gap.preprocess.observe import Observation
 
+REACH_M = 1e-4
+"""No axis is farther off by how it came to its first stops [m]."""
 SURE = 5.0
 """Standard deviations by which noise must be exceeded."""
 
@@ -37,8 +39,20 @@ def starts_in(observation: Observation, reach: float) -> np.ndarray | None:
     columns = unknown_starts(observation.view)
     space = fit_jointly(observation, [], noise_of(observation)).parity
     design, data = space.stop_part(columns), space.data[:space.stops]
-    sizes = np.linalg.solve(design.T @ design + np.eye(len(columns)) / reach**2, design.T @ data)
+    sizes = _sizes(design, data, reach)
     gain = float(data @ data - np.sum((data - design @ sizes) ** 2))
     if gain < len(columns) + SURE * np.sqrt(2.0 * len(columns)):
         return None
     return np.tensordot(sizes, columns, axes=1)
+
+
+def started(columns: np.ndarray, space: Parity, apart: np.ndarray) -> np.ndarray:
+    """What of ``apart`` (n, c) [m] the ``columns`` (k, n, c) of :func:`unknown_starts` do: as much as the readings show,
+    and nothing along what the machine could do as well."""
+    sizes = _sizes(space.stop_part(columns), space.stop_part(apart[None])[:, 0], REACH_M)
+    return np.tensordot(sizes, columns, axes=1)
+
+
+def _sizes(design: np.ndarray, data: np.ndarray, reach: float) -> np.ndarray:
+    """Coefficients (k,) [m] of white columns (N, k), some ``reach`` [m] each."""
+    return np.linalg.solve(design.T @ design + np.eye(design.shape[1]) / reach**2, design.T @ data)

@@ -16,7 +16,8 @@ from stepdiag_ros.virtual.cell import Cell, parse_cell
 from stepdiag_ros.virtual.offline import simulate_log
 
 CASES = {'backlash': {'B': [4e-6, 3e-6, 5e-6]},
-         'psd_zero_offset': {'x': 5e-5, 'y': -1.8e-3},   # so large that machine and effect are found in turn
+         # So large that machine and effect have to be found in turn.
+         'ambient_light': {'level': 0.03, 'swing': 0.15, 'period': 300.0},
          'mirror_curvature': {'radius': 1200.0, 'astigmatism': 0.0},
          'structural_thermal_drift': {'amp': [9e-5, -6e-5, 1.2e-4], 'tau': 300.0},
          'count_slip': {'jump': 6e-6, 'arrival': 60.0}}
@@ -70,8 +71,9 @@ def test_without_the_effect_it_does_not(diagnosed, name):
 
 
 def test_parameters_are_the_true_ones(diagnosed):
-    _, written, _ = adopted(diagnosed('psd_zero_offset', CASES['psd_zero_offset']))
-    assert written['effects']['psd_zero_offset'] == pytest.approx(CASES['psd_zero_offset'], abs=1e-6)
+    zero = {'x': 3e-4, 'y': -2e-4}
+    _, written, _ = adopted(diagnosed('psd_zero_offset', zero))
+    assert written['effects']['psd_zero_offset'] == pytest.approx(zero, abs=1e-6)
     _, written, _ = adopted(diagnosed('backlash', CASES['backlash']))
     assert written['effects']['backlash']['B'] == pytest.approx(CASES['backlash']['B'], abs=6e-7)
 
