@@ -63,7 +63,8 @@ class NonRigidCoupling(Effect):
         machine = moment.description.machine
         motion, by = round(self.motion), round(self.by)
         share = moment.commanded / np.array(machine.volume)
-        size = self.amp * share[:, self.axis] * share[:, by] ** self.power
+        # Rounding may leave a start corner a hair below zero.
+        size = self.amp * share[:, self.axis] * np.maximum(share[:, by], 0.0) ** self.power
         travel = moment.commanded.T[:, :, None] * np.eye(3)[:, None]
         none = np.zeros((3, len(size), 3))
         straight, _ = compose(machine.chain, travel, none, machine.tool)

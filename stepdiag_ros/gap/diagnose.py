@@ -12,6 +12,7 @@ The steps, each in a package of its own:
 """
 
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -35,11 +36,12 @@ from stepdiag_ros.gap.inference.search import NOTHING, EffectSet, probabilities
 from stepdiag_ros.gap.noise.disturbances import disturbed
 from stepdiag_ros.gap.noise.incoherent_lines import Vibration
 from stepdiag_ros.gap.noise.scatter import excess_scatter
-from stepdiag_ros.gap.noise.stated import stated
+from stepdiag_ros.gap.noise.stated import noisier, stated
 from stepdiag_ros.gap.preprocess.clocks import Late, set_clocks
 from stepdiag_ros.gap.preprocess.detector_range import within_range
-from stepdiag_ros.gap.preprocess.observe import observe
+from stepdiag_ros.gap.preprocess.observe import Observation, observe
 from stepdiag_ros.gap.preprocess.samples import clean
+from stepdiag_ros.gap.preprocess.timing import Timing
 from stepdiag_ros.gap.summary.cross_validation import CrossValidation, cross_validated, excess_forecast
 from stepdiag_ros.gap.summary.hint import hint_of
 from stepdiag_ros.gap.summary.where import shares
@@ -57,8 +59,7 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
     """Diagnose one log against ``effects`` (one instance of each class)."""
     effects = {effect.name: effect for effect in effects}
     log, unlit = on_centre(log)
-    log, left_out = clean(log)
-    log, observation, clocks, late = set_clocks(log, observe(log))
+    log, observation, clocks, late, left_out = _well_timed(log)
     observation, beyond_range = within_range(observation)
     observation, disturbances = disturbed(log, observation)
     found = settle_in_noise(observation, effects)
@@ -85,7 +86,7 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
     before, instead = disturbances.words({name: names.get(name, 0.0) for name in best.key})
     unmodelled = before or unmodelled or instead
     if not unmodelled and not shakes:
-        unmodelled = _without_pattern(joint, how_far, bool(found))
+        unmodelled = _without_pattern(joint, how_far, bool(found)) or ('' if found else noisier(joint))
     if unmodelled and UNKNOWN not in best.key and not untimed:
         outside[UNKNOWN] = BEYOND_PATTERNS
     if found and not unmodelled and (how_far.left > LEAST_LEFT and how_far.beyond_chance
@@ -106,6 +107,22 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
         log.warnings + observation.table.warnings + ((beyond_range,) if beyond_range else ()) + left_out + tuple(unlit)
         + stated(joint, disturbances.quanta), sets, screen, words, run,
         separations(sets, doubtful), hint, len(effects) + 1)
+
+
+def _well_timed(log: CalibrationLog) -> tuple[CalibrationLog, Observation, Mapping[str, Timing | None],
+                                              Mapping[str, Late], tuple[str, ...]]:
+    """The log with stamps put right and without what is no reading, observed; its clocks; what was left out, in words.
+
+    The sample at the end of a dwell that a wrong clock takes for one at rest is the first of the next move: what it
+    tells of the clock is read before it may count as a spike.
+    """
+    kept, _ = clean(log, ends=False)
+    stamped, observation, clocks, late = set_clocks(kept, observe(kept))
+    log, left_out = clean(replace(log, displacement=replace(log.displacement, time_ns=stamped.displacement.time_ns),
+                                  spot=replace(log.spot, time_ns=stamped.spot.time_ns)))
+    same = all(np.array_equal(a.values, b.values, equal_nan=True)
+               for a, b in ((log.displacement, stamped.displacement), (log.spot, stamped.spot)))
+    return log, observation if same else observe(log), clocks, late, left_out
 
 
 def _without_pattern(joint: Joint, how_far: CrossValidation, found: bool) -> str:

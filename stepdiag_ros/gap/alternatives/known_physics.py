@@ -9,6 +9,7 @@ another gain on one side of its middle, a standoff that is not as described, rea
 """
 
 from collections.abc import Iterator
+from itertools import product
 
 import numpy as np
 
@@ -114,12 +115,13 @@ def _detector(view: StopView) -> Iterator[Form]:
     columns = view.zeros(1)
     columns[0, :, x], columns[0, :, x + 1] = spot[:, 1], spot[:, 0]
     yield Form('spot: the axes of the detector are not square', columns, ('shear',), np.full(1, 0.02), '1')
-    for along, across, name in ((0, 0, 'x'), (1, 1, 'y'), (0, 1, 'x'), (1, 0, 'y')):
-        columns = view.zeros(1)
-        columns[0, :, x + across] = np.abs(spot[:, along]) if along == across else \
-            np.where(spot[:, along] > 0.0, spot[:, across], 0.0)
-        yield Form(f'spot_{"xy"[across]}: another gain on one side of {name} = 0', columns, ('gain',),
-                   np.full(1, 0.02), '1')
+    for along, across in product(range(2), repeat=2):
+        for side, half in (('above', spot[:, along] > 0.0), ('below', spot[:, along] < 0.0)):
+            columns = view.zeros(1)
+            columns[0, :, x + across] = np.where(half, spot[:, across], 0.0)
+            if np.any(columns):
+                yield Form(f'spot_{"xy"[across]}: another gain {side} {"xy"[along]} = 0', columns, ('gain',),
+                           np.full(1, 0.02), '1')
 
 
 def _standoff(view: StopView) -> Iterator[Form]:

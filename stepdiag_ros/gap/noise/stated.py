@@ -5,6 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from stepdiag_ros.estimate.noise import Law, NoiseModel
+from stepdiag_ros.gap.constants import NOISIER
 from stepdiag_ros.gap.inference.joint import Joint
 
 FAR = 3.0
@@ -26,7 +27,14 @@ def law_of(noise: NoiseModel) -> dict:
 
 def stated(joint: Joint, steps: np.ndarray) -> tuple[str, ...]:
     """What there is to say of the noise; ``steps`` (c,) [m] in which readings move, 0: in none."""
-    return (*_laws(joint.noise), *_inside(joint), *_steps(steps), *_beyond_description(joint))
+    return (*_laws(joint.noise), *_inside(joint), *_steps(steps),
+            *(words for times, words in _beyond_description(joint) if times > FAR))
+
+
+def noisier(joint: Joint) -> str:
+    """What is so much noisier than the description says that it is a finding, in words; '' where nothing is."""
+    times, words = max(_beyond_description(joint), default=(0.0, ''))
+    return words if times > NOISIER else ''
 
 
 def _laws(noise: NoiseModel) -> Iterator[str]:
@@ -54,8 +62,8 @@ def _steps(steps: np.ndarray) -> Iterator[str]:
             yield f'noise: {name}: readings move in steps of {width * 1e6:.3g} µm'
 
 
-def _beyond_description(joint: Joint) -> Iterator[str]:
-    """Where the noise seen is far from the one that the description states: either is worth knowing."""
+def _beyond_description(joint: Joint) -> Iterator[tuple[float, str]]:
+    """Times by which the noise seen exceeds the one that the description states, in words too."""
     log, table, noise = joint.observation.log, joint.observation.table, joint.noise
     said = log.description.noise
     pairs = [("an axis's error at each arrival", rms(noise.position, noise.position_law),
@@ -65,9 +73,9 @@ def _beyond_description(joint: Joint) -> Iterator[str]:
              ('a sample of the displacement', _median(table.displacement_scatter), said.displacement, len(table), 'm'),
              ('a sample of the spot', _median(table.spot_scatter), said.spot, len(table), 'm')]
     for what, seen, stated_, dof, unit in pairs:
-        if dof and stated_ > 0.0 and seen > FAR * stated_:
-            yield (f'the log is noisier than its description: {what} scatters by {seen:.2g} {unit}, '
-                   f'{seen / stated_:.2g} times the {stated_:.2g} {unit} stated')
+        if dof and stated_ > 0.0:
+            yield seen / stated_, (f'the log is noisier than its description: {what} scatters by {seen:.2g} {unit}, '
+                                   f'{seen / stated_:.2g} times the {stated_:.2g} {unit} stated')
 
 
 def _median(scatter: np.ndarray) -> float:

@@ -42,10 +42,11 @@ class LeftOut:
         return f'{sensor}: samples left out: {", ".join(parts)}' if parts else ''
 
 
-def clean(log: CalibrationLog) -> tuple[CalibrationLog, tuple[str, ...]]:
-    """The log with NaN for samples that are no readings, and what was left out in words."""
-    displacement, first = _clean(log, log.displacement, log.displacement.health <= 0.0)
-    spot, second = _clean(log, log.spot, _dark(log.spot.health))
+def clean(log: CalibrationLog, ends: bool = True) -> tuple[CalibrationLog, tuple[str, ...]]:
+    """The log with NaN for samples that are no readings, and what was left out in words; ``ends``: whether a sample at
+    the end of a dwell may be a spike, or could be of the next move, as where a clock is off."""
+    displacement, first = _clean(log, log.displacement, log.displacement.health <= 0.0, ends)
+    spot, second = _clean(log, log.spot, _dark(log.spot.health), ends)
     words = (first.words('interferometer'), second.words('position sensor'))
     return replace(log, displacement=displacement, spot=spot), tuple(w for w in words if w)
 
@@ -83,7 +84,7 @@ def _dark(intensity: np.ndarray) -> np.ndarray:
     return ~(intensity > DARK * np.median(lit))
 
 
-def _clean(log: CalibrationLog, samples: Samples, dark: np.ndarray) -> tuple[Samples, LeftOut]:
+def _clean(log: CalibrationLog, samples: Samples, dark: np.ndarray, ends: bool) -> tuple[Samples, LeftOut]:
     if not len(samples):
         return samples, LeftOut(0.0, 0.0, 0.0)
     values = np.where(dark[:, None], np.nan, samples.values)
@@ -93,7 +94,7 @@ def _clean(log: CalibrationLog, samples: Samples, dark: np.ndarray) -> tuple[Sam
     dark = inside & ~np.isfinite(values[:, used]).all(axis=1)
     repeated = _repeated(values[:, used], dwell)
     values[repeated] = np.nan
-    spikes = _spikes(values[:, used], dwell, samples.setup)
+    spikes = _spikes(values[:, used], dwell, samples.setup, ends)
     values[spikes] = np.nan
     count = max(int(inside.sum()), 1)
     return replace(samples, values=values), LeftOut(dark.sum() / count, repeated.sum() / count, spikes.sum() / count)
@@ -123,8 +124,9 @@ def _repeated(values: np.ndarray, dwell: np.ndarray) -> np.ndarray:
     return again
 
 
-def _spikes(values: np.ndarray, dwell: np.ndarray, setup: np.ndarray) -> np.ndarray:
-    """Samples (n,) in a dwell that stand out of both their neighbours to one side, by far more than noise does."""
+def _spikes(values: np.ndarray, dwell: np.ndarray, setup: np.ndarray, ends: bool) -> np.ndarray:
+    """Samples (n,) in a dwell that stand out of both their neighbours to one side, by far more than noise does; at the
+    ``ends`` of a dwell of the only one."""
     out = np.zeros(len(values), bool)
     # Neighbours are those that are left: what is without signal stands between none.
     for k in range(values.shape[1]):
@@ -138,8 +140,8 @@ def _spikes(values: np.ndarray, dwell: np.ndarray, setup: np.ndarray) -> np.ndar
         before, after = np.append(np.nan, step), np.append(-step, np.nan)
         stands = np.where(before * after > 0.0, np.minimum(np.abs(before), np.abs(after)), 0.0)
         size = np.concatenate([[np.nan, np.nan], np.abs(step), [np.nan, np.nan]])
-        first = np.isnan(before) & (size[2:-1] > ALONE * size[3:])
-        last = np.isnan(after) & (size[1:-2] > ALONE * size[:-3])
+        first = ends & np.isnan(before) & (size[2:-1] > ALONE * size[3:])
+        last = ends & np.isnan(after) & (size[1:-2] > ALONE * size[:-3])
         stands = np.where(first, size[2:-1], np.where(last, size[1:-2], stands))
         for s in np.unique(setup[kept]):
             mine = setup[kept] == s

@@ -22,6 +22,8 @@ LEAST_MOVES = 24
 """Fewest moves from which the delay between two sensors is estimated."""
 LEAST_STRETCHES = 6
 """Fewest stretches by which those moves must agree."""
+LONGER = 4
+"""Times a delay between the sensors is sought again, once what was found of it is taken off."""
 MOST_NOISE = 0.5
 """Noise over step of a move, above which it says next to nothing of a delay; hundreds of faint moves together do."""
 FAINT = 1e-5
@@ -145,8 +147,20 @@ def apart(log: CalibrationLog, table: StopTable) -> tuple[float, float] | None:
     In each move the spot's progress p is the displacement's, later by τ and bent by the guides:
     p_spot − p = −τ dp/dt + κ p (1 − p), over all samples of the move.  A bend changes its sign with the
     direction of motion, a delay does not: the moves to and fro over one stretch share a bend, which by one of
-    them alone is hardly distinguished from a delay.
+    them alone is hardly distinguished from a delay.  That is so of a delay that is short against the moves; a longer
+    one is taken off and the rest sought again.
     """
+    about, found = 0.0, _apart(log, table, 0.0)
+    for _ in range(LONGER):
+        if found is None or abs(found[0]) < found[1]:
+            break
+        about += found[0]
+        found = _apart(log, table, about)
+    return None if found is None else (about + found[0], found[1])
+
+
+def _apart(log: CalibrationLog, table: StopTable, about: float) -> tuple[float, float] | None:
+    """:func:`apart` of a spot whose samples were stamped ``about`` [s] earlier."""
     stretches: dict[tuple, list[np.ndarray]] = {}
     rests = [cache(partial(_rest, samples, table, quantum(samples, rows, table.run)))
              for samples, rows in ((log.displacement, table.displacement_rows), (log.spot, table.spot_rows))]
@@ -158,6 +172,7 @@ def apart(log: CalibrationLog, table: StopTable) -> tuple[float, float] | None:
         if one is None or two is None:
             continue
         (time, curve, _), (seen, spot, noise) = one, two
+        seen = seen - about
         place = np.interp(seen, time, curve)
         rate = np.interp(seen, time, np.gradient(curve, time))
         inside = (place > 0.02) & (place < 0.98)

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from stepdiag_ros.effects import effect_class
 from stepdiag_ros.estimate.reduce import reduce_log
 from stepdiag_ros.gap.preprocess.clocks import late_clocks
 from stepdiag_ros.gap.preprocess.samples import quantum
@@ -87,6 +88,25 @@ def test_moves_of_which_none_stands_out_tell_a_delay_together(case):
         seen, sigma = apart(loud, reduce_log(loud))
         assert abs(seen - delay) < 4.0 * sigma
         assert sigma < 6e-3
+
+
+def test_a_delay_that_is_long_against_the_moves_is_measured_too(case):
+    log = case.log()
+    table = reduce_log(log)
+    plain, sigma = apart(log, table)
+    late = replace(log, spot=replace(log.spot, time_ns=log.spot.time_ns - 130_000_000))
+    delay, _ = apart(late, table)
+    assert delay - plain == pytest.approx(-0.13, abs=max(1e-3, 5.0 * sigma))
+
+
+def test_the_next_moves_first_sample_in_a_dwell_tells_of_a_clock_and_is_no_spike(case):
+    """Both sensors early, each in its own way; nothing else is found, and both offsets are as they are."""
+    early = effect_class('clock_skew')(interferometer=-0.033, psd=-0.16)
+    found = case.diagnose(early)
+    assert [f.name for f in found.effects] == ['clock_skew'] and found.verdict == 'explained', found.unmodelled
+    said = found.effects[0].parameters
+    assert said['interferometer_s'] == pytest.approx(-0.033, abs=5e-3)
+    assert said['psd_s'] == pytest.approx(-0.16, abs=5e-3)
 
 
 @pytest.mark.parametrize('offset', [-0.08, 0.05])
