@@ -47,8 +47,8 @@ def starts_in(observation: Observation, reach: float) -> np.ndarray | None:
 
 
 def started(columns: np.ndarray, space: Parity, apart: np.ndarray) -> np.ndarray:
-    """What of ``apart`` (n, c) [m] the ``columns`` (k, n, c) of :func:`unknown_starts` do: as much as the readings show,
-    and nothing along what the machine could do as well."""
+    """What of ``apart`` (n, c) [m] the ``columns`` (k, n, c) of :func:`unknown_starts` do: as much as the readings
+    show, and nothing along what the machine could do as well."""
     sizes = _sizes(space.stop_part(columns), space.stop_part(apart[None])[:, 0], REACH_M)
     return np.tensordot(sizes, columns, axes=1)
 

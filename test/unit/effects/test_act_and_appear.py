@@ -268,7 +268,7 @@ def test_forms_are_whole(bench, name):
                                   if n not in ('count_slip', 'non_rigid_coupling', 'vibration', 'clock_skew')])
 def test_forms_are_few(bench, name):
     forms = effect_class(name)().appearance(bench.view)
-    assert 0 < len(forms) <= 60
+    assert 0 < len(forms) <= 80
     assert len({form.label for form in forms}) == len(forms)
 
 
