@@ -19,7 +19,7 @@ from stepdiag_ros.gap.alternatives.unmodelled import NAME, pattern_form
 from stepdiag_ros.model.machine import AXES, CURVES
 
 KNEES = (0.2, 0.35, 0.5, 0.65, 0.8)
-"""Shares of the range of lengths beyond which a reading is bent."""
+"""Shares of the range of lengths beyond which a reading is bent, or at which a leak of it saturates."""
 SPOTS_M = (2.5e-4, 4e-4, 6.3e-4, 1e-3)
 """Spots from which a leak saturates [m], so close that between two of them little is lost."""
 LEAST_MISSING = 0.01
@@ -60,7 +60,8 @@ def _at_long_range(view: StopView) -> Iterator[Form]:
 
 
 def _leak(view: StopView) -> Iterator[Form]:
-    """The spot shows in the length: by its distance from the middle, or along one direction, saturating."""
+    """The spot shows in the length: by its distance from the middle, or along one direction, saturating; or the length
+    in the spot."""
     spot = view.spot_model
     radius = np.linalg.norm(spot, axis=1) / 1e-3
     size = max(float(np.nanmax(radius)), 1e-3)
@@ -76,6 +77,14 @@ def _leak(view: StopView) -> Iterator[Form]:
             yield _lengths(view, f'displacement: follows the spot at {np.degrees(angle):.0f}°, saturating at '
                            f'{knee * 1e3:.1g} mm',
                            np.stack([leak, between * (1.0 - leak**2) * across / knee]), 1e-6)
+    # And the other way about, anywhere in the detector's plane: the length to the mirror, or as it is counted.
+    distance = view.distance[:, 0]
+    for what, length in (('distance', distance), ('displacement', distance - np.nanmin(distance))):
+        for knee in KNEES:
+            columns, most = view.zeros(2), max(float(np.nanmax(length)), 1e-9)
+            columns[0, :, view.beams] = columns[1, :, view.beams + 1] = np.tanh(length / (knee * most))
+            yield Form(f'spot: follows the {what}, saturating at {knee * most:.2g} m', columns, ('x', 'y'),
+                       np.full(2, 3e-6))
 
 
 def _twist(view: StopView) -> Iterator[Form]:
@@ -112,9 +121,11 @@ def _detector(view: StopView) -> Iterator[Form]:
     spot, x = view.spot_model, view.beams
     if not np.any(spot):
         return
-    columns = view.zeros(1)
-    columns[0, :, x], columns[0, :, x + 1] = spot[:, 1], spot[:, 0]
-    yield Form('spot: the axes of the detector are not square', columns, ('shear',), np.full(1, 0.02), '1')
+    across = view.zeros(2)
+    across[0, :, x], across[1, :, x + 1] = spot[:, 1], spot[:, 0]
+    for turned, columns in (('', across.sum(axis=0, keepdims=True)), (', y alone is turned', across[:1]),
+                            (', x alone is turned', across[1:])):
+        yield Form(f'spot: the axes of the detector are not square{turned}', columns, ('shear',), np.full(1, 0.02), '1')
     for along, across in product(range(2), repeat=2):
         for side, half in (('above', spot[:, along] > 0.0), ('below', spot[:, along] < 0.0)):
             columns = view.zeros(1)
