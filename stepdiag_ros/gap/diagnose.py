@@ -37,6 +37,7 @@ from stepdiag_ros.gap.noise.disturbances import disturbed
 from stepdiag_ros.gap.noise.incoherent_lines import Vibration
 from stepdiag_ros.gap.noise.scatter import excess_scatter
 from stepdiag_ros.gap.noise.stated import noisier, stated
+from stepdiag_ros.gap.noise.two_states import two_states
 from stepdiag_ros.gap.preprocess.clocks import Late, set_clocks
 from stepdiag_ros.gap.preprocess.detector_range import within_range
 from stepdiag_ros.gap.preprocess.observe import Observation, observe
@@ -126,10 +127,13 @@ def _well_timed(log: CalibrationLog) -> tuple[CalibrationLog, Observation, Mappi
 
 
 def _without_pattern(joint: Joint, how_far: CrossValidation, found: bool) -> str:
-    """Scatter beyond the noise and the discrepancies of the forms, or runs predicted worse than it, in words; '' where
-    there is none."""
+    """Scatter beyond the noise and the discrepancies of the forms, arrivals with two states, or runs predicted worse
+    than noise, in words; '' where there is none."""
     rest = residual(joint.parity, joint.active, joint.observation.view)
     evidence, words = excess_scatter(joint, rest)
+    if evidence > SCATTER_ALARM:
+        return words
+    evidence, words = two_states(joint)
     if evidence > SCATTER_ALARM:
         return words
     evidence, words = excess_forecast(how_far)
