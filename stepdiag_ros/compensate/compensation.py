@@ -14,6 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from stepdiag_ros.compensate.control import Control, Place
+from stepdiag_ros.compensate.fit_to_act import unfit
 from stepdiag_ros.compensate.functional import FunctionalPoint, functional_point, tables_of_line
 from stepdiag_ros.compensate.harmless import best_of_volume, held_back
 from stepdiag_ros.compensate.largest import largest
@@ -151,8 +152,7 @@ def compensation(solution: Solution, machine: Machine, control: Control, origin:
     place = place_of(machine, origin)
     known = openness(solution)
     refusals = [air] if air else []
-    if 'not converged' in solution.status:
-        refusals.append(f'the evaluation is {solution.status}')
+    refusals += unfit(solution)
     touched = _used(control, known.open, solution, known.unmeasured)
     if touched and not partial:
         refusals.append(f'the log leaves {", ".join(touched)} open ({"; ".join(known.runs)}); '
@@ -163,6 +163,7 @@ def compensation(solution: Solution, machine: Machine, control: Control, origin:
     # Where no rotation of an axis is known, nothing is known beside the line on which it was measured.
     whole = bool(measured) and all(kept.has(f'E{turn}{AXES[axis]}') for axis in measured for turn in 'ABC')
     point = _point(machine, point, whole)
+    place = place.of_tool(point.tool)
     held = control.read(present, place) if present else {}
     lost = _significant(reversal or {}, control)
 
@@ -245,7 +246,7 @@ def _of_line(solution: Solution, machine: Machine, point: FunctionalPoint, contr
     """What the control should take off: along the lines of ``point``, or the whole model."""
     names = [name for name in control.carries if solution.has(name)]
     if not control.whole_model:
-        return tables_of_line(solution.errors, machine, point, names, solution.positions)
+        return tables_of_line(solution.errors, machine, point, names, solution.positions, control.straight)
     taken = {}
     for name in names:
         position, value, _ = solution.curve(name)
@@ -363,7 +364,7 @@ def _not_carried(solution: Solution, machine: Machine, point: FunctionalPoint, c
     names, whole, rest = [n for n in control.carries if solution.has(n)], solution.errors, {}
 
     def left(single: GeometricErrors, at: np.ndarray) -> np.ndarray:
-        taken = tables_of_line(single, machine, point, names, solution.positions)
+        taken = tables_of_line(single, machine, point, names, solution.positions, control.straight)
         curves = {n: Curve(t.position, t.mean) for n, t in taken.items()}
         return deviation(single, machine, at, point.tool) - \
             deviation(GeometricErrors(curves, {}), machine, at, point.tool)

@@ -1,6 +1,7 @@
 """``stepdiag compensate`` and ``stepdiag verify`` as a user runs them, on logs of virtual machines."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from stepdiag_ros.compensate.compensation import compensation
 from stepdiag_ros.compensate.control import Place
 from stepdiag_ros.compensate.controls import CONTROLS
 from stepdiag_ros.compensate.taken import left_of
+from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate import evaluate
 from stepdiag_ros.estimate.methods import run_method
 from stepdiag_ros.virtual.cell import Cell, parse_cell
@@ -129,9 +131,10 @@ def test_a_log_of_one_axis_makes_one_file(tmp_path):
     rows = [f'{cycle},{way},{target},{1e-3 * (1.5 * target ** 2 + 0.02 * way):.6f}' for cycle in (1, 2, 3)
             for way, targets in ((1, range(5)), (-1, reversed(range(5)))) for target in targets]
     table.write_text('cycle,direction,target_mm,deviation_mm\n' + '\n'.join(rows) + '\n')
-    log = import_csv(table, 'x').log
+    log = import_csv(table, 'x', corrected=True).log
+    known = known_errors(log, 'stage_x')
     for kind, files in (('linuxcnc', {'x.comp', 'joints.ini'}), ('sinumerik', {'x_eec.mpf'}), ('isg', {'x.csv'})):
-        found = compensation(evaluate(log), log.description.machine, CONTROLS[kind], np.zeros(3)).checked()
+        found = compensation(known.solution, log.description.machine, CONTROLS[kind], np.zeros(3)).checked()
         assert set(found.files) == files
         assert {'EYY', 'EZZ'} <= set(found.unmeasured) and not found.whole_volume
         assert found.worst_after[0] < 0.01 * found.worst_before[0]
@@ -144,6 +147,24 @@ def refused(tmp_path_factory):
             'vacuum': bag_of(cell_of(compensated=False), folder / 'vacuum'),
             'no place': bag_of(cell_of(origin=None), folder / 'no_place'),
             'other': bag_of(cell_of(tool=[0.0, 0.0, -0.1]), folder / 'other')}
+
+
+@pytest.mark.parametrize(('column', 'said'), [('displacement', 'turn the sign of the displacement'),
+                                              ('spot', 'is inverted')])
+def test_a_mistake_of_commissioning_makes_no_table(place, tmp_path, capsys, column, said):
+    """A turned sign made tables of half a metre, a mirrored detector was taken for a gain."""
+    log = read_log(place / 'before')
+    samples = getattr(log, column)
+    turned = samples.values * ([-1.0] if column == 'displacement' else [1.0, -1.0])
+    write_log(replace(log, **{column: replace(samples, values=turned)}), tmp_path / 'bag')
+    bag = str(tmp_path / 'bag')
+    assert main(['compensate', bag, '--format', 'isg', '--out', str(tmp_path / 't')]) == 2
+    assert said in (line := one_line(capsys)) and 'mistake of commissioning' in line
+    assert not (tmp_path / 't').exists()
+    assert main(['verify', str(place / 'before'), bag, '--tolerance', '9um', '--out', str(tmp_path / 'v')]) == 2
+    assert said in one_line(capsys)
+    with pytest.raises(StepdiagError, match='mistake of commissioning'):
+        compensation(evaluate(read_log(bag)), log.description.machine, CONTROLS['linuxcnc']).checked()
 
 
 def one_line(capsys) -> str:
