@@ -52,8 +52,8 @@ def in_force(prediction: Path, predicted: Predicted, machine: Machine) -> tuple[
     for name, expected in predicted.files.items():
         now[name] = _text(folder / name)
         if hashlib.sha256(now[name].encode()).hexdigest() != expected:
-            raise StepdiagError(f'{folder / name}: is not the file that {prediction.name} was made with; give the folder '
-                                'as `stepdiag compensate` wrote it')
+            raise StepdiagError(f'{folder / name}: is not the file that {prediction.name} was made with; give the '
+                                'folder as `stepdiag compensate` wrote it')
     return control.read(before, place), control.read(now, place)
 
 

@@ -72,8 +72,8 @@ def run(args: argparse.Namespace) -> int:
         found = without(known.solution, left.unmeasured)
         solutions.append(found if nothing(taken) else remaining(found, taken))
         if not nothing(taken):
-            notes.append(f'{Path(bag).name}: measured under the volumetric compensation of {predicted.control}; of each '
-                         'error is shown what acts on the tool point')
+            notes.append(f'{Path(bag).name}: measured under the volumetric compensation of {predicted.control}; of '
+                         'each error is shown what acts on the tool point')
         notes += [f'{Path(bag).name}: {note}' for note in known.notes]
     found = verified(*solutions, machine, tolerances, tuple(map(_diagonals, logs)), predicted)
     document = found.to_json_dict() | {'before': args.before, 'after': args.after, 'notes': notes}

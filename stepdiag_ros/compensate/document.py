@@ -91,7 +91,8 @@ def predicted_of(text: str, source: str) -> Predicted:
                    np.array([*square.values(), data['after_as_measured']['largest_m']], float)]
         lengths = [len(c.position) == len(c.value) == len(sigma[n]) > 0 and c.position.ndim == 1
                    for n, c in curves.items()]
-        if not all(lengths) or tool.shape != (3,) or origin.shape != (3,) or not all(np.all(np.isfinite(v)) for v in numbers):
+        if not all(lengths) or tool.shape != (3,) or origin.shape != (3,) \
+                or not all(np.all(np.isfinite(v)) for v in numbers):
             raise ValueError('a number is missing or not finite')
         return Predicted(str(data['format']), tool, GeometricErrors(curves, square), sigma,
                          float(data['after_as_measured']['largest_m']),

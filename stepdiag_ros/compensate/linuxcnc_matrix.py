@@ -36,7 +36,8 @@ def write(taken: Taken, place: Place) -> dict[str, str]:
         if name in taken:
             error[AXES.index(name[1]), AXES.index(name[2])] = _slope(taken[name])
     tables = linuxcnc.write(taken, place)
-    return tables | {FILE: matrixkins_hal(np.linalg.inv(error)), linuxcnc.INI: KINEMATICS + tables.get(linuxcnc.INI, '')}
+    return tables | {FILE: matrixkins_hal(np.linalg.inv(error)),
+                     linuxcnc.INI: KINEMATICS + tables.get(linuxcnc.INI, '')}
 
 
 def _slope(trim: Trim) -> float:
@@ -60,8 +61,8 @@ def _lines(text: str, file: str, place: Place) -> dict[str, Trim]:
         except ValueError:
             raise StepdiagError(f'{file}: matrixkins.C_{row}{column} is {value!r}; give a number') from None
     if not np.max(np.abs(c - np.eye(3))) < MOST:
-        raise StepdiagError(f'{file}: the matrix of matrixkins differs from unity by {MOST:g} or more; only one of small '
-                            'errors can be added to')
+        raise StepdiagError(f'{file}: the matrix of matrixkins differs from unity by {MOST:g} or more; only one of '
+                            'small errors can be added to')
     error = np.linalg.inv(c) - np.eye(3)
     taken = {}
     for axis, letter in enumerate(AXES):
@@ -83,8 +84,8 @@ CONTROL = Control(
     'LinuxCNC source: trim = nominal - actual, added to the motor position (motion/control.c), units of the INI file; '
     'joint = C axis, matrixkins(9)',
     '',
-    f'As of `linuxcnc`; besides copy {FILE} beside the INI file and put the lines of {linuxcnc.INI} into its sections in '
-    'place of those that are there. matrixkins comes with LinuxCNC after 2.9.0~pre1. `stepdiag improve --level matrix` '
+    f'As of `linuxcnc`; besides copy {FILE} beside the INI file and put the lines of {linuxcnc.INI} into its '
+    'sections in place of those that are there. matrixkins comes with LinuxCNC after 2.9.0~pre1. `stepdiag improve --level matrix` '
     'does all this.',
     'Put the INI file back as it was (KINEMATICS, HALFILE, COMP_FILE), restart LinuxCNC, home.',
     most_rows=linuxcnc.MOST_ROWS, straight=STRAIGHT, joined=ACROSS)

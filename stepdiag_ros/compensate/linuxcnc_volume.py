@@ -1,8 +1,8 @@
 """All 21 errors on LinuxCNC: the solution file of our kinematics module ``stepdiagkins``.
 
-The module computes the deviation of the whole chain for its tool and takes it off (:mod:`stepdiag_ros.linuxcnc.volume`).
-It does not know from where an axis comes: what a reversal needs goes into screw tables beside it, which LinuxCNC applies
-to the joints behind the kinematics.
+The module computes the deviation of the whole chain for its tool and takes it off
+(:mod:`stepdiag_ros.linuxcnc.volume`).  It does not know from where an axis comes: what a reversal needs goes into screw
+tables beside it, which LinuxCNC applies to the joints behind the kinematics.
 """
 
 from collections.abc import Mapping
@@ -76,8 +76,8 @@ CONTROL = Control(
     'stepdiagkins: axes are where the tool point is; held against the rigid-body chain by tests in a running LinuxCNC',
     '',
     f'sudo stepdiag linuxcnc install; copy {FILE}, {HAL_FILE} and tables beside the INI file, put the lines of '
-    f'{linuxcnc.INI} into its sections in place of those that are there, take COMP_FILE lines out that it does not name, '
-    'restart LinuxCNC, home. The machine needs LINEAR_UNITS = mm, trivkins and joints 0, 1, 2 for X, Y, Z. '
+    f'{linuxcnc.INI} into its sections in place of those that are there, take COMP_FILE lines out that it does not '
+    'name, restart LinuxCNC, home. The machine needs LINEAR_UNITS = mm, trivkins and joints 0, 1, 2 for X, Y, Z. '
     '`stepdiag improve` does all this.',
     'Put the INI file back as it was (KINEMATICS, HALFILE, COMP_FILE), restart LinuxCNC, home.',
     most_rows=linuxcnc.MOST_ROWS, joined=CURVES)

@@ -196,7 +196,8 @@ def must_be_supported(ini: str, name: str) -> None:
     follow the first.
     """
     if re.search(r'(?m)^\s*#INCLUDE\b', ini):
-        raise StepdiagError(f'{name}: includes other files (#INCLUDE), which stepdiag does not read; put their lines in')
+        raise StepdiagError(f'{name}: includes other files (#INCLUDE), which stepdiag does not read; put their lines '
+                            'into it')
     units = get(ini, 'TRAJ', 'LINEAR_UNITS')
     if [u.lower() for u in units] not in (['mm'], ['metric'], ['millimeter']):
         raise StepdiagError(f'{name}: [TRAJ]LINEAR_UNITS is {" ".join(units) or "missing"}; stepdiag writes mm')
@@ -208,8 +209,8 @@ def must_be_supported(ini: str, name: str) -> None:
     if kinematics[0].split()[0] not in ('trivkins', 'matrixkins', COMPONENT) or joints != ['3'] or axes != 'XYZ' \
             or coordinates and coordinates[1].upper() != 'XYZ':
         raise StepdiagError(f'{name}: [KINS]KINEMATICS is {kinematics[0]}, JOINTS {" ".join(joints) or "missing"}, '
-                            f'[TRAJ]COORDINATES {axes or "missing"}; stepdiag compensates machines whose joints 0, 1, 2 '
-                            'are X, Y, Z, by trivkins, and no more')
+                            f'[TRAJ]COORDINATES {axes or "missing"}; stepdiag compensates machines whose joints '
+                            '0, 1, 2 are X, Y, Z, by trivkins, and no more')
 
 
 def read_ini(folder: Path) -> tuple[Path, str]:

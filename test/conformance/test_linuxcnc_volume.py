@@ -70,8 +70,8 @@ def test_the_round_trip_of_linuxcncs_own_kinematics_test(running):
 
 
 def test_it_follows_at_the_servos_rate(running):
-    """In motion, too, axes and joints belong together, cycle for cycle: forward of what the drives are told is where the
-    axes were commanded two cycles before, with the component as without it.
+    """In motion, too, axes and joints belong together, cycle for cycle: forward of what the drives are told is where
+    the axes were commanded two cycles before, with the component as without it.
 
     The two cycles are LinuxCNC's own interpolation of joints, which a machine with trivkins has as well.
     """

@@ -1,6 +1,7 @@
 """``stepdiag compensate`` and ``stepdiag verify`` as a user runs them, on logs of virtual machines."""
 
 import json
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +13,7 @@ from stepdiag_ros.bag.import_csv import import_csv
 from stepdiag_ros.bag.reader import read_log
 from stepdiag_ros.cli.known import known_errors
 from stepdiag_ros.cli.main import main
+from stepdiag_ros.compensate.applied import taken_off
 from stepdiag_ros.compensate.compensation import compensation
 from stepdiag_ros.compensate.control import Place
 from stepdiag_ros.compensate.controls import CONTROLS
@@ -22,9 +24,11 @@ from stepdiag_ros.estimate.methods import run_method
 from stepdiag_ros.virtual.cell import Cell, parse_cell
 from stepdiag_ros.virtual.offline import simulate_log
 
+from ..compensated import compensated_log
 from ..conftest import DEMO
 
 ORIGIN = [-0.5, 0.1, -0.3]
+SUFFIXES = ('.comp', '.ini', '.COM', '.csv')
 
 
 def cell_of(effects: dict | None = None, seed: int = 20, tool: list | None = None, without: str = '#',
@@ -59,16 +63,21 @@ def place(tmp_path_factory):
     folder = tmp_path_factory.mktemp('loop')
     before = cell_of()
     bag = bag_of(before, folder / 'before')
-    for kind in ('linuxcnc', 'heidenhain'):
+    machine = before.description.machine
+    for kind in ('linuxcnc', 'heidenhain', 'isg'):
         tables = folder / kind
         assert main(['compensate', bag, '--format', kind, '--out', str(tables)]) == 0
-        files = {file.name: file.read_text() for file in tables.iterdir() if file.suffix in ('.comp', '.ini', '.COM')}
-        taken = CONTROLS[kind].read(files, Place(before.description.machine, np.array(ORIGIN)))
-        bag_of(cell_of(errors=left_of(before.geometry, taken), seed=99), folder / f'after_{kind}')
+        files = {file.name: file.read_text() for file in tables.iterdir() if file.suffix in SUFFIXES}
+        taken = CONTROLS[kind].read(files, Place(machine, np.array(ORIGIN)))
+        if CONTROLS[kind].whole_model:
+            again = compensated_log(cell_of(errors=before.geometry, seed=99), taken_off(taken, machine))
+            write_log(again, folder / f'after_{kind}')
+        else:
+            bag_of(cell_of(errors=left_of(before.geometry, taken), seed=99), folder / f'after_{kind}')
     return folder
 
 
-@pytest.mark.parametrize('kind', ['linuxcnc', 'heidenhain'])
+@pytest.mark.parametrize('kind', ['linuxcnc', 'heidenhain', 'isg'])
 def test_the_loop_closes_as_predicted(place, kind, capsys):
     """Measure, make tables, put them in force, measure: the machine is better, and as much as was predicted."""
     capsys.readouterr()
@@ -82,6 +91,25 @@ def test_the_loop_closes_as_predicted(place, kind, capsys):
     assert all(figure['U_after'] > 0.0 for figure in figures.values())
     page = (place / 'v' / 'index.html').read_text(encoding='utf-8')
     assert 'conforms' in page and '<svg' in page and 'as predicted' in page
+
+
+def test_tables_on_top_of_a_volumetric_compensation(place, tmp_path, capsys):
+    """The rotations are still there and act nowhere: what remains is what the tool point keeps, and all but nothing."""
+    capsys.readouterr()
+    tables = [str(place / 'isg' / f'{axis}.csv') for axis in 'xyz']
+    assert main(['compensate', str(place / 'after_isg'), '--format', 'isg', '--out', str(tmp_path / 't'), '--json',
+                 '--present', *tables]) == 2
+    answer = json.loads(capsys.readouterr().out)
+    assert answer['before']['largest_m'] < 2e-6
+    assert any('is known to U' in reason for reason in answer['refused'])
+
+
+def test_tables_that_are_not_those_of_the_prediction_are_not_put_back(place, tmp_path, capsys):
+    shutil.copytree(place / 'isg', tmp_path / 'isg')
+    (tmp_path / 'isg' / 'y.csv').write_text((tmp_path / 'isg' / 'x.csv').read_text())
+    assert main(['verify', str(place / 'before'), str(place / 'after_isg'), '--tolerance', '9um', '--prediction',
+                 str(tmp_path / 'isg' / 'prediction.json'), '--out', str(tmp_path / 'v')]) == 2
+    assert 'y.csv: is not the file' in one_line(capsys)
 
 
 def test_tables_that_were_not_loaded_are_found_and_undecided_is_reported(place, capsys):

@@ -6,21 +6,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from stepdiag_ros.compensate.applied import taken_off, without_applied
+from stepdiag_ros.compensate.control import Place
+from stepdiag_ros.compensate.taken import left_of
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate import evaluate
 from stepdiag_ros.estimate.gauge import to_reference_lines
 from stepdiag_ros.estimate.prediction import deviation, without_rigid_motion
-from stepdiag_ros.compensate.applied import taken_off, without_applied
-from stepdiag_ros.compensate.control import Place
-from stepdiag_ros.compensate.taken import left_of
 from stepdiag_ros.improve import backup, levels
 from stepdiag_ros.improve.outcome import outcome
 from stepdiag_ros.linuxcnc import configuration
 from stepdiag_ros.linuxcnc.ini import get
-from stepdiag_ros.model.machine import compose, rotation
 from stepdiag_ros.virtual.cell import load_cell, parse_cell
 from stepdiag_ros.virtual.offline import simulate_log
-from stepdiag_ros.virtual.world import World
+
+from ..compensated import compensated_log
 
 CELL = Path(__file__).resolve().parents[3] / 'cells' / 'linuxcnc.yaml'
 
@@ -47,20 +47,6 @@ def control(cell, tmp_path):
     return tmp_path
 
 
-def compensated_log(cell, taken_off, monkeypatch):
-    """What the same machine gives when its joints are moved by what a compensation takes off."""
-    class Compensated(World):
-        def pose(self, moment, angle):
-            machine = self.cell.description.machine
-            joints = moment.position - taken_off(moment.position)
-            motions = [self.cell.geometry.motions(axis, joints[:, axis]) for axis in range(3)]
-            point, attitude = compose(machine.chain, np.array([shift for shift, _ in motions]),
-                                      np.array([turn for _, turn in motions]), machine.tool)
-            return point + moment.shift, rotation(angle + moment.turn) @ attitude
-    monkeypatch.setattr('stepdiag_ros.virtual.offline.World', Compensated)
-    return simulate_log(cell)
-
-
 def without_screws(solution, taken):
     """What an evaluation finds of the machine under screw tables: its errors less what they take off."""
     left = left_of(solution.errors, taken)
@@ -73,19 +59,20 @@ def without_screws(solution, taken):
 def test_a_level_makes_the_machine_better_and_says_by_how_much(level, cell, log, first, control):
     change = levels.change(level, first, cell.description.machine, levels.held(control), matrixkins=True)
     assert change.refusals == ()
-    assert change.made.worst_after[0] < {'tables': 0.9, 'matrix': 0.9, 'volume': 0.05}[level] * change.made.worst_before[0]
+    share = {'tables': 0.9, 'matrix': 0.9, 'volume': 0.05}[level]
+    assert change.made.worst_after[0] < share * change.made.worst_before[0]
     configuration.write(control, change.files)
     assert levels.held(control).carries == level
     assert bool(change.applied) == (level == 'volume')
 
 
-def test_a_compensated_machine_is_evaluated_with_the_compensation_put_back(cell, log, first, control, monkeypatch):
+def test_a_compensated_machine_is_evaluated_with_the_compensation_put_back(cell, log, first, control):
     """Its angles act nowhere any more, which no rigid-body machine does: only with the compensation put back is the
     log one of a machine with 21 errors, and what remains is what remains in truth."""
     machine = cell.description.machine
     change = levels.change('volume', first, machine, levels.held(control))
     off = taken_off(change.applied, machine)
-    again = compensated_log(replace(cell, seed=cell.seed + 1), off, monkeypatch)
+    again = compensated_log(replace(cell, seed=cell.seed + 1), off)
     assert evaluate(again).reduced_chi2 > 2.0
     under = levels.measured_bare(again, change.applied)
     second = evaluate(under)
