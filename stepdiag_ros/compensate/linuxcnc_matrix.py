@@ -85,7 +85,7 @@ CONTROL = Control(
     'joint = C axis, matrixkins(9)',
     '',
     f'As of `linuxcnc`; besides copy {FILE} beside the INI file and put the lines of {linuxcnc.INI} into its '
-    'sections in place of those that are there. matrixkins comes with LinuxCNC after 2.9.0~pre1. `stepdiag improve --level matrix` '
-    'does all this.',
+    'sections in place of those that are there. matrixkins comes with LinuxCNC after 2.9.0~pre1. `stepdiag improve '
+    '--level matrix` does all this.',
     'Put the INI file back as it was (KINEMATICS, HALFILE, COMP_FILE), restart LinuxCNC, home.',
     most_rows=linuxcnc.MOST_ROWS, straight=STRAIGHT, joined=ACROSS)
