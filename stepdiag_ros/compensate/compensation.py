@@ -52,6 +52,8 @@ class Compensation:
     keeps under tables of this kind, by name; ``not_carried_spread`` its U (k = 2).
 
     ``line_alone`` the prediction with the tables of the line as they are, where these had to be held back, else None.
+    ``reversal``: lost motion with its U (k = 2) [m] by letter, of the axes where it stands out of it, that the tables
+    take off; ``reversal_left``: that this kind of table cannot.
     ``with_open``: ``solution`` with the errors that are left out: of value zero, with their whole uncertainty.
     """
 
@@ -72,6 +74,7 @@ class Compensation:
     unmeasured: tuple[str, ...]
     whole_volume: bool
     reversal: Mapping[str, tuple[float, float]]
+    reversal_left: Mapping[str, tuple[float, float]]
     with_open: Solution
     refusals: tuple[str, ...] = ()
 
@@ -165,7 +168,8 @@ def compensation(solution: Solution, machine: Machine, control: Control, origin:
     point = _point(machine, point, whole)
     place = place.of_tool(point.tool)
     held = control.read(present, place) if present else {}
-    lost = _significant(reversal or {}, control)
+    found = {axis: (value, spread) for axis, (value, spread) in (reversal or {}).items() if abs(value) > spread}
+    lost, stays = (found, {}) if control.reverses else ({}, found)
 
     if not any(kept.has(name) for name in control.carries):
         refusals.append('nothing that this kind of table carries is known')
@@ -190,7 +194,7 @@ def compensation(solution: Solution, machine: Machine, control: Control, origin:
         as_measured(left_of(errors, change), kept.positions), kept,
         {name: size for name, (size, _) in rest.items()}, {name: spread for name, (_, spread) in rest.items()},
         None if plain is line else alone, tuple(known.open),
-        known.unmeasured, whole, lost, unknown(without(solution, known.unmeasured), known.open), tuple(refusals))
+        known.unmeasured, whole, lost, stays, unknown(without(solution, known.unmeasured), known.open), tuple(refusals))
 
 
 def _used(control: Control, names: tuple[str, ...], solution: Solution, absent: tuple[str, ...]) -> list[str]:
@@ -210,12 +214,6 @@ def _point(machine: Machine, point: FunctionalPoint | None, whole: bool) -> Func
         raise StepdiagError('rotations were not measured: tables hold on the line that was measured and for the '
                             "log's tool only; leave --line, --workpiece and --tool away")
     return measured
-
-
-def _significant(reversal: Mapping[str, tuple[float, float]], control: Control) -> dict[str, tuple[float, float]]:
-    """Reversals that stand out of their U, where the control can do something about them."""
-    return {axis: (value, spread) for axis, (value, spread) in reversal.items()
-            if control.reverses and abs(value) > spread}
 
 
 def _places(solution: Solution, machine: Machine, point: FunctionalPoint, measured: list[int], whole: bool,

@@ -40,6 +40,8 @@ def document(found: Compensation, log: str) -> dict[str, Any]:
                             if value > 1e-9},
         'left_out': list(found.left_out), 'not_measured': list(found.unmeasured),
         'reversal_m': {axis: {'value': value, 'U': spread} for axis, (value, spread) in found.reversal.items()},
+        'reversal_left_m': {axis: {'value': value, 'U': spread}
+                            for axis, (value, spread) in found.reversal_left.items()},
         'traceability': solution.traceability.to_json_dict() if solution.traceability else None,
         'signs_follow': found.control.source, 'open_question': found.control.open_question or None,
         'errors_after': errors,

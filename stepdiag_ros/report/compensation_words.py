@@ -41,10 +41,13 @@ def summary(found: Compensation) -> str:
         lines.append('  cannot be carried  by this kind of table, largest in the volume, ± U (k = 2): ' + ', '.join(
             f'{name} {1e6 * value:.1f} ± {1e6 * found.not_carried_spread[name]:.1f} µm'
             for name, value in sorted(rest.items(), key=lambda item: -item[1])))
-    if found.reversal:
-        lines.append('  reversal           ' + ', '.join(
-            f'{axis} {1e6 * value:.2f} µm, U = {_small(1e6 * spread)} µm (k = 2)'
-            for axis, (value, spread) in found.reversal.items()) + ': half of it in each direction')
+    for reversal, what in ((found.reversal, 'half of it in each direction'),
+                           (found.reversal_left, 'it stays, this kind of table knows no direction; give it to the '
+                                                 "control's own backlash compensation")):
+        if reversal:
+            lines.append('  reversal           ' + ', '.join(
+                f'{axis} {1e6 * value:.2f} µm, U = {_small(1e6 * spread)} µm (k = 2)'
+                for axis, (value, spread) in reversal.items()) + f': {what}')
     tied = found.solution.traceability
     if tied is not None:
         lines.append(f'  errors             {WORDS[tied.air]}; {tied.temperature_words}')

@@ -21,6 +21,7 @@ from stepdiag_ros.compensate.taken import left_of
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate import evaluate
 from stepdiag_ros.estimate.methods import run_method
+from stepdiag_ros.report.compensation_words import summary
 from stepdiag_ros.virtual.cell import Cell, parse_cell
 from stepdiag_ros.virtual.offline import simulate_log
 
@@ -152,6 +153,11 @@ def test_lost_motion_goes_into_the_trims(tmp_path):
     assert rows[:, 1] - rows[:, 2] == pytest.approx(4e-3, abs=4e-4)
     prediction = json.loads((tmp_path / 'tables' / 'prediction.json').read_text())
     assert prediction['reversal_m'].keys() == {'X'} and prediction['reversal_m']['X']['U'] > 0.0
+    # A model without directions says that it stays.
+    known = known_errors(read_log(bag), bag)
+    found = compensation(known.solution, cell.description.machine, CONTROLS['isg'], reversal=known.reversal).checked()
+    assert found.reversal == {} and found.reversal_left.keys() == {'X'}
+    assert 'it stays, this kind of table knows no direction' in summary(found)
 
 
 def test_a_log_of_one_axis_makes_one_file(tmp_path):

@@ -8,6 +8,7 @@ import pytest
 from stepdiag_ros.compensate.compensation import K, compensation
 from stepdiag_ros.compensate.controls import CONTROLS
 from stepdiag_ros.compensate.functional import functional_point
+from stepdiag_ros.compensate.open_directions import without
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate.solution import Solution, Unidentifiable
 
@@ -160,6 +161,19 @@ def test_on_top_of_what_the_control_applies(kind):
         assert found.before_files[f'before/{name}'] == text
     back = {name.removeprefix('before/'): text for name, text in first.before_files.items()}
     assert APPLIED[kind](back, target, 1, machine=machine) == pytest.approx(target, abs=1e-12)
+
+
+def test_tables_of_axes_that_were_not_measured_stay_in_force():
+    """A .CMA names what is in force: one of X alone would switch the tables of Y and Z off."""
+    machine, control = machine_of(), CONTROLS['heidenhain']
+    first = compensation(made(21, sigma=2e-7), machine, control, ORIGIN).checked()
+    every = made(22, sigma=2e-7)
+    alone = without(every, tuple(name for name, _ in every.names if name[2] != 'X'))
+    found = compensation(alone, machine, control, ORIGIN, present=first.files).checked()
+    assert all(f'{axis}_AXIS' in found.files['CONFIG.CMA'] for axis in 'XYZ')
+    was, now = (control.read(files, found.place) for files in (first.files, found.files))
+    for name in ('EXY', 'EYY', 'EZZ'):
+        assert now[name].forward == pytest.approx(was[name].forward, abs=1e-9)
 
 
 @pytest.mark.parametrize('kind', ['linuxcnc', 'linuxcnc-matrix', 'linuxcnc-volume', 'sinumerik', 'heidenhain'])
