@@ -19,7 +19,7 @@ from stepdiag_ros.compensate.functional import FunctionalPoint, functional_point
 from stepdiag_ros.compensate.harmless import best_of_volume, held_back
 from stepdiag_ros.compensate.largest import largest
 from stepdiag_ros.compensate.open_directions import openness, unknown, without
-from stepdiag_ros.compensate.taken import Taken, Trim, added, as_measured, difference, left_of
+from stepdiag_ros.compensate.taken import Taken, Trim, added, as_measured, difference, errors_of, left_of
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate.prediction import Prediction, deviation, predict
 from stepdiag_ros.estimate.solution import Solution
@@ -176,6 +176,11 @@ def compensation(solution: Solution, machine: Machine, control: Control, origin:
     points = _places(kept, machine, point, measured, whole, MOST_KNOTS)
     before = predict(kept, machine, points, point.tool)
     line = _of_line(kept, machine, point, control)
+    if control.straight and whole:
+        # Straight lines are right on no line: they are those that leave least in the volume beside the tables.
+        bent = {name: trim for name, trim in line.items() if name not in control.straight}
+        rest = before.deviation_m - deviation(errors_of(bent), machine, points, point.tool)
+        line = bent | best_of_volume({name: line[name] for name in line if name in control.straight}, points, rest)
     if volume and not control.whole_model:
         line = best_of_volume(line, points, before.deviation_m)
     # Judged by what repeats leave open: a scale or a tool that is off is off before and after alike.

@@ -162,7 +162,7 @@ def test_lost_motion_goes_into_the_trims(tmp_path):
 
 def test_a_log_of_one_axis_makes_one_file(tmp_path):
     table = tmp_path / 'stage_x.csv'
-    rows = [f'{cycle},{way},{target},{1e-3 * (1.5 * target ** 2 + 0.02 * way):.6f}' for cycle in (1, 2, 3)
+    rows = [f'{cycle},{way},{100 * target},{1e-3 * (1.5 * target ** 2 + 0.02 * way):.6f}' for cycle in (1, 2, 3)
             for way, targets in ((1, range(5)), (-1, reversed(range(5)))) for target in targets]
     table.write_text('cycle,direction,target_mm,deviation_mm\n' + '\n'.join(rows) + '\n')
     log = import_csv(table, 'x', corrected=True).log
