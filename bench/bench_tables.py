@@ -31,8 +31,8 @@ from applied import APPLIED, ORIGIN  # noqa: E402
 from stepdiag_ros.cli.known import known_errors  # noqa: E402
 from stepdiag_ros.compensate.compensation import Compensation, compensation, worsened  # noqa: E402
 from stepdiag_ros.compensate.controls import CONTROLS  # noqa: E402
+from stepdiag_ros.compensate.fit_to_act import not_metres  # noqa: E402
 from stepdiag_ros.compensate.largest import largest  # noqa: E402
-from stepdiag_ros.compensate.metres import not_metres  # noqa: E402
 from stepdiag_ros.estimate import evaluate  # noqa: E402
 from stepdiag_ros.estimate.gauge import to_reference_lines  # noqa: E402
 from stepdiag_ros.estimate.methods import run_all  # noqa: E402

@@ -24,12 +24,12 @@ from stepdiag_ros.guard.jsontext import to_json
 
 NAME = 'compensate'
 HELP = 'compensation tables for a control'
+FORMATS = ('linuxcnc', 'linuxcnc-matrix', 'linuxcnc-volume', 'sinumerik', 'heidenhain', 'etalon', 'isg')
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('bag', metavar='BAG', help='rosbag2 folder or .mcap file')
-    parser.add_argument('--format', required=True, choices=('linuxcnc', 'sinumerik', 'heidenhain', 'etalon', 'isg'),
-                        help='whose tables')
+    parser.add_argument('--format', required=True, choices=FORMATS, help='whose tables')
     parser.add_argument('--out', metavar='DIR', type=Path, required=True, help='folder for the tables')
     parser.add_argument('--origin', metavar='X,Y,Z', help="machine coordinates [m] of the volume's lower corner "
                                                           '(default: machine.origin of the log)')
@@ -50,13 +50,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     from stepdiag_ros.bag.reader import read_log
     from stepdiag_ros.cli.known import known_errors
+    from stepdiag_ros.cli.tables import PICTURE, README, write_tables
+    from stepdiag_ros.compensate.applied import remaining, taken_off, without_applied
     from stepdiag_ros.compensate.compensation import compensation, place_of
     from stepdiag_ros.compensate.controls import CONTROLS
     from stepdiag_ros.compensate.document import NAME as PREDICTION
     from stepdiag_ros.compensate.document import document
-    from stepdiag_ros.compensate.metres import not_metres
-    from stepdiag_ros.report.compensation_figure import draw_compensation
-    from stepdiag_ros.report.compensation_words import readme, summary
+    from stepdiag_ros.compensate.fit_to_act import not_metres
+    from stepdiag_ros.report.compensation_words import summary
 
     origin, tool, line, workpiece = (None if text is None else vector(text, f'--{name}') for name, text in (
         ('origin', args.origin), ('tool', args.tool), ('line', args.line), ('workpiece', args.workpiece)))
@@ -68,27 +69,22 @@ def run(args: argparse.Namespace) -> int:
     _must_be_new(args.out)
     log = read_log(args.bag, args.namespace)
     machine = log.description.machine
-    origin = place_of(machine, origin).origin
+    place, control = place_of(machine, origin), CONTROLS[args.format]
+    origin = place.origin
     point = _point(machine, origin, tool, line, workpiece)
-    known = known_errors(log, args.bag)
-    found = compensation(known.solution, machine, CONTROLS[args.format], origin, point, present, args.partial,
+    # Rotations whose effect is taken off are still there: found are the machine's own errors, and then what remains.
+    held = control.read(present, place) if present and control.whole_model else {}
+    known = known_errors(without_applied(log, taken_off(held, machine)) if held else log, args.bag)
+    solution = remaining(known.solution, held) if held else known.solution
+    found = compensation(solution, machine, control, origin, point, present, args.partial,
                          args.exact, not_metres(known.solution, log), args.volume, known.reversal)
     if args.json:
         print(to_json(document(found, args.bag)))
     found.checked()
-    name = real(args.bag).stem
-    files = {**found.files, **found.before_files, 'README.txt': readme(found, name),
-             PREDICTION: to_json(document(found, name)) + '\n'}
-    try:
-        for file, text in files.items():
-            (args.out / file).parent.mkdir(parents=True, exist_ok=True)
-            (args.out / file).write_text(text, encoding='utf-8')
-        draw_compensation(found, args.out / 'prediction.png')
-    except OSError as error:
-        raise StepdiagError(f'{args.out}: cannot be written: {error.strerror or error}') from None
+    write_tables(found, real(args.bag).stem, args.out)
     if not args.json:
         print(summary(found))
-        for file in (*found.files, 'prediction.png', PREDICTION, 'README.txt'):
+        for file in (*found.files, PICTURE, PREDICTION, README):
             print(args.out / file)
         print(f'the way back: {args.out / "before"}')
         for note in known.notes:

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 NAME = 'improve'
 HELP = 'calibrate, compensate LinuxCNC, calibrate again, and say what it brought'
-MICRO = 1e6
+MICRO, TABLES = 1e6, 'tables'
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -70,8 +70,11 @@ def run(args: argparse.Namespace) -> int:
         raise StepdiagError(f"{args.cell}: instruments.cnc.config is missing; name the folder of LinuxCNC's "
                             'configuration there')
     if args.undo:
-        for name in backup.undo(folder):
+        back, edited = backup.undo(folder)
+        for name in back:
             print(f'put back: {folder / name}')
+        for name in edited:
+            print(f'edited since, kept as: {folder / name}')
         print('restart LinuxCNC and home it; until then it moves as before')
         return 0
     if not args.hardware and cell.instruments.control != 'linuxcnc':
@@ -99,9 +102,9 @@ def run(args: argparse.Namespace) -> int:
 
 def _improve(loop: _Loop, cell: Any, folder: Path) -> int:
     from stepdiag_ros.cli.known import known_errors
-    from stepdiag_ros.compensate.metres import not_metres
+    from stepdiag_ros.cli.tables import write_tables
+    from stepdiag_ros.compensate.fit_to_act import not_metres, unfit
     from stepdiag_ros.improve import backup, levels
-    from stepdiag_ros.improve.applied import without_applied
     from stepdiag_ros.improve.outcome import outcome
     from stepdiag_ros.linuxcnc import configuration
     from stepdiag_ros.linuxcnc.install import installed
@@ -110,7 +113,8 @@ def _improve(loop: _Loop, cell: Any, folder: Path) -> int:
     _components(args, folder)
     present = levels.held(folder)
     log = _calibrated(loop, args.cell, 'before')
-    measured = log if present.volume is None else without_applied(log, present.volume.taken_off)
+    applied = present.model(machine)
+    measured = levels.measured_bare(log, applied)
     known = known_errors(measured, str(loop.out / 'before'))
     first = known.solution
     wanted = levels.change(args.level, first, machine, present, partial=args.partial, air=not_metres(first, log),
@@ -123,22 +127,23 @@ def _improve(loop: _Loop, cell: Any, folder: Path) -> int:
     if not _agreed(args, folder):
         print('nothing written')
         return 1
+    write_tables(wanted.made, 'before', loop.out / TABLES)
     kept = backup.keep(folder, wanted.files)
     configuration.write(folder, wanted.files)
     loop.say(f'written into {folder}; what was there is in {kept}')
     if args.hardware:
         _restarted()
     again = _calibrated(loop, args.cell if args.hardware else _fresh_noise(args.cell, cell, loop.out), 'after')
-    under = again if wanted.applied is None else without_applied(again, wanted.applied.taken_off)
+    under = levels.measured_bare(again, wanted.applied)
     then = known_errors(under, str(loop.out / 'after'))
-    found = outcome(wanted, first, present.volume, then.solution, under)
-    for note in then.notes:
+    found, wrong = outcome(wanted, first, applied, then.solution, under), unfit(then.solution)
+    for note in (*wrong, *then.notes):
         loop.say(f'after: {note}')
     document = {'level': args.level, 'configuration': str(folder), 'backup': str(kept),
                 'seconds': round(time.monotonic() - began, 1), **found.to_json_dict()}
     (loop.out / 'improve.json').write_text(to_json(document) + '\n', encoding='utf-8')
     print(to_json(document) if args.json else _result(found, args, loop.out))
-    return 0 if found.as_predicted and found.better else 1
+    return 0 if found.as_predicted and found.better and not wrong else 1
 
 
 def _components(args: argparse.Namespace, folder: Path) -> None:
@@ -184,10 +189,10 @@ def _fresh_noise(path: Path, cell: Any, out: Path) -> Path:
 
 def _plan(change: 'Change', folder: Path) -> str:
     """What the machine is like, would be like, and what would be written."""
-    now, then = change.worst_before, change.worst_after
-    lines = [f'largest deviation in the volume, {when:20} {MICRO * size:8.2f} µm, U = {MICRO * spread:.2f} µm (k = 2)'
+    now, then = change.made.worst_before, change.made.worst_after
+    lines = [f'largest deviation in the volume, {when:20} {MICRO * size:8.2f} µm, U = {MICRO * spread:.2f} µm (95 %)'
              for when, (size, spread, _) in (('now', now), (f'with level {change.level}', then))]
-    lines.append(f'files in {folder}:')
+    lines += [f'files in {folder}:'] * bool(change.files)
     lines += [f'  {"write" if text is not None else "remove"} {name}' for name, text in change.files.items()
               if text is not None or (folder / name).exists()]
     return '\n'.join([*lines, *(f'note: {note}' for note in change.notes)])
@@ -220,7 +225,8 @@ def _result(found: Any, args: argparse.Namespace, out: Path) -> str:
              f'{MICRO * found.off_bound_m:.2f} µm in 95 % of all cases: '
              + ('as predicted' if found.as_predicted else 'NOT as predicted'),
              f'{len(found.stops.name)} stops, {worse or "none"} worse than before beyond U (95 % for all together)',
-             f'result: {out / "improve.json"}']
+             f'result: {out / "improve.json"}; for a decision: stepdiag verify {out / "before"} {out / "after"} '
+             f'--prediction {out / TABLES / "prediction.json"} --tolerance …']
     if not (found.as_predicted and found.better):
         rows.append(f'The machine is not what was predicted: stepdiag improve {args.cell} --undo takes the change back')
     return '\n'.join(rows)

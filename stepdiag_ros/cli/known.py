@@ -38,13 +38,13 @@ def known_errors(log: CalibrationLog, bag: str) -> Known:
     Lost motion would end up in the positioning errors with half its size: a run is zeroed where its first stop was
     reached from behind.
     """
-    from stepdiag_ros.compensate.metres import not_metres
+    from stepdiag_ros.compensate.fit_to_act import not_metres
     from stepdiag_ros.effects import all_effects
     from stepdiag_ros.estimate import evaluate
     from stepdiag_ros.gap.diagnose import diagnose
 
     plain = evaluate(log)
-    if not_metres(plain, log):
+    if not_metres(plain, log) or plain.sanity:
         return Known(plain, {}, ())     # nobody will act on this
     diagnosis = diagnose(log, [kind() for kind in all_effects([]).values()])
     reversal = {axis: (found.parameters[axis], K * found.sigma[axis]) for found in diagnosis.effects

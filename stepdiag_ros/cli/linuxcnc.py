@@ -36,8 +36,7 @@ def run(args: argparse.Namespace) -> int:
         for path in install.install():
             print(f'installed {path}')
         return 0
-    ini = configuration.ini_file(args.folder)
-    text = ini.read_text(encoding='utf-8')
+    ini, text = configuration.read_ini(args.folder)
     if args.task == 'unwatch':
         configuration.write(args.folder, configuration.renamed(configuration.unwatched(text), ini.name))
         print(f'{ini}: the watchdog is out; restart LinuxCNC')

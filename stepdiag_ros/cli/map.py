@@ -2,7 +2,8 @@
 
 Evaluates the log and carries the errors found, with their uncertainty, to any point of the volume.
 The table (--csv) holds position, deviation, its standard deviation, and the command that
-cancels the deviation, all in metres.
+cancels the deviation, all in metres.  Where nothing may be acted on, because lengths are not corrected for air, the
+log does not describe a machine or leaves errors open, no command is given.
 
   stepdiag map bags/demo
   stepdiag map bags/demo --out map.png --csv map.csv --grid 21
@@ -17,6 +18,8 @@ import numpy as np
 
 from stepdiag_ros.cli.evaluate import tied_lines
 from stepdiag_ros.cli.vector import vector
+from stepdiag_ros.compensate.fit_to_act import not_metres, unfit
+from stepdiag_ros.compensate.open_directions import openness
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate.methods import run_method
 from stepdiag_ros.estimate.prediction import Prediction, compensated_command, predict, volumetric_map
@@ -60,10 +63,11 @@ def run(args: argparse.Namespace) -> int:
         raise StepdiagError(f'--method {args.method}: gives no errors to predict with; take enhanced')
     chart = None if points is not None else volumetric_map(solution, machine, args.grid, tool)
     prediction = chart.prediction if chart is not None else predict(solution, machine, points, tool)
-    try:
-        command = compensated_command(solution.errors, machine, prediction.points, tool)
-    except ValueError as error:
-        raise StepdiagError(f'{args.bag}: {error}; its measured errors cannot be a machine\'s') from None
+    # Where nothing may be acted on, no command is given; the deviations are shown with their U all the same.
+    loose = openness(solution).open
+    wrong = '; '.join(filter(None, (not_metres(solution, log), *unfit(solution),
+                                    f'the log leaves {", ".join(loose)} open' if loose else '')))
+    command = None if wrong else _command(solution, machine, prediction, tool, args)
     try:
         if args.csv is not None:
             _write_table(args.csv, prediction, command)
@@ -76,12 +80,16 @@ def run(args: argparse.Namespace) -> int:
     tied = solution.traceability
     if args.json:
         answer = {'position_m': prediction.points.tolist(), 'deviation_m': prediction.deviation_m.tolist(),
-                  'sigma_m': prediction.sigma_m.tolist(), 'command_m': command.tolist(), 'status': solution.status,
+                  'sigma_m': prediction.sigma_m.tolist(),
+                  'command_m': None if command is None else command.tolist(), 'no_command': wrong or None,
+                  'status': solution.status,
                   'reference_temperature': tied.reference_temperature if tied else None,
                   'traceability': tied.to_json_dict() if tied else None}
         print(to_json(answer | (dict(chart.to_json_dict()) if chart is not None else {})))
         return 0
     _print(prediction, command, machine, chart is not None)
+    if wrong:
+        print(f'no command is given: {wrong}')
     print('\n'.join((*tied_lines(solution), *(f'warning: {remark}' for remark in (tied.remarks if tied else ())))))
     for path, what in ((args.csv, 'table'), (args.out, 'picture')):
         if path is not None:
@@ -89,15 +97,24 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _write_table(path: Path, prediction: Prediction, command: np.ndarray) -> None:
-    table = np.hstack([prediction.points, prediction.deviation_m, prediction.sigma_m, command])
+def _command(solution: Solution, machine: Machine, prediction: Prediction, tool: np.ndarray | None,
+             args: argparse.Namespace) -> np.ndarray:
+    try:
+        return compensated_command(solution.errors, machine, prediction.points, tool)
+    except ValueError as error:
+        raise StepdiagError(f'{args.bag}: {error}; its measured errors cannot be a machine\'s') from None
+
+
+def _write_table(path: Path, prediction: Prediction, command: np.ndarray | None) -> None:
+    columns = [prediction.points, prediction.deviation_m, prediction.sigma_m, *([] if command is None else [command])]
+    table = np.hstack(columns)
     with path.open('w', newline='', encoding='utf-8') as file:
         writer = csv.writer(file)
-        writer.writerow(COLUMNS)
+        writer.writerow(COLUMNS[:table.shape[1]])
         writer.writerows([[repr(float(value)) for value in row] for row in table])
 
 
-def _print(prediction: Prediction, command: np.ndarray, machine: Machine, grid: bool) -> None:
+def _print(prediction: Prediction, command: np.ndarray | None, machine: Machine, grid: bool) -> None:
     size, sigma = prediction.size_m, prediction.size_sigma_m
     rows = [int(np.argmax(size))] if grid else range(len(size))
     if grid:
@@ -111,4 +128,5 @@ def _print(prediction: Prediction, command: np.ndarray, machine: Machine, grid: 
         parts = '   '.join(f'{name} {1e6 * d:+.2f} ± {2e6 * s:.2f}' for name, d, s in
                            zip('xyz', prediction.deviation_m[i], prediction.sigma_m[i], strict=True))
         print(f'{"largest at" if grid else "at"} ({place}) mm:  {parts}  µm (k = 2)')
-        print('  cancelled by commanding ' + ', '.join(f'{1e3 * c:.5f}' for c in command[i]) + ' mm')
+        if command is not None:
+            print('  cancelled by commanding ' + ', '.join(f'{1e3 * c:.5f}' for c in command[i]) + ' mm')

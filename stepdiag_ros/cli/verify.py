@@ -41,8 +41,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     from stepdiag_ros.bag.reader import read_log
     from stepdiag_ros.cli.known import known_errors
+    from stepdiag_ros.cli.tables import in_force, nothing
+    from stepdiag_ros.compensate.applied import remaining, taken_off, without_applied
     from stepdiag_ros.compensate.document import predicted_of
-    from stepdiag_ros.compensate.metres import not_metres
+    from stepdiag_ros.compensate.fit_to_act import not_metres, unfit
     from stepdiag_ros.compensate.open_directions import openness, without
     from stepdiag_ros.compensate.verified import CONFORMS, FAILS, verified
     from stepdiag_ros.report.verify_page import agreement_words, verify_page
@@ -56,17 +58,22 @@ def run(args: argparse.Namespace) -> int:
     machine = logs[1].description.machine
     _same_machine(logs[0].description.machine, machine, args)
     solutions, notes = [], []
-    for bag, log in zip((args.before, args.after), logs, strict=True):
-        known = known_errors(log, bag)
+    force = ({}, {}) if predicted is None else in_force(args.prediction, predicted, machine)
+    for bag, log, taken in zip((args.before, args.after), logs, force, strict=True):
+        known = known_errors(log if nothing(taken) else without_applied(log, taken_off(taken, machine)), bag)
         if reason := not_metres(known.solution, log):
             raise StepdiagError(f'{bag}: {reason}; nothing is verified')
-        if 'not converged' in known.solution.status:
-            raise StepdiagError(f'{bag}: the evaluation is {known.solution.status}; nothing is verified')
+        if wrong := unfit(known.solution):
+            raise StepdiagError(f'{bag}: {"; ".join(wrong)}; nothing is verified')
         left = openness(known.solution)
         if left.open:
             raise StepdiagError(f'{bag}: the log leaves {", ".join(left.open)} open ({"; ".join(left.runs)}); '
                                 'nothing is verified')
-        solutions.append(without(known.solution, left.unmeasured))
+        found = without(known.solution, left.unmeasured)
+        solutions.append(found if nothing(taken) else remaining(found, taken))
+        if not nothing(taken):
+            notes.append(f'{Path(bag).name}: measured under the volumetric compensation of {predicted.control}; of '
+                         'each error is shown what acts on the tool point')
         notes += [f'{Path(bag).name}: {note}' for note in known.notes]
     found = verified(*solutions, machine, tolerances, tuple(map(_diagonals, logs)), predicted)
     document = found.to_json_dict() | {'before': args.before, 'after': args.after, 'notes': notes}

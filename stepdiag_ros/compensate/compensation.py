@@ -14,11 +14,12 @@ from functools import cached_property
 import numpy as np
 
 from stepdiag_ros.compensate.control import Control, Place
+from stepdiag_ros.compensate.fit_to_act import unfit
 from stepdiag_ros.compensate.functional import FunctionalPoint, functional_point, tables_of_line
 from stepdiag_ros.compensate.harmless import best_of_volume, held_back
 from stepdiag_ros.compensate.largest import largest
 from stepdiag_ros.compensate.open_directions import openness, unknown, without
-from stepdiag_ros.compensate.taken import Taken, Trim, added, as_measured, difference, left_of
+from stepdiag_ros.compensate.taken import Taken, Trim, added, as_measured, difference, errors_of, left_of
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate.prediction import Prediction, deviation, predict
 from stepdiag_ros.estimate.solution import Solution
@@ -51,6 +52,8 @@ class Compensation:
     keeps under tables of this kind, by name; ``not_carried_spread`` its U (k = 2).
 
     ``line_alone`` the prediction with the tables of the line as they are, where these had to be held back, else None.
+    ``reversal``: lost motion with its U (k = 2) [m] by letter, of the axes where it stands out of it, that the tables
+    take off; ``reversal_left``: that this kind of table cannot.
     ``with_open``: ``solution`` with the errors that are left out: of value zero, with their whole uncertainty.
     """
 
@@ -71,6 +74,7 @@ class Compensation:
     unmeasured: tuple[str, ...]
     whole_volume: bool
     reversal: Mapping[str, tuple[float, float]]
+    reversal_left: Mapping[str, tuple[float, float]]
     with_open: Solution
     refusals: tuple[str, ...] = ()
 
@@ -151,8 +155,7 @@ def compensation(solution: Solution, machine: Machine, control: Control, origin:
     place = place_of(machine, origin)
     known = openness(solution)
     refusals = [air] if air else []
-    if 'not converged' in solution.status:
-        refusals.append(f'the evaluation is {solution.status}')
+    refusals += unfit(solution)
     touched = _used(control, known.open, solution, known.unmeasured)
     if touched and not partial:
         refusals.append(f'the log leaves {", ".join(touched)} open ({"; ".join(known.runs)}); '
@@ -163,14 +166,21 @@ def compensation(solution: Solution, machine: Machine, control: Control, origin:
     # Where no rotation of an axis is known, nothing is known beside the line on which it was measured.
     whole = bool(measured) and all(kept.has(f'E{turn}{AXES[axis]}') for axis in measured for turn in 'ABC')
     point = _point(machine, point, whole)
+    place = place.of_tool(point.tool)
     held = control.read(present, place) if present else {}
-    lost = _significant(reversal or {}, control)
+    found = {axis: (value, spread) for axis, (value, spread) in (reversal or {}).items() if abs(value) > spread}
+    lost, stays = (found, {}) if control.reverses else ({}, found)
 
     if not any(kept.has(name) for name in control.carries):
         refusals.append('nothing that this kind of table carries is known')
     points = _places(kept, machine, point, measured, whole, MOST_KNOTS)
     before = predict(kept, machine, points, point.tool)
     line = _of_line(kept, machine, point, control)
+    if control.straight and whole:
+        # Straight lines are right on no line: they are those that leave least in the volume beside the tables.
+        bent = {name: trim for name, trim in line.items() if name not in control.straight}
+        rest = before.deviation_m - deviation(errors_of(bent), machine, points, point.tool)
+        line = bent | best_of_volume({name: line[name] for name in line if name in control.straight}, points, rest)
     if volume and not control.whole_model:
         line = best_of_volume(line, points, before.deviation_m)
     # Judged by what repeats leave open: a scale or a tool that is off is off before and after alike.
@@ -189,7 +199,7 @@ def compensation(solution: Solution, machine: Machine, control: Control, origin:
         as_measured(left_of(errors, change), kept.positions), kept,
         {name: size for name, (size, _) in rest.items()}, {name: spread for name, (_, spread) in rest.items()},
         None if plain is line else alone, tuple(known.open),
-        known.unmeasured, whole, lost, unknown(without(solution, known.unmeasured), known.open), tuple(refusals))
+        known.unmeasured, whole, lost, stays, unknown(without(solution, known.unmeasured), known.open), tuple(refusals))
 
 
 def _used(control: Control, names: tuple[str, ...], solution: Solution, absent: tuple[str, ...]) -> list[str]:
@@ -209,12 +219,6 @@ def _point(machine: Machine, point: FunctionalPoint | None, whole: bool) -> Func
         raise StepdiagError('rotations were not measured: tables hold on the line that was measured and for the '
                             "log's tool only; leave --line, --workpiece and --tool away")
     return measured
-
-
-def _significant(reversal: Mapping[str, tuple[float, float]], control: Control) -> dict[str, tuple[float, float]]:
-    """Reversals that stand out of their U, where the control can do something about them."""
-    return {axis: (value, spread) for axis, (value, spread) in reversal.items()
-            if control.reverses and abs(value) > spread}
 
 
 def _places(solution: Solution, machine: Machine, point: FunctionalPoint, measured: list[int], whole: bool,
@@ -245,7 +249,7 @@ def _of_line(solution: Solution, machine: Machine, point: FunctionalPoint, contr
     """What the control should take off: along the lines of ``point``, or the whole model."""
     names = [name for name in control.carries if solution.has(name)]
     if not control.whole_model:
-        return tables_of_line(solution.errors, machine, point, names, solution.positions)
+        return tables_of_line(solution.errors, machine, point, names, solution.positions, control.straight)
     taken = {}
     for name in names:
         position, value, _ = solution.curve(name)
@@ -363,7 +367,7 @@ def _not_carried(solution: Solution, machine: Machine, point: FunctionalPoint, c
     names, whole, rest = [n for n in control.carries if solution.has(n)], solution.errors, {}
 
     def left(single: GeometricErrors, at: np.ndarray) -> np.ndarray:
-        taken = tables_of_line(single, machine, point, names, solution.positions)
+        taken = tables_of_line(single, machine, point, names, solution.positions, control.straight)
         curves = {n: Curve(t.position, t.mean) for n, t in taken.items()}
         return deviation(single, machine, at, point.tool) - \
             deviation(GeometricErrors(curves, {}), machine, at, point.tool)

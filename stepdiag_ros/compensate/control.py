@@ -6,7 +6,7 @@ prediction is made from, so that rounding, limited rows and even steps are in it
 
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -30,6 +30,11 @@ class Place:
     machine: Machine
     origin: np.ndarray
 
+    def of_tool(self, tool: np.ndarray) -> 'Place':
+        """The same for another tool vector (3,) [m]."""
+        x, y, z = (float(v) for v in tool)
+        return replace(self, machine=replace(self.machine, tool=(x, y, z)))
+
 
 @dataclass(frozen=True)
 class Control:
@@ -39,7 +44,8 @@ class Control:
     place)`` what a control takes off that holds them (:class:`StepdiagError` names file and line).  ``source``: what
     its signs and units follow; ``open_question`` what no manual that we know of confirms, or ''.  ``most_rows`` of a
     table; ``reverses``: whether a table can tell the directions of approach apart; ``joined``: error motions that
-    share one file, so that loading it replaces them all.  ``load``: how the tables are put
+    share one file, so that loading it replaces them all.  ``straight``: error motions that it takes off as straight
+    lines only, from one end of the volume to the other.  ``load``: how the tables are put
     in force, ``undo``: how they are taken back.
     """
 
@@ -55,6 +61,7 @@ class Control:
     most_rows: int = MOST_READ
     reverses: bool = True
     joined: tuple[str, ...] = ()
+    straight: tuple[str, ...] = ()
 
     @property
     def whole_model(self) -> bool:

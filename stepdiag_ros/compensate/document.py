@@ -40,6 +40,8 @@ def document(found: Compensation, log: str) -> dict[str, Any]:
                             if value > 1e-9},
         'left_out': list(found.left_out), 'not_measured': list(found.unmeasured),
         'reversal_m': {axis: {'value': value, 'U': spread} for axis, (value, spread) in found.reversal.items()},
+        'reversal_left_m': {axis: {'value': value, 'U': spread}
+                            for axis, (value, spread) in found.reversal_left.items()},
         'traceability': solution.traceability.to_json_dict() if solution.traceability else None,
         'signs_follow': found.control.source, 'open_question': found.control.open_question or None,
         'errors_after': errors,
@@ -58,7 +60,8 @@ def _list(values: np.ndarray) -> list[float]:
 
 @dataclass(frozen=True)
 class Predicted:
-    """What is read back of a ``prediction.json``: the errors after, their σ, and the volumetric figure with its U."""
+    """What is read back of a ``prediction.json``: the errors after, their σ, and the volumetric figure with its U; the
+    volume's place (3,) [m]; by name the check sums of the tables."""
 
     control: str
     tool: np.ndarray
@@ -67,6 +70,8 @@ class Predicted:
     largest_m: float
     spread_m: float
     whole_volume: bool
+    origin: np.ndarray
+    files: Mapping[str, str]
 
 
 def predicted_of(text: str, source: str) -> Predicted:
@@ -82,16 +87,18 @@ def predicted_of(text: str, source: str) -> Predicted:
                   for n in CURVES if n in listed}
         square = {n: float(listed[n]['value']) for n in SQUARENESS if n in listed}
         sigma = {n: np.atleast_1d(np.array(listed[n]['sigma'], float)) for n in listed}
-        tool = np.array(data['tool_m'], float)
-        numbers = [*(v for c in curves.values() for v in (c.position, c.value)), *sigma.values(), tool,
+        tool, origin = np.array(data['tool_m'], float), np.array(data['origin_m'], float)
+        files = {str(name): str(check) for name, check in data['files'].items()}
+        numbers = [*(v for c in curves.values() for v in (c.position, c.value)), *sigma.values(), tool, origin,
                    np.array([*square.values(), data['after_as_measured']['largest_m']], float)]
         lengths = [len(c.position) == len(c.value) == len(sigma[n]) > 0 and c.position.ndim == 1
                    for n, c in curves.items()]
-        if not all(lengths) or tool.shape != (3,) or not all(np.all(np.isfinite(v)) for v in numbers):
+        if not all(lengths) or tool.shape != (3,) or origin.shape != (3,) \
+                or not all(np.all(np.isfinite(v)) for v in numbers):
             raise ValueError('a number is missing or not finite')
         return Predicted(str(data['format']), tool, GeometricErrors(curves, square), sigma,
                          float(data['after_as_measured']['largest_m']),
-                         float(data['after_as_measured']['U_m']), bool(data['whole_volume']))
-    except (ValueError, KeyError, TypeError, RecursionError) as error:
+                         float(data['after_as_measured']['U_m']), bool(data['whole_volume']), origin, files)
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise StepdiagError(f'{source}: is not a {NAME} as `stepdiag compensate` writes it '
                             f'({type(error).__name__}: {str(error)[:60]})') from None

@@ -53,8 +53,11 @@ def functional_point(machine: Machine, tool: np.ndarray | None = None, line: np.
 
 
 def tables_of_line(errors: GeometricErrors, machine: Machine, point: FunctionalPoint, names: Iterable[str],
-                   positions: Mapping[str, np.ndarray]) -> dict[str, Trim]:
-    """Tables of the translations ``names`` at ``positions`` [m] that are right along the lines of ``point``."""
+                   positions: Mapping[str, np.ndarray], straight: Iterable[str] = ()) -> dict[str, Trim]:
+    """Tables of the translations ``names`` at ``positions`` [m] that are right along the lines of ``point``.
+
+    Of those in ``straight`` the straight line through the first position that comes nearest to them.
+    """
     tables = {}
     for name in names:
         moved, axis = AXES.index(name[1]), AXES.index(name[2])
@@ -62,7 +65,11 @@ def tables_of_line(errors: GeometricErrors, machine: Machine, point: FunctionalP
         points = np.tile(point.line, (len(position), 1))
         points[:, axis] = position
         value = deviation(errors, machine, points, point.tool)[:, moved]
-        tables[name] = Trim(position, value - value[0], value - value[0])
+        value = value - value[0]
+        if name in straight:
+            way = position - position[0]
+            position, value = position[[0, -1]], way[[0, -1]] * (way @ value) / (way @ way)
+        tables[name] = Trim(position, value, value)
     return tables
 
 

@@ -91,6 +91,8 @@ CONTROL = Control(
     'heidenhain', 'Heidenhain .COM tables', TRANSLATIONS, write, read,
     'Heidenhain: positions from the machine datum, mm; BACKLASH as measured in the negative direction; error curve',
     OPEN,
-    f'Copy the .COM tables and {CMA} (its first line active) to the control, restart, traverse the reference marks.',
+    f'Copy the .COM tables and {CMA} (its first line active) to the control, restart, traverse the reference marks. '
+    f'{CMA} puts these tables in force and no others: if the control holds tables of further axes, give them with '
+    '--present, or add their names to that line.',
     'Make the former line of the .CMA active again, or copy the tables of before/ back, restart.',
-    most_rows=MOST_ROWS)
+    most_rows=MOST_ROWS, joined=TRANSLATIONS)

@@ -17,6 +17,8 @@ from stepdiag_ros.estimate.enhanced import Fit
 from stepdiag_ros.estimate.reduce import StopTable
 
 OK = 'ok'
+NOT_CONVERGED = 'not converged'
+BEYOND_NOISE = 'times as large as the noise'
 LEAST_DOF = 10
 """With fewer degrees of freedom a reduced χ² says nothing: 9 of them let one twice too small pass in 4 %."""
 FALSE_ALARM = 1e-4
@@ -40,14 +42,14 @@ def reasons(result: Fit, table: StopTable) -> list[str]:
     """What keeps a fit from being ok, one clause each; empty where nothing does."""
     found = []
     if not result.converged:
-        found.append('not converged: the steps of the estimate came to no end; its errors are those of the last')
+        found.append(f'{NOT_CONVERGED}: the steps of the estimate came to no end; its errors are those of the last')
     if result.dof < LEAST_DOF:
         found.append(f'{max(result.dof, 0)} degrees of freedom: nothing checks the model; measure repeats or further '
                      'diagonals')
     else:
         reduced, limit = result.chi2 / result.dof, chi2_limit(result)
         if not reduced <= limit:
-            found.append(f'the residuals are {np.sqrt(reduced):.3g} times as large as the noise (reduced χ² '
+            found.append(f'the residuals are {np.sqrt(reduced):.3g} {BEYOND_NOISE} (reduced χ² '
                          f'{reduced:.4g}, noise gives up to {limit:.2g})')
     blind = without_tilts(result, table)
     if blind:

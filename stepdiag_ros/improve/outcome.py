@@ -10,11 +10,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import norm
 
+from stepdiag_ros.compensate.applied import remaining
 from stepdiag_ros.compensate.compensation import K, worst
+from stepdiag_ros.compensate.taken import Taken
 from stepdiag_ros.estimate.prediction import Prediction, predict, sensitivities
 from stepdiag_ros.estimate.solution import Solution
-from stepdiag_ros.improve.levels import Change, remaining
-from stepdiag_ros.linuxcnc.volume import Volume
+from stepdiag_ros.improve.levels import Change
 from stepdiag_ros.model.description import Machine
 from stepdiag_ros.model.log import CalibrationLog
 from stepdiag_ros.model.path import setup_direction, stops
@@ -82,18 +83,20 @@ class Outcome:
                           'worse': int(np.sum(self.stops.worse > 0.0))}}
 
 
-def outcome(change: Change, first: Solution, first_applied: Volume | None, second: Solution, log: CalibrationLog
-            ) -> Outcome:
+def outcome(change: Change, first: Solution, first_applied: Taken, second: Solution, log: CalibrationLog) -> Outcome:
     """The second calibration against the change's prediction; both solutions are of the machine without the
     volumetric compensation that was in force (``first_applied``, ``change.applied``)."""
-    machine = log.description.machine
-    points = change.before.points
+    machine, made = log.description.machine, change.made
+    points, predicted = made.before.points, made.as_measured
+    first, second = _under(first, first_applied), _under(second, change.applied)
     after = predict(second, machine, points)
-    after = Prediction(points, remaining(second.errors, machine, points, change.applied), after.covariance_m2)
-    off = np.linalg.norm(after.deviation_m - change.after.deviation_m, axis=1)
-    return Outcome(change.before, change.after, after, float(off.max()),
-                   _largest_of_noise((first, second), machine, points),
-                   _stops(first, first_applied, second, change.applied, log))
+    off = np.linalg.norm(after.deviation_m - predicted.deviation_m, axis=1)
+    return Outcome(made.before, predicted, after, float(off.max()), _largest_of_noise((first, second), machine, points),
+                   _stops(first, second, log))
+
+
+def _under(solution: Solution, applied: Taken) -> Solution:
+    return remaining(solution, applied) if applied else solution
 
 
 def _largest_of_noise(solutions: tuple[Solution, ...], machine: Machine, points: np.ndarray) -> float:
@@ -109,15 +112,13 @@ def _largest_of_noise(solutions: tuple[Solution, ...], machine: Machine, points:
     return float(np.quantile(np.linalg.norm(total, axis=2).max(axis=1), PROBABILITY))
 
 
-def _stops(first: Solution, first_applied: Volume | None, second: Solution, second_applied: Volume | None,
-           log: CalibrationLog) -> Stops:
+def _stops(first: Solution, second: Solution, log: CalibrationLog) -> Stops:
     machine = log.description.machine
     names, before, after, variance = [], [], [], []
     for setup in log.description.setups:
         path = stops(log.description, setup)
         along = setup_direction(machine, log.description.setups[setup])
-        sides = [_lengths(solution, machine, path.positions, along, setup, applied)
-                 for solution, applied in ((first, first_applied), (second, second_applied))]
+        sides = [_lengths(solution, machine, path.positions, along, setup) for solution in (first, second)]
         if any(side is None for side in sides):
             continue
         (one, one_variance), (two, two_variance) = sides
@@ -130,8 +131,8 @@ def _stops(first: Solution, first_applied: Volume | None, second: Solution, seco
     return Stops(tuple(names), np.array(before), np.array(after), k * np.sqrt(np.array(variance)))
 
 
-def _lengths(solution: Solution, machine: Machine, positions: np.ndarray, along: np.ndarray, setup: str,
-             applied: Volume | None) -> tuple[np.ndarray, np.ndarray] | None:
+def _lengths(solution: Solution, machine: Machine, positions: np.ndarray, along: np.ndarray, setup: str
+             ) -> tuple[np.ndarray, np.ndarray] | None:
     """Length error (n,) [m] at each stop against the first, and its variance; None where the setup was not measured.
 
     The fitted machine along the beam and the mean of what the fit leaves there: the reading less what laser and
@@ -140,7 +141,7 @@ def _lengths(solution: Solution, machine: Machine, positions: np.ndarray, along:
     if solution.residuals is None or setup not in set(solution.residuals.setup):
         return None
     field = predict(solution, machine, positions)
-    error = remaining(solution.errors, machine, positions, applied) @ along
+    error = field.deviation_m @ along
     variance = np.einsum('i,nij,j->n', along, field.covariance_m2, along)
     mine = solution.residuals.setup == setup
     left, visits = np.zeros(len(positions)), np.zeros(len(positions))

@@ -5,6 +5,8 @@ What is added lies in the subfolder ``stepdiag`` and in a few lines of the INI f
 relative to its folder, in which LinuxCNC runs.
 """
 
+import re
+import shutil
 import stat
 from collections.abc import Mapping, Sequence
 from importlib import resources
@@ -12,6 +14,7 @@ from pathlib import Path
 
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.linuxcnc.ini import get, put
+from stepdiag_ros.linuxcnc.volume import VOLUME_HAL as HAL_LINES
 from stepdiag_ros.model.machine import AXES
 
 FOLDER = 'stepdiag'
@@ -177,13 +180,46 @@ def compensated(ini: str, *, tables: Mapping[str, str] | None = None, matrix_hal
     wanted = f'{COMPONENT} file={VOLUME}' if volume is not None else \
         'matrixkins' if matrix_hal is not None else plain[0]
     ini = put(ini, 'KINS', 'KINEMATICS', [wanted])
-    lines = source('volume.hal')
+    lines = HAL_LINES
     if WATCH_HAL in get(ini, 'HAL', 'HALFILE'):
         lines += '# No move begins while the compensation is on its way in or out.\n' \
                  'net stepdiag-ramping stepdiagkins.ramping => stepdiagwatch.hold\n'
     files |= {VOLUME: volume, VOLUME_HAL: None if volume is None else lines, MATRIX_HAL: matrix_hal}
     ini = with_halfile(ini, MATRIX_HAL, matrix_hal is not None)
     return files | {'machine.ini': with_halfile(ini, VOLUME_HAL, volume is not None)}
+
+
+def must_be_supported(ini: str, name: str) -> None:
+    """:class:`StepdiagError` unless positions are in mm and joints 0, 1, 2 are X, Y, Z, and all of it is in this file.
+
+    Tables in mm on a machine in inches would be 25 times as large; on a gantry the second motor of an axis would not
+    follow the first.
+    """
+    if re.search(r'(?m)^\s*#INCLUDE\b', ini):
+        raise StepdiagError(f'{name}: includes other files (#INCLUDE), which stepdiag does not read; put their lines '
+                            'into it')
+    units = get(ini, 'TRAJ', 'LINEAR_UNITS')
+    if [u.lower() for u in units] not in (['mm'], ['metric'], ['millimeter']):
+        raise StepdiagError(f'{name}: [TRAJ]LINEAR_UNITS is {" ".join(units) or "missing"}; stepdiag writes mm')
+    kinematics = get(ini, 'KINS', 'KINEMATICS')
+    if len(kinematics) != 1 or not kinematics[0]:
+        raise StepdiagError(f'{name}: names {len(kinematics) or "no"} [KINS]KINEMATICS; is it LinuxCNC\'s?')
+    coordinates = re.search(r'\bcoordinates=(\S+)', kinematics[0])
+    joints, axes = get(ini, 'KINS', 'JOINTS'), ''.join(get(ini, 'TRAJ', 'COORDINATES')).replace(' ', '').upper()
+    if kinematics[0].split()[0] not in ('trivkins', 'matrixkins', COMPONENT) or joints != ['3'] or axes != 'XYZ' \
+            or coordinates and coordinates[1].upper() != 'XYZ':
+        raise StepdiagError(f'{name}: [KINS]KINEMATICS is {kinematics[0]}, JOINTS {" ".join(joints) or "missing"}, '
+                            f'[TRAJ]COORDINATES {axes or "missing"}; stepdiag compensates machines whose joints '
+                            '0, 1, 2 are X, Y, Z, by trivkins, and no more')
+
+
+def read_ini(folder: Path) -> tuple[Path, str]:
+    """The INI file of a configuration folder and its text; bytes that are no UTF-8 are kept as they are."""
+    path = ini_file(folder)
+    try:
+        return path, path.read_text(encoding='utf-8', errors='surrogateescape')
+    except OSError as error:
+        raise StepdiagError(f'{path}: cannot be read: {error.strerror}') from None
 
 
 def ini_file(folder: Path) -> Path:
@@ -210,7 +246,9 @@ def write(folder: Path, files: Mapping[str, str | None]) -> None:
                 continue
             path.parent.mkdir(parents=True, exist_ok=True)
             part = path.with_name(f'{path.name}.new')
-            part.write_text(text, encoding='utf-8')
+            part.write_text(text, encoding='utf-8', errors='surrogateescape')
+            if path.exists():
+                shutil.copymode(path, part)
             if text.startswith('#!'):
                 part.chmod(part.stat().st_mode | stat.S_IXUSR | stat.S_IXGRP | stat.S_IXOTH)
             part.replace(path)

@@ -18,6 +18,13 @@ import numpy as np
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.model.machine import AXES, CURVES, SQUARENESS, Curve, GeometricErrors, tool_pose
 
+VOLUME_HAL = """\
+# The volumetric compensation ([KINS]KINEMATICS = stepdiagkins); written by stepdiag.
+# Without these lines, or before all joints are homed, nothing is compensated.
+addf stepdiagkins.update servo-thread
+setp stepdiagkins.slew 0.1
+net stepdiag-homed motion.is-all-homed => stepdiagkins.enable
+"""
 FIRST_LINE = 'stepdiag-volume 1'
 MOST_KNOTS = 200
 MOST_M = 1.0e-3

@@ -14,6 +14,11 @@ def _figure(found: Compensation, prediction: Prediction) -> str:
     return f'{1e6 * size:.2f} µm, U = {1e6 * spread:.2f} µm (95 %), at ({at}) mm of the volume'
 
 
+def _small(value: float) -> str:
+    """Two digits behind the point, or two that are not zero."""
+    return f'{value:.2f}' if value >= 0.1 else f'{value:.2g}'
+
+
 def summary(found: Compensation) -> str:
     """The numbers for people."""
     tool = ', '.join(f'{1e3 * c:.1f}' for c in found.point.tool)
@@ -36,10 +41,13 @@ def summary(found: Compensation) -> str:
         lines.append('  cannot be carried  by this kind of table, largest in the volume, ± U (k = 2): ' + ', '.join(
             f'{name} {1e6 * value:.1f} ± {1e6 * found.not_carried_spread[name]:.1f} µm'
             for name, value in sorted(rest.items(), key=lambda item: -item[1])))
-    if found.reversal:
-        lines.append('  reversal           ' + ', '.join(
-            f'{axis} {1e6 * value:.2f} µm, U = {1e6 * spread:.2f} µm (k = 2)'
-            for axis, (value, spread) in found.reversal.items()) + ': half of it in each direction')
+    for reversal, what in ((found.reversal, 'half of it in each direction'),
+                           (found.reversal_left, 'it stays, this kind of table knows no direction; give it to the '
+                                                 "control's own backlash compensation")):
+        if reversal:
+            lines.append('  reversal           ' + ', '.join(
+                f'{axis} {1e6 * value:.2f} µm, U = {_small(1e6 * spread)} µm (k = 2)'
+                for axis, (value, spread) in reversal.items()) + f': {what}')
     tied = found.solution.traceability
     if tied is not None:
         lines.append(f'  errors             {WORDS[tied.air]}; {tied.temperature_words}')

@@ -1,6 +1,8 @@
 """``stepdiag compensate`` and ``stepdiag verify`` as a user runs them, on logs of virtual machines."""
 
 import json
+import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,18 +13,23 @@ from stepdiag_ros.bag.import_csv import import_csv
 from stepdiag_ros.bag.reader import read_log
 from stepdiag_ros.cli.known import known_errors
 from stepdiag_ros.cli.main import main
+from stepdiag_ros.compensate.applied import taken_off
 from stepdiag_ros.compensate.compensation import compensation
 from stepdiag_ros.compensate.control import Place
 from stepdiag_ros.compensate.controls import CONTROLS
 from stepdiag_ros.compensate.taken import left_of
+from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate import evaluate
 from stepdiag_ros.estimate.methods import run_method
+from stepdiag_ros.report.compensation_words import summary
 from stepdiag_ros.virtual.cell import Cell, parse_cell
 from stepdiag_ros.virtual.offline import simulate_log
 
+from ..compensated import compensated_log
 from ..conftest import DEMO
 
 ORIGIN = [-0.5, 0.1, -0.3]
+SUFFIXES = ('.comp', '.ini', '.COM', '.csv')
 
 
 def cell_of(effects: dict | None = None, seed: int = 20, tool: list | None = None, without: str = '#',
@@ -57,16 +64,21 @@ def place(tmp_path_factory):
     folder = tmp_path_factory.mktemp('loop')
     before = cell_of()
     bag = bag_of(before, folder / 'before')
-    for kind in ('linuxcnc', 'heidenhain'):
+    machine = before.description.machine
+    for kind in ('linuxcnc', 'heidenhain', 'isg'):
         tables = folder / kind
         assert main(['compensate', bag, '--format', kind, '--out', str(tables)]) == 0
-        files = {file.name: file.read_text() for file in tables.iterdir() if file.suffix in ('.comp', '.ini', '.COM')}
-        taken = CONTROLS[kind].read(files, Place(before.description.machine, np.array(ORIGIN)))
-        bag_of(cell_of(errors=left_of(before.geometry, taken), seed=99), folder / f'after_{kind}')
+        files = {file.name: file.read_text() for file in tables.iterdir() if file.suffix in SUFFIXES}
+        taken = CONTROLS[kind].read(files, Place(machine, np.array(ORIGIN)))
+        if CONTROLS[kind].whole_model:
+            again = compensated_log(cell_of(errors=before.geometry, seed=99), taken_off(taken, machine))
+            write_log(again, folder / f'after_{kind}')
+        else:
+            bag_of(cell_of(errors=left_of(before.geometry, taken), seed=99), folder / f'after_{kind}')
     return folder
 
 
-@pytest.mark.parametrize('kind', ['linuxcnc', 'heidenhain'])
+@pytest.mark.parametrize('kind', ['linuxcnc', 'heidenhain', 'isg'])
 def test_the_loop_closes_as_predicted(place, kind, capsys):
     """Measure, make tables, put them in force, measure: the machine is better, and as much as was predicted."""
     capsys.readouterr()
@@ -80,6 +92,25 @@ def test_the_loop_closes_as_predicted(place, kind, capsys):
     assert all(figure['U_after'] > 0.0 for figure in figures.values())
     page = (place / 'v' / 'index.html').read_text(encoding='utf-8')
     assert 'conforms' in page and '<svg' in page and 'as predicted' in page
+
+
+def test_tables_on_top_of_a_volumetric_compensation(place, tmp_path, capsys):
+    """The rotations are still there and act nowhere: what remains is what the tool point keeps, and all but nothing."""
+    capsys.readouterr()
+    tables = [str(place / 'isg' / f'{axis}.csv') for axis in 'xyz']
+    assert main(['compensate', str(place / 'after_isg'), '--format', 'isg', '--out', str(tmp_path / 't'), '--json',
+                 '--present', *tables]) == 2
+    answer = json.loads(capsys.readouterr().out)
+    assert answer['before']['largest_m'] < 2e-6
+    assert any('is known to U' in reason for reason in answer['refused'])
+
+
+def test_tables_that_are_not_those_of_the_prediction_are_not_put_back(place, tmp_path, capsys):
+    shutil.copytree(place / 'isg', tmp_path / 'isg')
+    (tmp_path / 'isg' / 'y.csv').write_text((tmp_path / 'isg' / 'x.csv').read_text())
+    assert main(['verify', str(place / 'before'), str(place / 'after_isg'), '--tolerance', '9um', '--prediction',
+                 str(tmp_path / 'isg' / 'prediction.json'), '--out', str(tmp_path / 'v')]) == 2
+    assert 'y.csv: is not the file' in one_line(capsys)
 
 
 def test_tables_that_were_not_loaded_are_found_and_undecided_is_reported(place, capsys):
@@ -122,16 +153,22 @@ def test_lost_motion_goes_into_the_trims(tmp_path):
     assert rows[:, 1] - rows[:, 2] == pytest.approx(4e-3, abs=4e-4)
     prediction = json.loads((tmp_path / 'tables' / 'prediction.json').read_text())
     assert prediction['reversal_m'].keys() == {'X'} and prediction['reversal_m']['X']['U'] > 0.0
+    # A model without directions says that it stays.
+    known = known_errors(read_log(bag), bag)
+    found = compensation(known.solution, cell.description.machine, CONTROLS['isg'], reversal=known.reversal).checked()
+    assert found.reversal == {} and found.reversal_left.keys() == {'X'}
+    assert 'it stays, this kind of table knows no direction' in summary(found)
 
 
 def test_a_log_of_one_axis_makes_one_file(tmp_path):
     table = tmp_path / 'stage_x.csv'
-    rows = [f'{cycle},{way},{target},{1e-3 * (1.5 * target ** 2 + 0.02 * way):.6f}' for cycle in (1, 2, 3)
+    rows = [f'{cycle},{way},{100 * target},{1e-3 * (1.5 * target ** 2 + 0.02 * way):.6f}' for cycle in (1, 2, 3)
             for way, targets in ((1, range(5)), (-1, reversed(range(5)))) for target in targets]
     table.write_text('cycle,direction,target_mm,deviation_mm\n' + '\n'.join(rows) + '\n')
-    log = import_csv(table, 'x').log
+    log = import_csv(table, 'x', corrected=True).log
+    known = known_errors(log, 'stage_x')
     for kind, files in (('linuxcnc', {'x.comp', 'joints.ini'}), ('sinumerik', {'x_eec.mpf'}), ('isg', {'x.csv'})):
-        found = compensation(evaluate(log), log.description.machine, CONTROLS[kind], np.zeros(3)).checked()
+        found = compensation(known.solution, log.description.machine, CONTROLS[kind], np.zeros(3)).checked()
         assert set(found.files) == files
         assert {'EYY', 'EZZ'} <= set(found.unmeasured) and not found.whole_volume
         assert found.worst_after[0] < 0.01 * found.worst_before[0]
@@ -144,6 +181,24 @@ def refused(tmp_path_factory):
             'vacuum': bag_of(cell_of(compensated=False), folder / 'vacuum'),
             'no place': bag_of(cell_of(origin=None), folder / 'no_place'),
             'other': bag_of(cell_of(tool=[0.0, 0.0, -0.1]), folder / 'other')}
+
+
+@pytest.mark.parametrize(('column', 'said'), [('displacement', 'turn the sign of the displacement'),
+                                              ('spot', 'is inverted')])
+def test_a_mistake_of_commissioning_makes_no_table(place, tmp_path, capsys, column, said):
+    """A turned sign made tables of half a metre, a mirrored detector was taken for a gain."""
+    log = read_log(place / 'before')
+    samples = getattr(log, column)
+    turned = samples.values * ([-1.0] if column == 'displacement' else [1.0, -1.0])
+    write_log(replace(log, **{column: replace(samples, values=turned)}), tmp_path / 'bag')
+    bag = str(tmp_path / 'bag')
+    assert main(['compensate', bag, '--format', 'isg', '--out', str(tmp_path / 't')]) == 2
+    assert said in (line := one_line(capsys)) and 'mistake of commissioning' in line
+    assert not (tmp_path / 't').exists()
+    assert main(['verify', str(place / 'before'), bag, '--tolerance', '9um', '--out', str(tmp_path / 'v')]) == 2
+    assert said in one_line(capsys)
+    with pytest.raises(StepdiagError, match='mistake of commissioning'):
+        compensation(evaluate(read_log(bag)), log.description.machine, CONTROLS['linuxcnc']).checked()
 
 
 def one_line(capsys) -> str:

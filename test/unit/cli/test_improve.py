@@ -1,10 +1,14 @@
 """`stepdiag improve` and `stepdiag linuxcnc` refuse in one line what they cannot do, and write nothing then."""
 
+import argparse
+import os
 from pathlib import Path
 
 import pytest
 
+from stepdiag_ros.cli.improve import _agreed
 from stepdiag_ros.cli.main import main
+from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.linuxcnc import configuration, install
 
 CELL = Path(__file__).resolve().parents[3] / 'cells' / 'linuxcnc.yaml'
@@ -58,3 +62,23 @@ def test_the_watchdog_goes_in_and_comes_out(tmp_path, capsys, monkeypatch):
 
 def test_a_folder_without_an_ini_file_is_no_configuration(tmp_path, capsys):
     assert '0 INI files' in refused(capsys, 'linuxcnc', 'watch', tmp_path)
+
+
+@pytest.mark.parametrize(('answer', 'agreed'), [('y', True), ('yes', True), ('', False), ('n', False), ('sure', False)])
+def test_nothing_is_written_unless_somebody_agrees(tmp_path, monkeypatch, capsys, answer, agreed):
+    """At a terminal of its own; what is not yes is no."""
+    asks, answers = os.openpty()
+    os.write(asks, f'{answer}\n'.encode())
+    with os.fdopen(answers) as terminal:
+        monkeypatch.setattr('sys.stdin', terminal)
+        assert _agreed(argparse.Namespace(yes=False, json=False), tmp_path) is agreed
+    os.close(asks)
+    assert 'Write these files?' in capsys.readouterr().out
+
+
+def test_where_nobody_can_be_asked_nothing_is_written(tmp_path, monkeypatch):
+    with open(os.devnull) as nobody:
+        monkeypatch.setattr('sys.stdin', nobody)
+        with pytest.raises(StepdiagError, match='nobody can be asked'):
+            _agreed(argparse.Namespace(yes=False, json=False), tmp_path)
+        assert _agreed(argparse.Namespace(yes=True, json=True), tmp_path)

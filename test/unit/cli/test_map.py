@@ -2,6 +2,7 @@
 
 import csv
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -34,6 +35,20 @@ def test_points_of_ones_own_agree_with_the_truth(bag, capsys):
     assert np.all(np.abs(off) < 4.0 * sigma)
     command = np.array(answer['command_m'])
     np.testing.assert_allclose(command - answer['position_m'], -np.array(answer['deviation_m']), atol=3e-9)
+
+
+def test_what_may_not_be_acted_on_gives_no_command(tmp_path, capsys):
+    cell = load_cell(DEMO)
+    log = simulate_log(replace(cell, air=replace(cell.air, compensated=False, sensors=())), rate=100.0, in_motion=False)
+    write_log(log, tmp_path / 'vacuum')
+    table = tmp_path / 'map.csv'
+    assert main(['map', str(tmp_path / 'vacuum'), '--grid', '2', '--csv', str(table)]) == 0
+    out = capsys.readouterr().out
+    assert 'no command is given: the lengths are not corrected for air' in out and 'cancelled' not in out
+    assert 'command' not in table.read_text().splitlines()[0]
+    assert main(['map', str(tmp_path / 'vacuum'), '--at', '0.1,0.1,0.1', '--json']) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert answer['command_m'] is None and min(answer['sigma_m'][0]) > 1e-6
 
 
 def test_table_and_picture(bag, tmp_path, capsys):

@@ -66,6 +66,34 @@ def linuxcnc(files: Mapping[str, str], target: np.ndarray, direction: int, **_) 
     return command
 
 
+def linuxcnc_matrix(files: Mapping[str, str], target: np.ndarray, direction: int, **_) -> np.ndarray:
+    """joint = C · axis in machine coordinates; that this shifts the whole volume is nobody's error."""
+    c = np.eye(3)
+    for row, column, value in re.findall(r'setp matrixkins.C_(.)(.) (\S+)', files['matrix.hal']):
+        c['xyz'.index(row), 'xyz'.index(column)] = float(value)
+    joints = (target + ORIGIN) @ c.T - ORIGIN @ c.T
+    return joints + linuxcnc(files, joints, direction) - joints
+
+
+def linuxcnc_volume(files: Mapping[str, str], target: np.ndarray, direction: int, machine: Machine, **more
+                    ) -> np.ndarray:
+    """The component's file, read by its own words; levers are counted from the volume's corner."""
+    curves, said, letter = {}, {}, ''
+    for line in files['volume.txt'].splitlines()[2:-1]:
+        key, *values = line.split()
+        if key == 'axis':
+            letter = values[0]
+        elif letter:
+            for name, value in zip([f'E{m}{letter}' for m in 'XYZABC'], map(float, values), strict=True):
+                for column, number in zip(curves.setdefault(name, ([], [])), (float(key), value), strict=True):
+                    column.append(number)
+        else:
+            said[key] = values
+    assert 1e-3 * np.array(said['origin'], float) == pytest.approx(ORIGIN) and said['chain'] == [machine.chain]
+    joints = model(curves, target, machine, 1e-3 * np.array(said['tool'], float), np.zeros(3))
+    return joints + linuxcnc(files, joints, direction) - joints
+
+
 def sinumerik(files: Mapping[str, str], target: np.ndarray, direction: int, **_) -> np.ndarray:
     command = target.copy()
     machine = 1e3 * (target + ORIGIN)
@@ -107,9 +135,9 @@ def heidenhain(files: Mapping[str, str], target: np.ndarray, direction: int, **_
 
 
 def model(curves: Mapping[str, tuple[np.ndarray, np.ndarray]], target: np.ndarray, machine: Machine,
-          tool: np.ndarray | None = None) -> np.ndarray:
+          tool: np.ndarray | None = None, origin: np.ndarray = ORIGIN) -> np.ndarray:
     """A control that takes a model off: shifts and small turns, tool to foundation, in machine coordinates."""
-    place = target + ORIGIN
+    place = target + origin
     point = np.tile(np.asarray(machine.tool if tool is None else tool, float), (len(target), 1))
     ideal = point + place
     frame = machine.chain.index('F')
@@ -153,7 +181,8 @@ def etalon(files: Mapping[str, str], target: np.ndarray, direction: int, machine
     return model(curves, target, machine, **more)
 
 
-APPLIED: dict[str, Callable] = {'linuxcnc': linuxcnc, 'sinumerik': sinumerik, 'heidenhain': heidenhain,
+APPLIED: dict[str, Callable] = {'linuxcnc': linuxcnc, 'linuxcnc-matrix': linuxcnc_matrix,
+                                'linuxcnc-volume': linuxcnc_volume, 'sinumerik': sinumerik, 'heidenhain': heidenhain,
                                 'etalon': etalon, 'isg': isg}
 
 

@@ -8,6 +8,7 @@ import pytest
 from stepdiag_ros.compensate.compensation import K, compensation
 from stepdiag_ros.compensate.controls import CONTROLS
 from stepdiag_ros.compensate.functional import functional_point
+from stepdiag_ros.compensate.open_directions import without
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate.solution import Solution, Unidentifiable
 
@@ -134,10 +135,14 @@ def test_lengths_that_are_not_metres_make_no_table():
     assert found.refusals == ('not corrected for air',) and found.files == {}
 
 
-def test_an_evaluation_that_did_not_converge_makes_no_table():
-    found = compensation(replace(made(1), status='not converged: its steps came to no end'), machine_of(),
-                         CONTROLS['isg'], ORIGIN)
-    assert found.files == {} and any('not converged' in reason for reason in found.refusals)
+@pytest.mark.parametrize('status', ['not converged: its steps came to no end',
+                                    'not ok: the residuals are 9 times as large as the noise (reduced χ² 81)'])
+def test_an_evaluation_that_describes_no_machine_makes_no_table(status):
+    found = compensation(replace(made(1), status=status), machine_of(), CONTROLS['isg'], ORIGIN)
+    assert found.files == {} and any(status in reason for reason in found.refusals)
+    # A log that merely lacks something says so, and U says how much it lacks.
+    assert compensation(replace(made(1), status='not ok: no tilts in setup ppp'), machine_of(), CONTROLS['isg'],
+                        ORIGIN).files
 
 
 @pytest.mark.parametrize('kind', list(CONTROLS))
@@ -158,7 +163,20 @@ def test_on_top_of_what_the_control_applies(kind):
     assert APPLIED[kind](back, target, 1, machine=machine) == pytest.approx(target, abs=1e-12)
 
 
-@pytest.mark.parametrize('kind', ['linuxcnc', 'sinumerik', 'heidenhain'])
+def test_tables_of_axes_that_were_not_measured_stay_in_force():
+    """A .CMA names what is in force: one of X alone would switch the tables of Y and Z off."""
+    machine, control = machine_of(), CONTROLS['heidenhain']
+    first = compensation(made(21, sigma=2e-7), machine, control, ORIGIN).checked()
+    every = made(22, sigma=2e-7)
+    alone = without(every, tuple(name for name, _ in every.names if name[2] != 'X'))
+    found = compensation(alone, machine, control, ORIGIN, present=first.files).checked()
+    assert all(f'{axis}_AXIS' in found.files['CONFIG.CMA'] for axis in 'XYZ')
+    was, now = (control.read(files, found.place) for files in (first.files, found.files))
+    for name in ('EXY', 'EYY', 'EZZ'):
+        assert now[name].forward == pytest.approx(was[name].forward, abs=1e-9)
+
+
+@pytest.mark.parametrize('kind', ['linuxcnc', 'linuxcnc-matrix', 'linuxcnc-volume', 'sinumerik', 'heidenhain'])
 def test_reversal_goes_into_both_directions(kind):
     machine, solution = machine_of(), made(7, sigma=2e-7)
     lost = 6e-6
@@ -166,7 +184,8 @@ def test_reversal_goes_into_both_directions(kind):
     without = compensation(solution, machine, CONTROLS[kind], ORIGIN).checked()
     target = grid(4)
     for direction in (1, -1):
-        extra = APPLIED[kind](found.files, target, direction) - APPLIED[kind](without.files, target, direction)
+        extra = np.subtract(*(APPLIED[kind](tables.files, target, direction, machine=machine)
+                              for tables in (found, without)))
         # The axis stops half the lost motion short of where it goes, so it is sent that much further.
         assert extra[:, 1] == pytest.approx(direction * lost / 2, abs=ROUNDING_M)
         assert extra[:, [0, 2]] == pytest.approx(0.0, abs=ROUNDING_M)

@@ -15,12 +15,14 @@ from .applied import ORIGIN, VOLUME, machine_of
 PLACE = Place(machine_of('YXFZ'), ORIGIN)
 
 
-def drawn(names, count: int = 9, seed: int = 1) -> dict[str, Trim]:
+def drawn(names, count: int = 9, seed: int = 1, straight=()) -> dict[str, Trim]:
     rng = np.random.default_rng(seed)
     taken = {}
     for name in names:
         position = np.linspace(0.0, VOLUME[AXES.index(name[2])], count)
         value = np.concatenate([[0.0], rng.normal(0.0, 5e-6, count - 1)])
+        if name in straight:
+            position, value = position[[0, -1]], value[[0, -1]]
         taken[name] = Trim(position, value, value)
     return taken
 
@@ -28,7 +30,7 @@ def drawn(names, count: int = 9, seed: int = 1) -> dict[str, Trim]:
 @pytest.mark.parametrize('kind', list(CONTROLS))
 def test_what_is_written_is_read_back(kind):
     control = CONTROLS[kind]
-    taken = drawn(control.carries)
+    taken = drawn(control.carries, straight=control.straight)
     if control.reverses:    # an axis by itself may act otherwise in each direction
         taken |= {f'E{a}{a}': Trim(t.position, t.forward, t.reverse + 3e-6)
                   for a in AXES for t in [taken[f'E{a}{a}']]}

@@ -207,6 +207,30 @@ def test_what_the_commands_print_first_grows_or_stays(full):
     assert before['compensate after'] > 30.0 * headlines(full)['compensate after']
 
 
+def every_method(log):
+    """Standard uncertainties of all that `stepdiag compare` shows, by method and figure."""
+    found = {}
+    for method, result in run_all(log)[0].items():
+        pairs = zip(result.names, result.sigma, strict=True) if isinstance(result, Solution) else result.sigma_m.items()
+        found |= {(method, figure): sigma for figure, sigma in pairs}
+    return found
+
+
+def test_every_method_of_compare_grows_or_stays(full):
+    """What is known about the log taken away bit by bit, by all methods of the literature too."""
+    log, before = full, every_method(full)
+    assert len({method for method, _ in before}) >= 8
+    for names in (('budget',), ('scale_temperature/x', 'material'), ('humidity', 'air_pressure'),
+                  ('air_temperature', 'air')):
+        for name in names:
+            log = KNOWLEDGE[name](log)
+        after = every_method(log)
+        for key, sigma in before.items():
+            # Temperatures that are no longer taken into account take their own noise along, a part in a thousand.
+            assert after[key] >= 0.995 * sigma or sigma > OPEN, (key, names)
+        before = after
+
+
 def test_every_contributor_reaches_errors_and_headlines(full):
     """A contributor ten times as large makes no U smaller, and some larger, in errors and in what is printed first."""
     whole = evaluate_in_full(full)

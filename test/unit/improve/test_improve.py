@@ -6,19 +6,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from stepdiag_ros.compensate.applied import taken_off, without_applied
+from stepdiag_ros.compensate.control import Place
+from stepdiag_ros.compensate.taken import left_of
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate import evaluate
 from stepdiag_ros.estimate.gauge import to_reference_lines
 from stepdiag_ros.estimate.prediction import deviation, without_rigid_motion
 from stepdiag_ros.improve import backup, levels
-from stepdiag_ros.improve.applied import without_applied
 from stepdiag_ros.improve.outcome import outcome
 from stepdiag_ros.linuxcnc import configuration
 from stepdiag_ros.linuxcnc.ini import get
-from stepdiag_ros.model.machine import compose, rotation
 from stepdiag_ros.virtual.cell import load_cell, parse_cell
 from stepdiag_ros.virtual.offline import simulate_log
-from stepdiag_ros.virtual.world import World
+
+from ..compensated import compensated_log
 
 CELL = Path(__file__).resolve().parents[3] / 'cells' / 'linuxcnc.yaml'
 
@@ -45,48 +47,44 @@ def control(cell, tmp_path):
     return tmp_path
 
 
-def compensated_log(cell, taken_off, monkeypatch):
-    """What the same machine gives when its joints are moved by what a compensation takes off."""
-    class Compensated(World):
-        def pose(self, moment, angle):
-            machine = self.cell.description.machine
-            joints = moment.position - taken_off(moment.position)
-            motions = [self.cell.geometry.motions(axis, joints[:, axis]) for axis in range(3)]
-            point, attitude = compose(machine.chain, np.array([shift for shift, _ in motions]),
-                                      np.array([turn for _, turn in motions]), machine.tool)
-            return point + moment.shift, rotation(angle + moment.turn) @ attitude
-    monkeypatch.setattr('stepdiag_ros.virtual.offline.World', Compensated)
-    return simulate_log(cell)
+def without_screws(solution, taken):
+    """What an evaluation finds of the machine under screw tables: its errors less what they take off."""
+    left = left_of(solution.errors, taken)
+    value = [left.square[name] if knot < 0 else left.curves[name](solution.positions[name])[knot]
+             for name, knot in solution.names]
+    return replace(solution, value=np.array(value))
 
 
-@pytest.mark.parametrize('level', ['tables', 'volume'])
+@pytest.mark.parametrize('level', levels.LEVELS)
 def test_a_level_makes_the_machine_better_and_says_by_how_much(level, cell, log, first, control):
-    change = levels.change(level, first, cell.description.machine, levels.held(control))
+    change = levels.change(level, first, cell.description.machine, levels.held(control), matrixkins=True)
     assert change.refusals == ()
-    assert change.worst_after[0] < (0.05 if level == 'volume' else 0.9) * change.worst_before[0]
+    share = {'tables': 0.9, 'matrix': 0.9, 'volume': 0.05}[level]
+    assert change.made.worst_after[0] < share * change.made.worst_before[0]
     configuration.write(control, change.files)
-    held = levels.held(control)
-    assert bool(held.tables) == (level == 'tables') and (held.volume is not None) == (level == 'volume')
+    assert levels.held(control).carries == level
+    assert bool(change.applied) == (level == 'volume')
 
 
-def test_a_compensated_machine_is_evaluated_with_the_compensation_put_back(cell, log, first, control, monkeypatch):
+def test_a_compensated_machine_is_evaluated_with_the_compensation_put_back(cell, log, first, control):
     """Its angles act nowhere any more, which no rigid-body machine does: only with the compensation put back is the
     log one of a machine with 21 errors, and what remains is what remains in truth."""
     machine = cell.description.machine
     change = levels.change('volume', first, machine, levels.held(control))
-    again = compensated_log(replace(cell, seed=cell.seed + 1), change.applied.taken_off, monkeypatch)
+    off = taken_off(change.applied, machine)
+    again = compensated_log(replace(cell, seed=cell.seed + 1), off)
     assert evaluate(again).reduced_chi2 > 2.0
-    under = without_applied(again, change.applied.taken_off)
+    under = levels.measured_bare(again, change.applied)
     second = evaluate(under)
     assert second.reduced_chi2 < 1.4
-    found = outcome(change, first, None, second, under)
+    found = outcome(change, first, {}, second, under)
     assert found.as_predicted and found.better and found.factor > 10.0
-    points = change.before.points
-    joints = points - change.applied.taken_off(points)
+    points = change.made.before.points
+    joints = points - off(points)
     truth = without_rigid_motion(points, deviation(cell.geometry, machine, joints) + joints - points)
     assert np.linalg.norm(truth, axis=1).max() < found.off_bound_m
     # Nothing done is not as predicted, and is reported so.
-    idle = outcome(change, first, None, evaluate(without_applied(log, change.applied.taken_off)), log)
+    idle = outcome(change, first, {}, evaluate(without_applied(log, off)), log)
     assert not idle.as_predicted and not idle.better
 
 
@@ -97,15 +95,10 @@ def test_the_volume_takes_up_screw_tables_that_are_there(cell, log, first, contr
     tables = levels.change('tables', first, machine, levels.held(control))
     configuration.write(control, tables.files)
     under = evaluate(log)    # of the machine under the tables: its errors less what they take off
-    taken = levels.CONTROL.read(levels.held(control).present, levels.Place(machine, np.array(machine.origin)))
-    left = levels.left_of(under.errors, taken)
-    rows = {name: i for i, name in enumerate(under.names)}
-    value = under.value.copy()
-    for (name, knot), i in rows.items():
-        value[i] = left.square[name] if knot < 0 else left.curves[name](under.positions[name])[knot]
-    again = levels.change('volume', replace(under, value=value), machine, levels.held(control))
-    points = levels.places(machine)
-    np.testing.assert_allclose(again.applied.taken_off(points), bare.taken_off(points), atol=2e-9)
+    taken = levels.CONTROL['tables'].read(levels.held(control).present, Place(machine, np.array(machine.origin)))
+    again = levels.change('volume', without_screws(under, taken), machine, levels.held(control))
+    points = again.made.before.points
+    np.testing.assert_allclose(taken_off(again.applied, machine)(points), taken_off(bare, machine)(points), atol=2e-9)
     assert get(again.files['machine.ini'], 'JOINT_0', 'COMP_FILE') == []
 
 
@@ -129,10 +122,11 @@ def test_what_is_left_out_counts_in_the_uncertainty(cell, log, first, control):
     for level in ('tables', 'volume'):
         found = levels.change(level, blind, machine, levels.held(control), partial=True)
         assert found.refusals == ()
-        most = levels.K * found.after.size_sigma_m.max()
-        assert most > 1.5e-4 * position[-1], level
+        most = found.made.worst_after[1]
+        # Under tables much else is left, to which 16 µm across add little.
+        assert most > {'tables': 0.5e-4, 'volume': 1.5e-4}[level] * position[-1], level
         known = levels.change(level, first, machine, levels.held(control))
-        assert most > 5.0 * levels.K * known.after.size_sigma_m.max()
+        assert most > 2.0 * known.made.worst_after[1], level
 
 
 def test_lost_motion_is_taken_out_and_into_screw_tables(cell, control):
@@ -151,10 +145,19 @@ def test_lost_motion_is_taken_out_and_into_screw_tables(cell, control):
         assert np.all(np.abs(found - curve(position))[1:] < 3.5 * sigma[1:])
     tables = levels.change('tables', known.solution, machine, levels.held(control), reversal=known.reversal)
     configuration.write(control, tables.files)
-    taken = levels.CONTROL.read(levels.held(control).present, levels.Place(machine, np.array(machine.origin)))
+    place = Place(machine, np.array(machine.origin))
+    taken = levels.CONTROL['tables'].read(levels.held(control).present, place)
     np.testing.assert_allclose(taken['EXX'].reverse - taken['EXX'].forward, value, atol=1e-8)
-    volume = levels.change('volume', known.solution, machine, levels.held(control), reversal=known.reversal)
-    assert any('lost motion of X' in note and 'BACKLASH' in note for note in volume.notes)
+    # The component knows no directions: what these tables do about the lost motion stays in a table.
+    volume = levels.change('volume', without_screws(known.solution, taken), machine, levels.held(control))
+    assert any('lost motion of X goes into a screw table' in note for note in volume.notes)
+    configuration.write(control, volume.files)
+    there = levels.held(control)
+    both = levels.CONTROL['volume'].read(there.present, place)
+    assert set(there.files) == {'x.comp', 'volume.txt'}
+    np.testing.assert_allclose(both['EXX'].reverse - both['EXX'].forward, value, atol=1e-8)
+    np.testing.assert_allclose(both['EXX'].at(taken['EXX'].position).mean,
+                               known.solution.curve('EXX')[1], atol=2e-9)
 
 
 def test_without_an_origin_nothing_is_written(cell, first, control):
@@ -162,11 +165,20 @@ def test_without_an_origin_nothing_is_written(cell, first, control):
         levels.change('volume', first, replace(cell.description.machine, origin=None), levels.held(control))
 
 
-def test_a_control_under_matrixkins_is_not_measured(control):
+@pytest.mark.parametrize(('old', 'new', 'said'), [
+    ('trivkins coordinates=XYZ', 'matrixkins', 'matrix that stepdiag did not write'),
+    ('LINEAR_UNITS = mm', 'LINEAR_UNITS = inch', 'LINEAR_UNITS is inch'),
+    ('LINEAR_UNITS = mm\n', '', 'LINEAR_UNITS is missing'),
+    ('coordinates=XYZ', 'coordinates=XYYZ', 'coordinates=XYYZ'), ('JOINTS = 3', 'JOINTS = 4', 'JOINTS 4'),
+    ('trivkins', 'corexykins', 'corexykins'), ('COORDINATES = X Y Z', 'COORDINATES = X Z Y', 'COORDINATES XZY'),
+    ('[EMC]', '#INCLUDE joints.inc\n[EMC]', '#INCLUDE')])
+def test_a_control_that_cannot_be_added_to_is_not_measured(control, old, new, said):
     ini = control / 'machine.ini'
-    ini.write_text(ini.read_text().replace('trivkins coordinates=XYZ', 'matrixkins'))
-    with pytest.raises(StepdiagError, match='matrixkins'):
+    assert old in ini.read_text()
+    ini.write_text(ini.read_text().replace(old, new))
+    with pytest.raises(StepdiagError) as caught:
         levels.held(control)
+    assert said in str(caught.value) and '\n' not in str(caught.value)
 
 
 def test_undo_puts_back_every_byte(cell, first, control):
@@ -176,12 +188,28 @@ def test_undo_puts_back_every_byte(cell, first, control):
         backup.keep(control, change.files)
         configuration.write(control, change.files)
     backup.undo(control)
-    assert levels.held(control).tables and levels.held(control).volume is None
+    assert set(levels.held(control).files) == {'x.comp', 'y.comp', 'z.comp'}
     backup.undo(control)
     after = {path.relative_to(control): path.read_bytes() for path in control.rglob('*') if path.is_file()}
     assert after == before
     with pytest.raises(StepdiagError, match='nothing to undo'):
         backup.undo(control)
+
+
+def test_undo_keeps_what_was_edited_since(cell, first, control):
+    """And bytes that are no UTF-8, which somebody's comments may hold."""
+    ini = control / 'machine.ini'
+    ini.write_bytes(ini.read_bytes() + b'# f\xfcr M\xfcller\n')
+    original = ini.read_bytes()
+    change = levels.change('volume', first, cell.description.machine, levels.held(control))
+    backup.keep(control, change.files)
+    configuration.write(control, change.files)
+    assert b'# f\xfcr M\xfcller\n' in ini.read_bytes()
+    edited = ini.read_bytes() + b'[FILTER]\n'
+    ini.write_bytes(edited)
+    back, aside = backup.undo(control)
+    assert 'machine.ini' in back and aside == ['machine.ini.edited1']
+    assert ini.read_bytes() == original and (control / aside[0]).read_bytes() == edited
 
 
 def test_half_a_backup_is_none(control):
