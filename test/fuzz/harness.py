@@ -7,14 +7,17 @@ thousand imports.
 import contextlib
 import json
 import os
+import re
 import resource
 import signal
 import sys
 import tempfile
 import time
 import traceback
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+
+import bags
 
 for name in ('OPENBLAS_NUM_THREADS', 'OMP_NUM_THREADS'):
     os.environ[name] = '1'
@@ -24,9 +27,12 @@ CPU_S = 30
 WALL_S = 240.0
 MEMORY = 1 << 30
 ADDRESSES = 4 << 30
-COMMANDS = ('info', 'recover', 'evaluate', 'compare', 'gap', 'map', 'report', 'replay', 'uncertainty')
+COMMANDS = ('info', 'recover', 'evaluate', 'compare', 'gap', 'map', 'report', 'sheets', 'replay', 'uncertainty', 'compensate', 'verify')
+#: Commands that are given a Python file with an effect.
+EFFECT_COMMANDS = ('effect', 'effect simulate', 'effect gap')
 #: What comes with a command that is not an error: the statuses it may end with.
-STATUSES = (0, 1, 2)
+STATUSES = (0, 1, 2, 4)
+PYTHON_WARNING = re.compile(r'^\S+:\d+: \w*Warning: .*\n(?:  .*\n)?', re.MULTILINE)
 
 
 @dataclass(frozen=True)
@@ -46,6 +52,8 @@ def warm_up() -> None:
     import matplotlib.pyplot  # noqa: F401
 
     import stepdiag_ros.cli.compare
+    import stepdiag_ros.cli.compensate
+    import stepdiag_ros.cli.effect
     import stepdiag_ros.cli.evaluate
     import stepdiag_ros.cli.gap
     import stepdiag_ros.cli.import_
@@ -56,6 +64,7 @@ def warm_up() -> None:
     import stepdiag_ros.cli.report
     import stepdiag_ros.cli.simulate
     import stepdiag_ros.cli.uncertainty
+    import stepdiag_ros.cli.verify
     import stepdiag_ros.report.evaluation_page
     import stepdiag_ros.report.gap_page  # noqa: F401
     from stepdiag_ros.effects import all_effects
@@ -65,10 +74,22 @@ def warm_up() -> None:
 def arguments(command: str, given: Path, folder: Path) -> list[str]:
     """The command line that runs ``command`` on the input."""
     bag = str(given)
+    if command.startswith('effect '):
+        cell = given.parent / 'cell.yaml'
+        cell.write_text(f'{bags.CELL}effects: {{own: {{file: {given.name}, amp: 1.0e-5, tau: 20.0}}}}\n', encoding='utf-8')
+        if command == 'effect simulate':
+            return ['simulate', str(cell), '--effect', bag, '--out', str(folder / 'made'), '--json']
+        sound = given.parent.parent / 'diagonals'
+        return ['gap', str(sound), '--effect', bag, '--out', str(folder / 'gap'), '--json']
     return {'info': ['info', bag, '--json'], 'recover': ['recover', bag, '--to', str(folder / 'mended'), '--json'],
             'evaluate': ['evaluate', bag, '--json'], 'compare': ['compare', bag, '--json'],
             'gap': ['gap', bag, '--out', str(folder / 'gap'), '--json'], 'map': ['map', bag, '--json'],
             'report': ['report', bag, '--out', str(folder / 'report'), '--json'],
+            'sheets': ['report', bag, '--sheets', '--out', str(folder / 'sheets'), '--json'],
+            'compensate': ['compensate', bag, '--format', 'linuxcnc', '--origin', '0,0,0', '--partial', '--out', str(folder / 'tables'),
+                           '--json'],
+            'verify': ['verify', bag, bag, '--tolerance', '12um', 'E=8um', '--out', str(folder / 'verify'), '--json'],
+            'effect': ['effect', 'check', bag, '--json'],
             'replay': ['replay', bag, '--json'], 'uncertainty': ['uncertainty', bag, '--json'],
             'import': ['import', bag, '--to', str(folder / 'imported'), '--json'],
             'simulate': ['simulate', bag, '--out', str(folder / 'made'), '--json']}[command]
@@ -129,7 +150,12 @@ def _wait(child: int) -> tuple[int, resource.struct_rusage]:
 
 
 def judge(outcome: Outcome, size: int) -> str:
-    """What is wrong with a run on an input of ``size`` bytes; empty: nothing."""
+    """What is wrong with a run on an input of ``size`` bytes; empty: nothing.
+
+    Where code of the user's own was run Python's warnings about it are his to see.
+    """
+    if '.py' in ' '.join(outcome.argv):
+        outcome = replace(outcome, err=PYTHON_WARNING.sub('', outcome.err))
     if outcome.status < 0:
         return f'ended by signal {-outcome.status} after {outcome.cpu_s:.0f} s and {outcome.memory >> 20} MiB'
     if 'Traceback' in outcome.err or outcome.status not in STATUSES:
