@@ -149,8 +149,10 @@ class LinuxCncRsh:
         arrived = np.max(np.abs(place - self._target)) <= self._window
         if idle and same and not arrived:
             if time.monotonic() - self._still_since > STILL_S:
+                error = self._get('error')
                 raise self._link.fail(f'stopped at {place} m on the way to {self._target} m: '
-                                      f'{self._get("error")}')
+                                      + (error if error != 'OK' else 'it names no error; its watchdog, or a hand, has '
+                                                                     'aborted the move'))
         else:
             self._still_since = time.monotonic()
         return bool(idle and same and arrived)
