@@ -317,8 +317,8 @@ class OnLinuxCnc:
         self.folder, self._clients = folder, []
         with open(folder / 'up.log', 'wb') as log:
             self.up = subprocess.Popen(
-                [*STEPDIAG, 'up', str(write_cell(folder, lost='at_once', control='linuxcnc')), '--runtime', str(folder / 'run'),
-                 '--bag-folder', str(folder)], stdout=log, stderr=subprocess.STDOUT)
+                [*STEPDIAG, 'up', str(write_cell(folder, lost='at_once', control='linuxcnc')), '--runtime',
+                 str(folder / 'run'), '--bag-folder', str(folder)], stdout=log, stderr=subprocess.STDOUT)
         self._wait(lambda: 'calibrate with' in self.said())
         self.machine = Machine(folder / 'run', SampledHistory)
 

@@ -102,8 +102,8 @@ def test_a_node_goes_down_and_up_again(cell, node, eventually):
                why=lambda: cell.operator.health(node).message)
 
 
-#: What names files, hosts, feeds or places, or keeps the machine still for want of a client or of a hand; a parameter service
-#: that everybody may call does not change it.
+#: What names files, hosts, feeds or places, or keeps the machine still for want of a client or of a hand; a parameter
+#: service that everybody may call does not change it.
 FIXED = {
     'interferometer_driver': {'host': '10.0.0.1', 'port': 1, 'serves': ['a=1'], 'beams': 3},
     'psd_driver': {'host': '10.0.0.1', 'port': 1, 'stream_port': 1, 'mode': 'poll', 'length': 0.1, 'rotation': 1.0,
