@@ -3,6 +3,7 @@
 import re
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -78,6 +79,46 @@ def test_a_node_that_still_computes_ends_in_order(module_domain):
         node.terminate()
         said = node.communicate(timeout=60.0)[0]
     assert node.returncode == 0 and said == ''
+
+
+def test_a_new_log_waits_for_no_diagnosis_of_the_last_one(ros_domain, monkeypatch):
+    """Nor does what is found in the end pass for the new log's."""
+    import rclpy
+
+    from stepdiag_ros.nodes import gap_monitor
+    rclpy.init()
+    node = gap_monitor.GapMonitor()
+    diagnosing, looked, found, said = threading.Event(), threading.Event(), threading.Event(), []
+
+    def diagnose(_log, _effects):
+        diagnosing.set()
+        found.wait(60.0)
+
+    def steps_received() -> int:
+        looked.set()
+        return 1
+    monkeypatch.setattr(gap_monitor, 'diagnose', diagnose)
+    monkeypatch.setattr(node, 'whole_log', lambda: None)
+    monkeypatch.setattr(node, 'steps_received', steps_received)
+    try:
+        node.configure()
+        node.activate()
+        node.state = 'active'
+        work = threading.Thread(target=lambda: said.append(node._diagnose()))
+        work.start()
+        assert diagnosing.wait(60.0) and looked.wait(60.0)      # the watcher waits for its turn, too
+        ending = threading.Thread(target=node.deactivate, daemon=True)
+        ending.start()
+        ending.join(30.0)
+        assert not ending.is_alive()
+        found.set()
+        work.join(60.0)
+        assert said == [(False, 'another log was begun meanwhile; stepdiag gap diagnoses the bag of this one')]
+    finally:
+        found.set()
+        node.cleanup()
+        node.destroy_node()
+        rclpy.try_shutdown()
 
 
 def test_quality_of_service_can_be_overridden(cell):
