@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 import threading
@@ -15,7 +16,9 @@ from stepdiag_ros.bag.reader import read_log
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.nodes.ownership import CELL, Ownership
 
-DEMO = (Path(__file__).resolve().parents[2] / 'cells' / 'demo.yaml').read_text(encoding='utf-8')
+#: With a fifth of the samples: how they are taken is tried elsewhere.
+DEMO = re.sub(r'(interferometer|psd): 1000\.0', r'\1: 200.0',
+              (Path(__file__).resolve().parents[2] / 'cells' / 'demo.yaml').read_text(encoding='utf-8'))
 STEPDIAG = [sys.executable, '-m', 'stepdiag_ros.cli.main']
 
 
@@ -33,7 +36,7 @@ class Up:
         self._reader.start()
 
     def __enter__(self) -> 'Up':
-        end = time.monotonic() + 90.0
+        end = time.monotonic() + 300.0
         while not any('calibrate with' in line for line in self.lines):
             assert self.process.poll() is None and time.monotonic() < end, self.lines
             time.sleep(0.1)
@@ -97,7 +100,7 @@ def test_a_second_owner_is_refused_and_the_kernel_frees_what_a_killed_one_held(m
 def test_a_second_up_is_refused_in_one_line(up, small, tmp_path):
     before = up.tree()
     second = subprocess.run([*STEPDIAG, 'up', str(small), '--most', '9', '--bag', str(tmp_path / 'second')],
-                            capture_output=True, text=True, timeout=60.0)
+                            capture_output=True, text=True, timeout=300.0)
     assert second.returncode == 2
     assert [line for line in second.stderr.splitlines() if 'is up already' in line] == second.stderr.splitlines()
     assert not (tmp_path / 'second').exists() and sorted(up.tree()) == sorted(before)
@@ -107,7 +110,7 @@ def test_a_second_sequencer_of_a_namespace_ends_at_once(up):
     second = subprocess.run(
         [sys.executable, '-m', 'stepdiag_ros.nodes.step_sequencer', '--ros-args', '-r', '__ns:=/demo',
          '--params-file', str(up.runtime / 'parameters.yaml'), '-p', 'autostart:=true'],
-        capture_output=True, text=True, timeout=60.0)
+        capture_output=True, text=True, timeout=300.0)
     assert second.returncode == 2
     assert second.stderr.splitlines()[-1].startswith('stepdiag: /demo is up already in ROS domain')
 
@@ -117,7 +120,7 @@ def test_a_running_cell_is_calibrated_with_other_steps_and_then_with_its_own(up)
     for name, more in (('two', ['--steps', '2']), ('own', [])):
         done = subprocess.run([*STEPDIAG, 'calibrate', '/demo', '--setups', 'lin_z', '--bag', str(folder / name),
                                '--dwell', '0.1', '--repeats', '1', '--json', *more],
-                              capture_output=True, text=True, timeout=120.0)
+                              capture_output=True, text=True, timeout=600.0)
         # Measured; one line alone evaluates to "not ok", which is status 1.
         assert done.returncode == 1, done.stdout + done.stderr
         assert json.loads(done.stdout)['evaluation'] is not None

@@ -170,7 +170,7 @@ class Wires:
             self._process = subprocess.Popen(
                 [sys.executable, '-m', 'stepdiag_ros.virtual.cell_process', str(folder / 'cell.yaml'), '--runtime',
                  str(folder / 'run')], stdout=subprocess.DEVNULL, stderr=log)
-        endpoints, end = folder / 'run' / 'endpoints.yaml', time.monotonic() + 60.0
+        endpoints, end = folder / 'run' / 'endpoints.yaml', time.monotonic() + 240.0
         while not endpoints.exists():
             if self._process.poll() is not None or time.monotonic() > end:
                 raise RuntimeError(self._log_file.read_text(encoding='utf-8'))

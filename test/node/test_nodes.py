@@ -228,6 +228,35 @@ def test_unknown_parameters_of_the_psd_are_refused_in_one_line(cell, eventually)
     operator.bring('psd_driver', 'active')
 
 
+def test_a_node_that_takes_long_for_each_answer_is_heard(cell):
+    """Longer than the time after which it is asked again, as on a busy computer."""
+    import rclpy
+    from lifecycle_msgs.srv import GetState
+    from rclpy.experimental.events_executor import EventsExecutor
+
+    from stepdiag_ros.nodes.base import spin
+    from stepdiag_ros.nodes.operator import ASK_AGAIN_S
+
+    def slowly(_request, response):
+        time.sleep(ASK_AGAIN_S + 0.5)
+        response.current_state.label = 'active'
+        return response
+    context, stop = rclpy.Context(), threading.Event()
+    rclpy.init(context=context)
+    node, executor = rclpy.create_node('slow', namespace='/tiny', context=context), EventsExecutor(context=context)
+    node.create_service(GetState, 'slow/get_state', slowly)
+    executor.add_node(node)
+    answering = threading.Thread(target=spin, args=(executor, stop.is_set), daemon=True)
+    answering.start()
+    try:
+        assert cell.operator.state('slow', 60.0) == 'active'
+    finally:
+        stop.set()
+        answering.join(60.0)
+        node.destroy_node()
+        context.try_shutdown()
+
+
 def test_a_raw_subscription_hands_on_nothing_before_its_start(ros_domain, eventually):
     import rclpy
     from std_msgs.msg import String
