@@ -76,7 +76,8 @@ class GapMonitor(ListenerNode):
         self._so_far = self.create_lifecycle_publisher(
             GeometricErrors, ERRORS_SO_FAR, reliable(1, latched=True), qos_overriding_options=overridable())
         self.create_service(Trigger, 'diagnose', self._on_diagnose)
-        self._stop = threading.Event()      # of the present log: what still computes for an earlier one finds its own set
+        # Of the present log: what still computes for an earlier one finds its own set.
+        self._stop = threading.Event()
         self._leaving: Leaving | None = None
         self._verdict = ''
         self._fault_of_work = ''
