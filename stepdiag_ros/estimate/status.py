@@ -51,8 +51,8 @@ def reasons(result: Fit, table: StopTable) -> list[str]:
                          f'{reduced:.4g}, noise gives up to {limit:.2g})')
     short = without_lengths(result, table)
     if short:
-        found.append(f'no lengths in setup {", ".join(short)}: interferometer/displacement is missing or cannot be used '
-                     'at most of its stops')
+        found.append(f'no lengths in setup {", ".join(short)}: interferometer/displacement is missing or cannot be '
+                     'used at most of its stops')
     blind = without_tilts(result, table)
     if blind:
         found.append(f'no tilts in setup {", ".join(blind)}: psd/spot is empty or missing, so that the angles are not '

@@ -52,8 +52,8 @@ def test_without_lengths_at_most_stops_it_is_not_ok(measured):
     lost = (table.setup == 0) & (table.index > 0)
     dark = replace(table, displacement=np.where(lost[:, None], np.nan, table.displacement))
     assert reasons(fit(description, dark, quiet(table)), dark) == [
-        f'no lengths in setup {table.setup_names[0]}: interferometer/displacement is missing or cannot be used at most of '
-        'its stops']
+        f'no lengths in setup {table.setup_names[0]}: interferometer/displacement is missing or cannot be used at '
+        'most of its stops']
 
 
 def test_three_beams_need_no_spots(measured):
