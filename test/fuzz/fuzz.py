@@ -21,8 +21,8 @@ import wires
 
 import bags
 
-#: Endings of the files that are given, and how many of the commands that take it each meets.
-KINDS = ('bag', 'log', 'cell', 'effect', 'table', *wires.KINDS)
+#: Of inputs: files that are given to commands, and what passes over wires.
+KINDS = ('bag', 'log', 'cell', 'effect', 'table', 'truth', 'budget', *wires.KINDS)
 
 
 class Fuzzer:
@@ -38,6 +38,9 @@ class Fuzzer:
         if set(kinds) - set(wires.KINDS):
             harness.warm_up()
             self.sound = dict(bags.small_bags(self.place))
+            diagonals = str(self.place / 'diagonals')
+            self.beside = {'truth': harness.run(['evaluate', diagonals, '--json']).out,
+                           'budget': harness.run(['uncertainty', '--print-budget']).out}
         self.wires = wires.Wires(self.place) if set(kinds) & set(wires.KINDS) else None
 
     def try_file(self, data: bytes, ending: str, commands: tuple[str, ...], what: str) -> list[str]:
@@ -98,6 +101,10 @@ class Fuzzer:
         elif kind == 'effect':
             self.try_file(inputs.odd_effect(rng).encode('utf-8', 'surrogatepass'), '.py',
                           (rng.choice(harness.EFFECT_COMMANDS),), 'effect file')
+        elif kind == 'truth':
+            self.try_file(wires.odd_json(self.beside[kind].encode(), rng), '.json', (kind,), 'known errors')
+        elif kind == 'budget':
+            self.try_file(inputs.odd_yaml(rng, self.beside[kind]).encode('utf-8', 'surrogatepass'), '.yaml', (kind,), 'budget')
         else:
             self.try_file(inputs.odd_table(rng).encode('utf-8', 'surrogatepass'), '_x.csv', ('import',), 'table')
 

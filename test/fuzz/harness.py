@@ -75,13 +75,13 @@ def warm_up() -> None:
 def arguments(command: str, given: Path, folder: Path) -> list[str]:
     """The command line that runs ``command`` on the input."""
     bag = str(given)
+    sound = str(given.parent.parent / 'diagonals')
     if command.startswith('effect '):
         cell = given.parent / 'cell.yaml'
         cell.write_text(f'{bags.CELL}effects: {{own: {{file: {given.name}, amp: 1.0e-5, tau: 20.0}}}}\n', encoding='utf-8')
         if command == 'effect simulate':
             return ['simulate', str(cell), '--effect', bag, '--out', str(folder / 'made'), '--json']
-        sound = given.parent.parent / 'diagonals'
-        return ['gap', str(sound), '--effect', bag, '--out', str(folder / 'gap'), '--json']
+        return ['gap', sound, '--effect', bag, '--out', str(folder / 'gap'), '--json']
     return {'info': ['info', bag, '--json'], 'recover': ['recover', bag, '--to', str(folder / 'mended'), '--json'],
             'evaluate': ['evaluate', bag, '--json'], 'compare': ['compare', bag, '--json'],
             'gap': ['gap', bag, '--out', str(folder / 'gap'), '--json'], 'map': ['map', bag, '--json'],
@@ -91,6 +91,8 @@ def arguments(command: str, given: Path, folder: Path) -> list[str]:
                            '--json'],
             'verify': ['verify', bag, bag, '--tolerance', '12um', 'E=8um', '--out', str(folder / 'verify'), '--json'],
             'effect': ['effect', 'check', bag, '--json'],
+            'truth': ['report', sound, '--truth', bag, '--out', str(folder / 'report'), '--json'],
+            'budget': ['uncertainty', sound, '--budget', bag, '--json'],
             'replay': ['replay', bag, '--json'], 'uncertainty': ['uncertainty', bag, '--json'],
             'import': ['import', bag, '--to', str(folder / 'imported'), '--json'],
             'simulate': ['simulate', bag, '--out', str(folder / 'made'), '--json']}[command]
