@@ -45,10 +45,10 @@ blind: setup
 	$(BIN)/stepdiag blind answer build/blind-$(SEED)
 	$(BIN)/stepdiag blind open --floor --apart --settle build/blind-$(SEED)
 
-# Hostile inputs, drawn for TIME seconds; what is found stands in build/fuzz.
+# Hostile inputs, drawn for TIME seconds (KINDS="bag cell": of these kinds); what is found stands in build/fuzz.
 TIME ?= 600
 fuzz: setup-tests
-	nice -n 10 $(BIN)/python test/fuzz/fuzz.py --seconds $(TIME)
+	nice -n 10 $(BIN)/python test/fuzz/fuzz.py --seconds $(TIME) $(if $(KINDS),--kinds $(KINDS))
 
 # A bill of materials of the environment (CycloneDX), and the hashes of all that is installed.
 sbom: setup

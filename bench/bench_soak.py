@@ -6,7 +6,8 @@ The cell is brought up as `stepdiag up` does it, and records all the time.  It i
 minutes, and at the end, each time into a bag of its own; in between it is idle.  Memory is what the process has itself
 allocated (anonymous pages), which no reclaim of shared files makes look smaller, and the resident set.  Lost is what the
 bags lack by the publishers' sequence numbers, and samples that bear the mark of a missed poll (quality 0) in a dwell.  The
-status is 1 if anything was lost, or if a process grows by more than 0.1 MiB a minute while the cell is idle.
+status is 1 if anything was lost, or if a process grows by more than 0.1 MiB a minute while the cell is idle, the first
+stretch left out, in which what is bounded fills up.
 """
 
 import argparse
@@ -15,6 +16,7 @@ import os
 import sys
 import tempfile
 import time
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -117,15 +119,17 @@ class Soak:
 def growth(rows: list[dict[str, Any]], name: str) -> float:
     """Slope of a process's anonymous memory [MiB/min] over the idle stretches, each with an offset of its own.
 
-    The first two minutes of a stretch are left out: the diagnosis that follows a calibration is in them.
+    The first two minutes of a stretch are left out: the diagnosis that follows a calibration is in them.  So is the first
+    stretch of several: what is bounded fills up in it, as the index of a bag's file does.
     """
     minutes, memory, stretch, number, since = [], [], [], 0, None
+    several = sum(before['idle'] and not row['idle'] for before, row in pairwise(rows)) > 1
     for row in rows:
         if not row['idle']:
             number, since = number + (since is not None), None
             continue
         since = row['minute'] if since is None else since
-        if row['minute'] - since >= 2.0 and name in row['taken']:
+        if row['minute'] - since >= 2.0 and name in row['taken'] and not (number == 0 and several):
             minutes.append(row['minute'])
             memory.append(row['taken'][name][0])
             stretch.append(number)
@@ -179,7 +183,7 @@ def page(soak: Soak, bags: list[dict[str, Any]], slopes: dict[str, float], cell:
              f'{max(r["load"] for r in soak.rows):.1f} by other work. {soak.cell.restarts} nodes had to be started again.', '',
              '## Memory', '',
              'Anonymous memory of each process [MiB], which is what it has itself allocated; in brackets the resident set at the '
-             'end. Growth: by a straight line through the idle minutes.', '',
+             'end. Growth: by a straight line through the idle minutes after the second calibration.', '',
              '| minute | ' + ' | '.join(f'{row["minute"]:.0f}' for row in shown) + ' | growth, MiB/min | processor |',
              '|---|' + '---:|' * (len(shown) + 2)]
     for name, slope in slopes.items():

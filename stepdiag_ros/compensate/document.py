@@ -99,6 +99,6 @@ def predicted_of(text: str, source: str) -> Predicted:
         return Predicted(str(data['format']), tool, GeometricErrors(curves, square), sigma,
                          float(data['after_as_measured']['largest_m']),
                          float(data['after_as_measured']['U_m']), bool(data['whole_volume']), origin, files)
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
         raise StepdiagError(f'{source}: is not a {NAME} as `stepdiag compensate` writes it '
                             f'({type(error).__name__}: {str(error)[:60]})') from None

@@ -25,6 +25,8 @@ STOP_S = 10.0
 STOP_ANSWER_S = 1.0
 """A connection that says nothing for so long while the machine must stop is given up for a fresh one."""
 STOP_PAUSE_S = 0.05
+MOST_LINE = 1 << 16
+"""Bytes without an end of line that are no answer of a control."""
 
 
 class LinuxCncRsh:
@@ -58,6 +60,12 @@ class LinuxCncRsh:
         self._still_since = 0.0
 
     def connect(self) -> None:
+        self._greet()
+        if self._heart is not None:
+            self._heart.open()
+
+    def _greet(self) -> None:
+        """The connection that commands, without the one that gives signs of life."""
         self._link.open()
         self._lines, self._rest = [], b''
         password, enable = self._passwords
@@ -75,8 +83,6 @@ class LinuxCncRsh:
             raise self._link.fail(f'counts lengths in {unit!r}; set it up in MM or INCH')
         self._unit_m = units[unit]
         self._forget_errors()
-        if self._heart is not None:
-            self._heart.open()
 
     def close(self) -> None:
         if self._link.is_open:
@@ -131,6 +137,10 @@ class LinuxCncRsh:
     def in_position(self) -> bool:
         """Idle, and twice at the same place within the window of the target."""
         self._beat()
+        return self._rests()
+
+    def _rests(self) -> bool:
+        """:meth:`in_position` without a sign of life."""
         idle, place = self._idle(), self.position()
         same = self._last is not None and np.max(np.abs(place - self._last)) <= self._window
         self._last = place
@@ -139,8 +149,10 @@ class LinuxCncRsh:
         arrived = np.max(np.abs(place - self._target)) <= self._window
         if idle and same and not arrived:
             if time.monotonic() - self._still_since > STILL_S:
+                error = self._get('error')
                 raise self._link.fail(f'stopped at {place} m on the way to {self._target} m: '
-                                      f'{self._get("error")}')
+                                      + (error if error != 'OK' else 'it names no error; its watchdog, or a hand, has '
+                                                                     'aborted the move'))
         else:
             self._still_since = time.monotonic()
         return bool(idle and same and arrived)
@@ -159,7 +171,8 @@ class LinuxCncRsh:
         """Abort the motion; returns when the machine stands still.
 
         Over the connection that is open, and over a fresh one where that is gone or says nothing:
-        what ends a run may be the very loss of its connection.  Tried for ``stop_timeout_s``.
+        what ends a run may be the very loss of its connection.  The watchdog is not needed for it: whom it takes
+        for dead it stops.  Tried for ``stop_timeout_s``.
         """
         usual_s = self._timeout_s
         self._hurry(min(usual_s, STOP_ANSWER_S))
@@ -168,7 +181,7 @@ class LinuxCncRsh:
             while True:
                 try:
                     if not self._link.is_open:
-                        self.connect()
+                        self._greet()
                     self._abort(end)
                     return
                 except DeviceError as error:
@@ -192,7 +205,7 @@ class LinuxCncRsh:
         # A machine that is switched off takes no commands and has nothing to abort.
         if answer.upper().endswith('NAK') and self._get('machine') != 'OFF':
             raise self._link.fail("refuses 'abort'")
-        while not self.in_position():
+        while not self._rests():
             if time.monotonic() > end_s:
                 raise self._link.fail('does not come to rest after an abort')
             time.sleep(0.005)
@@ -262,6 +275,8 @@ class LinuxCncRsh:
             data = self._rest + self._link.receive()
             # "\n\r" after acknowledgements, "\r\n" after values: both are just breaks.
             *whole, self._rest = re.split(rb'[\r\n]+', data)
+            if len(self._rest) > MOST_LINE:
+                raise self._link.fail('answers nonsense (no end of line); is it linuxcncrsh?')
             self._lines += [line.decode('ascii', 'replace').strip() for line in whole if line.strip()]
 
     def _wait_for(self, condition, complaint: str) -> None:

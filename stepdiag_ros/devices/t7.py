@@ -141,4 +141,5 @@ def uint(registers: list[int]) -> int:
 
 def floats(registers: list[int]) -> np.ndarray:
     """Pairs of registers → float32 numbers."""
-    return np.array(registers, '>u2').view('>f4').astype(float)
+    with np.errstate(invalid='ignore'):   # a signalling NaN of a stranger is one like any other
+        return np.array(registers, '>u2').view('>f4').astype(float)

@@ -60,7 +60,7 @@ def effects_in_file(path: str) -> list[type[Effect]]:
         raise StepdiagError(f'{path}: holds no effect; define a subclass of stepdiag_ros.effects.base.Effect '
                             'with a name')
     for kind in found:
-        if not kind.name.isidentifier():
+        if not isinstance(kind.name, str) or not kind.name.isidentifier():
             raise StepdiagError(f'{path}: {kind.__name__}.name is {kind.name!r}; '
                                 'give it a name of letters, digits and underscores')
         if kind.name in VOCABULARY:
@@ -84,5 +84,5 @@ def all_effects(extra_paths: Iterable[str] = ()) -> dict[str, type[Effect]]:
 
 def _in_module(module: ModuleType) -> list[type[Effect]]:
     return [value for value in vars(module).values()
-            if isinstance(value, type) and issubclass(value, Effect) and value.name
+            if isinstance(value, type) and issubclass(value, Effect) and value.name is not Effect.name
             and value.__module__ == module.__name__]

@@ -23,10 +23,16 @@ ACTING = ('before_pose', 'before_light', 'after_light')
 
 def checked(kind: type[Effect], path: str) -> type[Effect]:
     """``kind``, found in ``path``, with its attributes checked and its methods wrapped."""
+    for text in ('title', 'short', 'remedy'):
+        if not isinstance(getattr(kind, text), str):
+            raise StepdiagError(f'{path}: {kind.__name__}.{text} is {getattr(kind, text)!r}; give a text')
+    if not isinstance(kind.parameters, tuple | list):
+        raise StepdiagError(f'{path}: {kind.__name__}.parameters is {kind.parameters!r}; give a tuple of '
+                            'Parameter(name, unit, low, high)')
     for p in kind.parameters:
-        if not isinstance(p, Parameter) or not np.all(np.isfinite([p.low, p.high])) or p.low > p.high:
+        if not isinstance(p, Parameter) or not _is_sound(p):
             raise StepdiagError(f'{path}: {kind.__name__}.parameters holds {p!r}; give '
-                                'Parameter(name, unit, low, high) with finite low <= high')
+                                'Parameter(name, unit, low, high, size) with finite low <= high and a size above 0')
     for method in ACTING:
         _wrap(kind, path, method, _acting)
     _wrap(kind, path, 'appearance', _appearing)
@@ -35,6 +41,11 @@ def checked(kind: type[Effect], path: str) -> type[Effect]:
     _wrap(kind, path, 'environment', _environment)
     _wrap(kind, path, 'guess', _guessing)
     return kind
+
+
+def _is_sound(p: Parameter) -> bool:
+    return isinstance(p.name, str) and isinstance(p.size, int) and p.size > 0 \
+        and all(isinstance(v, int | float) and np.isfinite(v) for v in (p.low, p.high)) and p.low <= p.high
 
 
 def _wrap(kind: type[Effect], path: str, method: str, guard: Callable) -> None:
@@ -50,9 +61,9 @@ def _run(where: str, path: str, function: Callable, *given: object) -> object:
     """What the user's function gives; its exceptions in one line, with the line of the file."""
     try:
         return function(*given)
-    except (StepdiagError, MemoryError):
+    except (StepdiagError, MemoryError, KeyboardInterrupt):
         raise
-    except Exception as error:
+    except BaseException as error:     # sys.exit() would end the command as if all had been done
         lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == path]
         at = f' (line {lines[-1]})' if lines else ''
         raise StepdiagError(f'{where}{at}: {type(error).__name__}: {" ".join(str(error).split())}; correct this line, '

@@ -69,31 +69,48 @@ def truth_of(text: str, description: Description, log_name: str, source: str) ->
         data = json.loads(text)
     except json.JSONDecodeError as error:
         raise StepdiagError(f'{source}: line {error.lineno}: not JSON: {error.msg}') from None
+    except (ValueError, RecursionError) as error:     # a number of too many digits; brackets without end
+        raise StepdiagError(f'{source}: not JSON: {str(error)[:80] or type(error).__name__}') from None
     if isinstance(data, dict) and log_name in data:
         data = data[log_name]
     if not isinstance(data, dict) or not ('errors' in data or 'geometry' in data):
         raise StepdiagError(f'{source}: neither "errors" nor "geometry" for log {log_name!r}; give the '
                             'answer of `stepdiag evaluate --json` or a truth.json that names the log')
     curves, square = {}, {}
-    body = data.get('errors') or data['geometry']
+    body = data.get('errors') or data.get('geometry')
+    squares = body.get('square', body) if isinstance(body, dict) else None
+    if not isinstance(squares, dict):
+        raise StepdiagError(f'{source}: "errors" or "geometry" is no object; give each error by its name')
     for name in CURVES:
-        if name not in body:
-            continue
-        given = body[name]
-        position = plan_positions(description, AXES.index(name[2]))
-        if isinstance(given, dict):
-            position, given = np.array(given['position_m'], float), given['value']
-        value = np.array(given, float)
-        if value.shape != position.shape:
-            raise StepdiagError(f'{source}: {name} has {value.size} values, the plan '
-                                f'{position.size} positions')
-        curves[name] = Curve(position, value)
-    squares = body.get('square', body)
+        if name in body:
+            given = body[name]
+            position = plan_positions(description, AXES.index(name[2]))
+            if isinstance(given, dict):
+                position, given = _numbers(given.get('position_m'), f'{source}: {name}.position_m'), given.get('value')
+            value = _numbers(given, f'{source}: {name}')
+            if value.shape != position.shape or value.ndim != 1:
+                raise StepdiagError(f'{source}: {name} has {value.size} values, the plan '
+                                    f'{position.size} positions')
+            curves[name] = Curve(position, value)
     for name in SQUARENESS:
         if name in squares:
             given = squares[name]
-            square[name] = float(given['value'] if isinstance(given, dict) else given)
+            value = _numbers(given.get('value') if isinstance(given, dict) else given, f'{source}: {name}')
+            if value.ndim:
+                raise StepdiagError(f'{source}: {name} has {value.size} values; give one')
+            square[name] = float(value)
     return GeometricErrors(curves, square)
+
+
+def _numbers(given: Any, where: str) -> np.ndarray:
+    """``given`` as an array; :class:`StepdiagError` where it holds anything but finite numbers."""
+    try:
+        value = np.array(given, float)
+    except (TypeError, ValueError, OverflowError):
+        value = np.array(np.nan)
+    if not np.all(np.isfinite(value)):
+        raise StepdiagError(f'{where}: {str(given)[:60]!r} where finite numbers belong')
+    return value
 
 
 def compare(results: Mapping[str, Any], reference: GeometricErrors, name: str,

@@ -1,7 +1,7 @@
 """Whether a fit may be called ok, and if not, why.
 
-Three things make it so: something checks the model (degrees of freedom), the tilts that it gives were
-measured (spots, or three beams), and the residuals are no larger than noise.
+Three things make it so: something checks the model (degrees of freedom), the lengths and the tilts that it gives
+were measured (tilts by spots, or three beams), and the residuals are no larger than noise.
 
 The last is judged by reduced χ².  Its noise is estimated with ν degrees of freedom of its own, so that
 normal noise gives F(n − p, ν), with the larger ν of arrivals' position and angle; the limit is passed once in ten
@@ -24,8 +24,8 @@ LEAST_DOF = 10
 FALSE_ALARM = 1e-4
 HEAVY_TAILS = 2.0
 BELIEF = 2.0
-LEAST_SPOTS = 0.5
-"""Share of a diagonal's stops that must have a spot."""
+LEAST_MEASURED = 0.5
+"""Share of a setup's stops that must have a length, and of a diagonal's that must have a spot."""
 
 
 def chi2_limit(result: Fit) -> float:
@@ -51,11 +51,22 @@ def reasons(result: Fit, table: StopTable) -> list[str]:
         if not reduced <= limit:
             found.append(f'the residuals are {np.sqrt(reduced):.3g} {BEYOND_NOISE} (reduced χ² '
                          f'{reduced:.4g}, noise gives up to {limit:.2g})')
+    short = without_lengths(result, table)
+    if short:
+        found.append(f'no lengths in setup {", ".join(short)}: interferometer/displacement is missing or cannot be '
+                     'used at most of its stops')
     blind = without_tilts(result, table)
     if blind:
         found.append(f'no tilts in setup {", ".join(blind)}: psd/spot is empty or missing, so that the angles are not '
                      'measured')
     return found
+
+
+def without_lengths(result: Fit, table: StopTable) -> list[str]:
+    """Setups at most of whose stops no beam has a length."""
+    measured = result.present[:, :table.displacement.shape[1]].any(axis=1)
+    return [name for k, name in enumerate(table.setup_names)
+            if np.any(table.setup == k) and np.mean(measured[table.setup == k]) < LEAST_MEASURED]
 
 
 def without_tilts(result: Fit, table: StopTable) -> list[str]:
@@ -66,7 +77,7 @@ def without_tilts(result: Fit, table: StopTable) -> list[str]:
         tilted |= result.present[:, :3].all(axis=1)
     return [name for k, name in enumerate(table.setup_names)
             if name in result.parameters.tilted and np.any(table.setup == k)
-            and np.mean(tilted[table.setup == k]) < LEAST_SPOTS]
+            and np.mean(tilted[table.setup == k]) < LEAST_MEASURED]
 
 
 def status_of(found: list[str]) -> str:

@@ -168,13 +168,13 @@ def _contributor(body: Any, wrong: Callable[[str, str], StepdiagError]) -> Contr
         if key not in KEYS:
             raise wrong(str(key), f'unknown key; known are {", ".join(KEYS)}')
     kind = body.get('kind')
-    if kind not in KINDS:
+    if not isinstance(kind, str) or kind not in KINDS:
         raise wrong('kind', f'{kind!r} is not known; choose from {", ".join(KINDS)}')
     name = str(body.get('name') or kind)
     if body.get('type') not in ('A', 'B'):
         raise wrong('type', f'{body.get("type")!r}; write A (statistics) or B (other knowledge)')
     distribution = body.get('distribution', 'normal')
-    if distribution not in SPREAD:
+    if not isinstance(distribution, str) or distribution not in SPREAD:
         raise wrong('distribution', f'{distribution!r} is not known; choose from {", ".join(SPREAD)}')
     if kind == 'cosine' and distribution != 'normal':
         raise wrong('distribution', 'a cosine error follows from two normal angles; write normal')

@@ -76,8 +76,8 @@ class GapMonitor(ListenerNode):
         self._so_far = self.create_lifecycle_publisher(
             GeometricErrors, ERRORS_SO_FAR, reliable(1, latched=True), qos_overriding_options=overridable())
         self.create_service(Trigger, 'diagnose', self._on_diagnose)
+        # Of the present log: what still computes for an earlier one finds its own set.
         self._stop = threading.Event()
-        self._watcher: threading.Thread | None = None
         self._leaving: Leaving | None = None
         self._verdict = ''
         self._fault_of_work = ''
@@ -88,29 +88,30 @@ class GapMonitor(ListenerNode):
     def activate(self) -> None:
         super().activate()
         self._leaving, self._verdict, self._fault_of_work = None, '', ''
-        self._stop.clear()
-        self._watcher = threading.Thread(target=self._watch, name='watch', daemon=True)
-        self._watcher.start()
+        self._stop = threading.Event()
+        threading.Thread(target=self._watch, args=(self._stop,), name='watch', daemon=True).start()
 
     def deactivate(self) -> None:
+        # Not waited for: a diagnosis under way may take minutes, and whoever begins a new log has no use for it.
         self._stop.set()
-        if self._watcher is not None:
-            self._watcher.join()
-            self._watcher = None
         super().deactivate()
 
-    def _watch(self) -> None:
+    def _watch(self, stop: threading.Event) -> None:
         """Look at the residuals whenever there is something new, sparingly."""
         seen, wait_s = 0, 1.0
-        while not self._stop.wait(wait_s):
+        while not stop.wait(wait_s):
             wait_s = self.value('period')
             received = self.steps_received()
             if received == seen:
                 continue
             seen, began = received, time.process_time()
             with self.working():
+                if stop.is_set():
+                    return
                 try:
                     solution = evaluate(self.log_so_far())
+                    if stop.is_set():
+                        return
                     self._leaving = leaving(solution)
                     self._so_far.publish(errors_message(solution, time.time_ns(), complete=False))
                 except StepdiagError:
@@ -131,11 +132,14 @@ class GapMonitor(ListenerNode):
 
     def _diagnose(self) -> tuple[bool, str]:
         """Diagnose and publish; (success, gap.json or what is wrong)."""
+        stop = self._stop
         if self.state != 'active':
             return False, f'{self.get_name()} is not active'
         with self.working():
             try:
                 diagnosis = diagnose(self.whole_log(), self._effects)
+                if stop.is_set():
+                    return False, 'another log was begun meanwhile; stepdiag gap diagnoses the bag of this one'
             except StepdiagError as error:
                 return self._failed(str(error))
             except Exception as error:

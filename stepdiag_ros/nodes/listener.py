@@ -49,6 +49,10 @@ class ListenerNode(StepdiagNode):
         self._begin_log()
         self._subscription: RawSubscription | None = None
         self._running: set[bytes] = set()
+        # Of the newest goal: its number, whether it has succeeded, and whether that has been acted on.
+        self._newest: tuple[bytes, bool] = (b'', False)
+        self._told: set[bytes] = set()
+        self._telling = threading.Lock()
 
     @contextmanager
     def working(self) -> Iterator[None]:
@@ -100,8 +104,25 @@ class ListenerNode(StepdiagNode):
                 self._running.add(goal)
             elif goal in self._running and status.status != GoalStatus.STATUS_CANCELING:
                 self._running.discard(goal)
-                if status.status == GoalStatus.STATUS_SUCCEEDED and self.state == 'active':
-                    threading.Thread(target=self.calibration_done, name='done', daemon=True).start()
+                if status.status == GoalStatus.STATUS_SUCCEEDED:
+                    self._tell(goal)
+        if array.status_list:
+            newest = max(array.status_list, key=lambda status: ns_of(status.goal_info.stamp))
+            self._newest = bytes(newest.goal_info.goal_id.uuid), newest.status == GoalStatus.STATUS_SUCCEEDED
+
+    def _tell(self, goal: bytes) -> None:
+        """A goal has succeeded; once."""
+        with self._telling:
+            if goal in self._told or self.state != 'active':
+                return
+            self._told.add(goal)
+        threading.Thread(target=self.calibration_done, name='done', daemon=True).start()
+
+    def _tell_what_was_missed(self) -> None:
+        """A node that was started again may find that the calibration has ended without it."""
+        goal, succeeded = self._newest
+        if self._missed and succeeded:
+            self._tell(goal)
 
     def _on_recorder(self, status: RecorderStatus) -> None:
         """The first word after this node was activated tells whether it has come too late."""
@@ -111,6 +132,7 @@ class ListenerNode(StepdiagNode):
             if held > self.steps_received():
                 self._missed = status.bag
                 self.get_logger().info(f'runs before are read from {status.bag}')
+        self._tell_what_was_missed()     # with every word of the recorder, for the node may not be active yet
 
     def _log_of_bag(self, bag: str) -> CalibrationLog:
         """The log of a bag that is still being written: its last bytes may be missing."""

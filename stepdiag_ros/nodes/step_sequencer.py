@@ -98,10 +98,11 @@ class StepSequencer(StepdiagNode):
         self.text('origin', [0.0, 0.0, 0.0], "machine coordinates of the volume's lower corner [m]", fixed=True)
         self.text('setup_codes', [''], 'what has a mirror mounted: setup=M-code, e.g. ppp=M101', fixed=True)
         self.text('ask_operator', False, 'a setup without a code is mounted by a person, who confirms by the '
-                                         'service sequencer/mounted')
-        self.number('lease', 5.0, 'a client that has not renewed its lease for so long is lost', 0.5, 3600.0, 's')
+                                         'service sequencer/mounted', fixed=True)
+        self.number('lease', 5.0, 'a client that has not renewed its lease for so long is lost', 0.5, 3600.0, 's',
+                    fixed=True)
         self.text('lost_client', NEXT_STOP, f'what ends a run whose client is lost: {NEXT_STOP} (when that has been '
-                                            f'measured) or {AT_ONCE}')
+                                            f'measured) or {AT_ONCE}', fixed=True)
         self.number('resume_timeout', 60.0, 'wait for a node or an instrument that broke a run off before the '
                     'calibration ends; 0: none', 0.0, 3600.0, 's')
         self.text('listeners', ['recorder', 'evaluation_solver'],

@@ -31,7 +31,7 @@ from stepdiag_ros.virtual.motion import (
     settling_time,
     tabulate,
 )
-from stepdiag_ros.virtual.serving import MOTION_FILE, announce, serve
+from stepdiag_ros.virtual.serving import MOST_LINE, MOTION_FILE, announce, serve
 
 LEAD_NS = 4_000_000
 """A move begins so much later than its command: every reader has it in hand by then."""
@@ -248,7 +248,11 @@ class Session(asyncio.Protocol):
         if self._enabled:
             self._machine.attended()
         *lines, self._rest = re.split(rb'[\r\n]', self._rest + data)
+        if len(self._rest) > MOST_LINE:
+            self._transport.abort()
         for line in lines:
+            if self._transport.is_closing():
+                return   # it has quit, or has gone
             if line.strip():
                 self._command(line.decode('ascii', 'replace').strip())
 

@@ -23,7 +23,7 @@ from stepdiag_ros.virtual.draw import normals
 from stepdiag_ros.virtual.faults import Faults
 from stepdiag_ros.virtual.history import now_ns
 from stepdiag_ros.virtual.offline import SENSOR_SIGMA
-from stepdiag_ros.virtual.serving import PromptProtocol, announce, open_world, serve
+from stepdiag_ros.virtual.serving import MOST_LINE, PromptProtocol, announce, open_world, serve
 from stepdiag_ros.virtual.world import World
 
 AXES = 3
@@ -100,7 +100,7 @@ class Instrument:
             return reply | {'error': METHOD_NOT_FOUND}
         try:
             return reply | {'result': method(request.get('params') or [])}
-        except (TypeError, ValueError, IndexError):
+        except (TypeError, ValueError, LookupError, OverflowError):
             return reply | {'error': {'code': -32602, 'message': 'Invalid params'}}
 
     def _sampled(self, numbers: list) -> list[dict]:
@@ -230,11 +230,14 @@ class Switch(asyncio.Protocol):
 
     def data_received(self, data: bytes) -> None:
         *lines, self._rest = (self._rest + data).split(b'\n')
+        if len(self._rest) > MOST_LINE:
+            self._transport.abort()
+            return
         for line in lines:
             self._command(line.decode('ascii', 'replace').strip().upper())
 
     def _command(self, line: str) -> None:
-        wanted = re.fullmatch(r'ROUT(?:E)?:CLOS(?:E)?\s*\(@(\d+)\)', line)
+        wanted = re.fullmatch(r'ROUT(?:E)?:CLOS(?:E)?\s*\(@(\d{1,6})\)', line)
         if wanted and 1 <= int(wanted.group(1)) <= len(self._worlds):
             self._instrument.route(self._worlds[int(wanted.group(1)) - 1])
         elif re.fullmatch(r'ROUT(?:E)?:CLOS(?:E)?\?', line):

@@ -30,6 +30,8 @@ MOTION_FILE = 'motion.bin'
 STEERING_FILE = 'steering.bin'
 FAULT_FILE = 'faults.yaml'
 ENDPOINTS_FILE = 'endpoints.yaml'
+MOST_LINE = 1 << 16
+"""Bytes without an end of line after which a client is hung up on."""
 _PR_SET_PDEATHSIG = 1
 
 

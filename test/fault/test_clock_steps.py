@@ -52,10 +52,19 @@ def calibrate(folder: Path, monkeypatch, shim: Path, step_s: float = 0.0) -> obj
         return cell.operator.calibrate(feedback=set_clock, meanwhile=cell.watch)
 
 
+@pytest.fixture(scope='module')
+def still(module_domain, tmp_path_factory, clock_shim):
+    """What a calibration says during which nobody sets the clock."""
+    folder = tmp_path_factory.mktemp('still') / 'cell'
+    with pytest.MonkeyPatch.context() as patch:
+        outcome = calibrate(folder, patch, clock_shim)
+    assert outcome.succeeded, outcome.message
+    return evaluate(read_log(folder / 'log'))
+
+
 @pytest.mark.parametrize('seconds', [-5.0, 3600.0, -3600.0])
-def test_a_step_of_the_clock_is_marked_and_the_run_goes_on(ros_domain, tmp_path, monkeypatch, clock_shim, seconds):
-    still = calibrate(tmp_path / 'still', monkeypatch, clock_shim)
-    assert still.succeeded, still.message
+def test_a_step_of_the_clock_is_marked_and_the_run_goes_on(ros_domain, tmp_path, monkeypatch, clock_shim, still,
+                                                           seconds):
     outcome = calibrate(tmp_path / 'stepped', monkeypatch, clock_shim, seconds)
     assert outcome.succeeded, outcome.message
     assert f'the system clock was set by {seconds:+.3f} s' in outcome.message
@@ -67,7 +76,7 @@ def test_a_step_of_the_clock_is_marked_and_the_run_goes_on(ros_domain, tmp_path,
     assert (dwells > 0.39e9).all() and (dwells < 1.5e9).all()
     assert np.ptp(log.steps.time_ns) < 120e9 and (np.diff(log.steps.time_ns) >= 0).all()
     # Every stop was measured, once.
-    one, other = evaluate(read_log(tmp_path / 'still' / 'log')), evaluate(log)
+    one, other = still, evaluate(log)
     # (But for a stop at which a busy computer polled the interferometer too late.)
     assert abs(other.dof - one.dof) <= 2 and other.reduced_chi2 < 2.0
     for name in ('EXX', 'EYX', 'EZX'):

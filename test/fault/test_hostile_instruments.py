@@ -3,8 +3,8 @@
 A relay stands between the client and the virtual cell's servers; while it is told to, it exchanges what they answer.
 """
 
-import select
 import socket
+import sys
 import threading
 import time
 from contextlib import suppress
@@ -19,6 +19,9 @@ from stepdiag_ros.devices.optical_switch import OpticalSwitch
 from stepdiag_ros.nodes import acquisition
 from stepdiag_ros.nodes.acquisition import Acquisition
 from stepdiag_ros.virtual.cell_process import CellProcess
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'fuzz'))
+from wires import Relay
 
 DEMO = Path(__file__).resolve().parents[2] / 'cells' / 'demo.yaml'
 DEEP = 100_000
@@ -38,50 +41,6 @@ ANSWERS = {
     'deep lists': b'[' * DEEP, 'deep and closed': b'[' * DEEP + b']' * DEEP, 'deep objects': b'{"a":' * DEEP,
     'deep result': b'{"id":%d,"result":' + b'[' * 5000 + b']' * 5000 + b'}', 'no text': b'\xff\x00\xfe',
 }
-
-
-class Relay:
-    """Passes bytes between one client and a server; ``spoil(answer)`` exchanges what the server answers, if set."""
-
-    def __init__(self, port: int):
-        self._to = port
-        self.spoil = None
-        self._listen = socket.create_server(('127.0.0.1', 0))
-        self.port = self._listen.getsockname()[1]
-        self._thread = threading.Thread(target=self._run, daemon=True)
-        self._open = True
-        self._thread.start()
-
-    def _run(self) -> None:
-        while self._open:
-            try:
-                client, _ = self._listen.accept()
-            except OSError:
-                return
-            with client, socket.create_connection(('127.0.0.1', self._to)) as server:
-                self._pass(client, server)
-
-    def _pass(self, client: socket.socket, server: socket.socket) -> None:
-        try:
-            while self._open:
-                ready, _, _ = select.select([client, server], [], [], 0.2)
-                for end in ready:
-                    data = end.recv(1 << 18)
-                    if not data:
-                        return
-                    spoil = self.spoil
-                    if end is client:
-                        server.sendall(data)
-                    else:
-                        client.sendall(data if spoil is None else spoil(data))
-        except OSError:
-            return
-
-    def close(self) -> None:
-        self._open = False
-        self._listen.shutdown(socket.SHUT_RDWR)
-        self._listen.close()
-        self._thread.join(10.0)
 
 
 @pytest.fixture(scope='module')

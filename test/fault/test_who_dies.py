@@ -1,6 +1,7 @@
 """Who dies, and what the machine does: each row of docs/reference/who_dies.md, with real processes.
 
-What the machine does is read from the virtual control's own record of its motion.
+What the machine does is read from the virtual control's own record of its motion, or from what a HAL component sees of
+the joints of a real LinuxCNC.
 """
 
 import os
@@ -20,8 +21,12 @@ from stepdiag_ros.nodes import environment
 
 environment.prepare()
 
-from stepdiag_ros.nodes.bringup import Bringup  # noqa: E402 - after the environment
+from stepdiag_ros.errors import StepdiagError  # noqa: E402 - after the environment
+from stepdiag_ros.linuxcnc import install  # noqa: E402
+from stepdiag_ros.linuxcnc.running import missing  # noqa: E402
+from stepdiag_ros.nodes.bringup import Bringup  # noqa: E402
 from stepdiag_ros.virtual.history import SharedHistory, now_ns  # noqa: E402
+from stepdiag_ros.virtual.sampled import SampledHistory  # noqa: E402
 from stepdiag_ros.virtual.serving import MOTION_FILE  # noqa: E402
 
 #: A move of lin_x takes ten seconds.
@@ -34,30 +39,36 @@ setups:
   lin_x: {{standoff: 0.20, psd_offset: [0.02, 0.0], beams: [[0.0, 0.0]], length: 0.20, stops: 2}}
 air: {{period: 1.0}}
 motion: {{feed: 0.02, acceleration: 2.0, jerk: 100.0, in_position: 5.0e-8, settling: 0.002, dwell: 0.2}}
-instruments: {{cnc: {{watchdog: {watchdog}}}}}
+instruments: {{cnc: {{watchdog: {watchdog}, control: {control}}}}}
 client: {{lease: {lease}, lost: {lost}}}
 sampling: {{interferometer: 200.0, psd: 200.0, block: 0.05}}
 """
 MOVE_S = 10.0
+STEPDIAG = [sys.executable, '-m', 'stepdiag_ros.cli.main']
 
 
-def write_cell(folder: Path, watchdog: float = 0.5, lease: float = 2.0, lost: str = 'next_stop') -> Path:
+def write_cell(folder: Path, watchdog: float = 0.5, lease: float = 2.0, lost: str = 'next_stop',
+               control: str = 'virtual') -> Path:
     path = folder / 'slow.yaml'
-    path.write_text(CELL.format(watchdog=watchdog, lease=lease, lost=lost), encoding='utf-8')
+    path.write_text(CELL.format(watchdog=watchdog, lease=lease, lost=lost, control=control), encoding='utf-8')
     return path
 
 
 class Machine:
-    """The virtual control's motion, as it wrote it down."""
+    """The control's motion, as it was written down."""
 
-    def __init__(self, runtime: Path):
-        self._history = SharedHistory(runtime / MOTION_FILE)
+    def __init__(self, runtime: Path, history: type[SharedHistory] | type[SampledHistory] = SharedHistory):
+        self._history = history(runtime / MOTION_FILE)
 
     def x(self) -> float:
         """Where X is now [m]."""
         if not self._history.follow():
             return 0.0
         return float(self._history.locate(np.array([now_ns()]), 0.002)[1][0, 0])
+
+    def seen(self) -> np.ndarray:
+        """Where the joints of a LinuxCNC were seen, oldest first."""
+        return self._history._seen[self._history._seen['time_ns'] > 0]
 
     def moving(self) -> bool:
         before = self.x()
@@ -66,10 +77,11 @@ class Machine:
 
     def wait_mid_move(self) -> None:
         """Until X is well on its way, and far from its target."""
-        end = time.monotonic() + 120.0
-        while not (0.02 < self.x() < 0.06 and self.moving()):
+        end, before = time.monotonic() + 120.0, 1.0
+        while not (0.02 < (now := self.x()) < 0.06 and now > before):
             assert time.monotonic() < end, 'X never moved'
-            time.sleep(0.01)
+            time.sleep(0.05)
+            before = now
 
     def stops_within(self, seconds: float) -> float:
         """After what time [s] it stands; it must be before ``seconds`` and before the move's end."""
@@ -291,6 +303,117 @@ def test_a_killed_bringup_stops_the_machine(ros_domain, tmp_path):
     assert not run.exists()
     machine.stops_within(2.0)
     # The sequencer, whose control is gone too, tries to stop it over fresh connections before it ends.
-    end = time.monotonic() + 60.0
-    while _running(tmp_path) and time.monotonic() < end:
+    end = time.monotonic() + 120.0
+    while _running(tmp_path):
+        assert time.monotonic() < end, 'processes of the cell are left'
         time.sleep(0.1)
+
+
+# -- on a real LinuxCNC, by the nodes that `stepdiag up` runs ---------------------------------------------------
+
+class OnLinuxCnc:
+    """``stepdiag up`` of the slow cell with a real LinuxCNC as its control; each test begins with a calibration."""
+
+    def __init__(self, folder: Path):
+        self.folder, self._clients = folder, []
+        with open(folder / 'up.log', 'wb') as log:
+            self.up = subprocess.Popen(
+                [*STEPDIAG, 'up', str(write_cell(folder, lost='at_once', control='linuxcnc')), '--runtime',
+                 str(folder / 'run'), '--bag-folder', str(folder)], stdout=log, stderr=subprocess.STDOUT)
+        self._wait(lambda: 'calibrate with' in self.said())
+        self.machine = Machine(folder / 'run', SampledHistory)
+
+    def _wait(self, condition) -> None:
+        end = time.monotonic() + 120.0
+        while not condition():
+            assert time.monotonic() < end and self.up.poll() is None, self.said()
+            time.sleep(0.1)
+
+    def said(self) -> str:
+        return (self.folder / 'up.log').read_text(encoding='utf-8', errors='replace')
+
+    def mid_move(self) -> subprocess.Popen:
+        """A client of a calibration whose machine is in the middle of its move."""
+        with open(self.folder / 'client.log', 'wb') as log:
+            self._clients.append(subprocess.Popen([*STEPDIAG, 'calibrate', '/slow', '--repeats', '1'],
+                                                  stdout=log, stderr=subprocess.STDOUT))
+        self.machine.wait_mid_move()
+        return self._clients[-1]
+
+    def sequencer(self) -> int:
+        return next(int(entry.name) for entry in Path('/proc').glob('[0-9]*')
+                    if b'nodes.step_sequencer' in (words := (entry / 'cmdline').read_bytes())
+                    and str(self.folder).encode() in words)
+
+    def revived(self) -> None:
+        """Wait until ``up`` has started the sequencer again."""
+        self._wait(lambda: 'step_sequencer is active again' in self.said())
+
+    def close(self) -> None:
+        for process in (*self._clients, self.up):
+            process.terminate()
+            process.wait(60.0)
+
+
+@pytest.fixture(scope='module')
+def linuxcnc(module_domain, tmp_path_factory):
+    if missing():
+        pytest.skip(missing())
+    try:
+        install.install()
+    except StepdiagError as error:
+        if not all(map(install.installed, install.COMPONENTS)):
+            pytest.skip(str(error))
+    running = OnLinuxCnc(tmp_path_factory.mktemp('linuxcnc'))
+    yield running
+    running.close()
+
+
+#: The watchdog that a virtual cell puts into LinuxCNC's HAL, braking, and the looking itself.
+ON_LINUXCNC_S = 2.0
+
+
+@pytest.mark.linuxcnc
+def test_linuxcnc_stops_when_the_sequencer_is_killed(linuxcnc):
+    client = linuxcnc.mid_move()
+    linuxcnc.up.send_signal(signal.SIGSTOP)      # nobody starts it again
+    try:
+        os.kill(linuxcnc.sequencer(), signal.SIGKILL)
+        assert linuxcnc.machine.stops_within(ON_LINUXCNC_S) < ON_LINUXCNC_S
+    finally:
+        client.kill()
+        linuxcnc.up.send_signal(signal.SIGCONT)
+    linuxcnc.revived()
+
+
+@pytest.mark.linuxcnc
+def test_linuxcnc_stops_when_the_sequencer_stands_still(linuxcnc):
+    client, sequencer = linuxcnc.mid_move(), linuxcnc.sequencer()
+    os.kill(sequencer, signal.SIGSTOP)
+    try:
+        assert linuxcnc.machine.stops_within(ON_LINUXCNC_S) < ON_LINUXCNC_S
+    finally:
+        os.kill(sequencer, signal.SIGCONT)
+    assert client.wait(90.0) == 1 and 'watchdog' in (linuxcnc.folder / 'client.log').read_text()
+    assert not linuxcnc.machine.moving() and linuxcnc.machine.x() < 0.19
+
+
+@pytest.mark.linuxcnc
+def test_linuxcnc_is_stopped_when_the_client_is_killed(linuxcnc):
+    linuxcnc.mid_move().kill()
+    assert linuxcnc.machine.stops_within(6.0) < 6.0     # lease 2 s, at once
+
+
+@pytest.mark.linuxcnc
+def test_linuxcnc_is_stopped_when_bringup_is_killed(linuxcnc):
+    """The last one: nothing is left of the cell."""
+    linuxcnc.mid_move()
+    linuxcnc.up.kill()
+    linuxcnc.up.wait()
+    # The kernel ends the nodes, and LinuxCNC with them: where its joints were seen last they stand.
+    end = time.monotonic() + 60.0
+    while _running(linuxcnc.folder / 'run') and time.monotonic() < end:
+        time.sleep(0.1)
+    assert not _running(linuxcnc.folder / 'run')
+    seen = linuxcnc.machine.seen()
+    assert 0.02 < seen['place'][-1, 0] < 0.19

@@ -226,9 +226,9 @@ def attacks() -> dict[str, Callable[[], bytes]]:
 def small_bags(folder: Path) -> Iterator[tuple[str, bytes]]:
     """The sound bags that are mutated: of a virtual cell, small enough for a thousand runs."""
     from stepdiag_ros.cli.main import main
-    cell = folder / 'cell.yaml'
-    cell.write_text(CELL, encoding='utf-8')
-    for name, extra in (('diagonals', ()), ('line', ('--setups', 'lin_x'))):
+    for name, text, extra in (('diagonals', CELL, ()), ('line', CELL, ('--setups', 'lin_x')), ('ways', WAYS, ())):
+        cell = folder / f'{name}.yaml'
+        cell.write_text(text, encoding='utf-8')
         if not (folder / name).exists():
             assert main(['simulate', str(cell), '--out', str(folder / name), '--json', *extra]) == 0
         yield name, next((folder / name).glob('*.mcap')).read_bytes()
@@ -252,4 +252,23 @@ misalignments:
 air: {period: 1.0, scale_temperature: [20.1, 20.2, 20.3]}
 motion: {feed: 0.5, acceleration: 8.0, jerk: 800.0, in_position: 5.0e-8, settling: 0.002, dwell: 0.12, mount: 2.0}
 sampling: {interferometer: 100.0, psd: 100.0, block: 0.05}
+"""
+
+#: Setups with ways of their own: in one motion, in turn, with an overrun, stations with a beam that follows and one that is held.
+WAYS = CELL.split('setups:')[0] + """setups:
+  face: {standoff: 0.20, psd_offset: [0.02, 0.0], from: [0.10, 0, 0], to: [0, 0.08, 0]}
+  step: {standoff: 0.20, psd_offset: [0.02, 0.0], from: [0, 0, 0], to: [0.10, 0.08, 0], moves: XY}
+  edge: {standoff: 0.20, psd: false, from: [0, 0, 0], to: [0.10, 0, 0], repeats: 2, overrun: 0.0005, targets: [0.05, 0.062]}
+  s1: {station: [-0.15, -0.12, -0.10], from: [0, 0, 0], to: [0.10, 0.08, 0.06], moves: grid, steps: 1}
+  s2: {station: [0.42, -0.10, -0.05], from: [0, 0, 0], to: [0.10, 0.08, 0.06], moves: grid, steps: 1, tool: [0.05, 0.0, -0.12]}
+  around: {station: [-0.20, -0.18, -0.10], from: [0, 0, 0], to: [0.10, 0.08, 0], moves: around, regulated: true, feed: 0.02}
+noise: {displacement: 5.0e-9, spot: 2.0e-7, position_repeatability: 3.0e-7, angle_repeatability: 2.0e-7}
+noise_law: {displacement: {dof: 3, correlation: 0.5, dropouts: 0.02, burst: 3}, spot: {dof: 4, quantum: 1.0e-8}}
+material: {scales: {x: {expansion: 1.15e-5, sigma: 1.0e-6}}, workpiece: {expansion: 1.1e-5, temperature: 20.4}}
+budget: [{name: detector zero, kind: psd_zero, type: B, distribution: normal, value: 1.0e-6, unit: m}]
+""" + 'geometry:' + CELL.split('geometry:')[1].replace('laser: 3.0e-4', 'station: 1.0e-3, laser: 3.0e-4') + """
+instruments: {psd: {steering: {range: 0.5, inputs: [4, 5]}}}
+client: {lease: 5.0, lost: next_stop}
+network: loopback
+effects: {backlash: {B: [4.0e-6, 0.0, 2.0e-6]}}
 """

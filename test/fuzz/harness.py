@@ -7,26 +7,33 @@ thousand imports.
 import contextlib
 import json
 import os
+import re
 import resource
 import signal
 import sys
 import tempfile
 import time
 import traceback
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+
+import bags
 
 for name in ('OPENBLAS_NUM_THREADS', 'OMP_NUM_THREADS'):
     os.environ[name] = '1'
 os.environ['MPLBACKEND'] = 'Agg'
 
-CPU_S = 30
-WALL_S = 240.0
+CPU_S, CHECK_CPU_S = 30, 120
+"""The second is that of ``effect check``, which simulates, fits and diagnoses."""
+WALL_S = 60.0
 MEMORY = 1 << 30
 ADDRESSES = 4 << 30
-COMMANDS = ('info', 'recover', 'evaluate', 'compare', 'gap', 'map', 'report', 'replay', 'uncertainty')
+COMMANDS = ('info', 'recover', 'evaluate', 'compare', 'gap', 'map', 'report', 'sheets', 'replay', 'uncertainty', 'compensate', 'verify')
+#: Commands that are given a Python file with an effect.
+EFFECT_COMMANDS = ('effect', 'effect simulate', 'effect gap')
 #: What comes with a command that is not an error: the statuses it may end with.
-STATUSES = (0, 1, 2)
+STATUSES = (0, 1, 2, 4)
+PYTHON_WARNING = re.compile(r'^\S+:\d+: \w*Warning: .*\n(?:  .*\n)?', re.MULTILINE)
 
 
 @dataclass(frozen=True)
@@ -46,6 +53,8 @@ def warm_up() -> None:
     import matplotlib.pyplot  # noqa: F401
 
     import stepdiag_ros.cli.compare
+    import stepdiag_ros.cli.compensate
+    import stepdiag_ros.cli.effect
     import stepdiag_ros.cli.evaluate
     import stepdiag_ros.cli.gap
     import stepdiag_ros.cli.import_
@@ -56,6 +65,7 @@ def warm_up() -> None:
     import stepdiag_ros.cli.report
     import stepdiag_ros.cli.simulate
     import stepdiag_ros.cli.uncertainty
+    import stepdiag_ros.cli.verify
     import stepdiag_ros.report.evaluation_page
     import stepdiag_ros.report.gap_page  # noqa: F401
     from stepdiag_ros.effects import all_effects
@@ -65,10 +75,24 @@ def warm_up() -> None:
 def arguments(command: str, given: Path, folder: Path) -> list[str]:
     """The command line that runs ``command`` on the input."""
     bag = str(given)
+    sound = str(given.parent.parent / 'diagonals')
+    if command.startswith('effect '):
+        cell = given.parent / 'cell.yaml'
+        cell.write_text(f'{bags.CELL}effects: {{own: {{file: {given.name}, amp: 1.0e-5, tau: 20.0}}}}\n', encoding='utf-8')
+        if command == 'effect simulate':
+            return ['simulate', str(cell), '--effect', bag, '--out', str(folder / 'made'), '--json']
+        return ['gap', sound, '--effect', bag, '--out', str(folder / 'gap'), '--json']
     return {'info': ['info', bag, '--json'], 'recover': ['recover', bag, '--to', str(folder / 'mended'), '--json'],
             'evaluate': ['evaluate', bag, '--json'], 'compare': ['compare', bag, '--json'],
             'gap': ['gap', bag, '--out', str(folder / 'gap'), '--json'], 'map': ['map', bag, '--json'],
             'report': ['report', bag, '--out', str(folder / 'report'), '--json'],
+            'sheets': ['report', bag, '--sheets', '--out', str(folder / 'sheets'), '--json'],
+            'compensate': ['compensate', bag, '--format', 'linuxcnc', '--origin', '0,0,0', '--partial', '--out', str(folder / 'tables'),
+                           '--json'],
+            'verify': ['verify', bag, bag, '--tolerance', '12um', 'E=8um', '--out', str(folder / 'verify'), '--json'],
+            'effect': ['effect', 'check', bag, '--json'],
+            'truth': ['report', sound, '--truth', bag, '--out', str(folder / 'report'), '--json'],
+            'budget': ['uncertainty', sound, '--budget', bag, '--json'],
             'replay': ['replay', bag, '--json'], 'uncertainty': ['uncertainty', bag, '--json'],
             'import': ['import', bag, '--to', str(folder / 'imported'), '--json'],
             'simulate': ['simulate', bag, '--out', str(folder / 'made'), '--json']}[command]
@@ -99,7 +123,8 @@ def _in_child(argv: list[str], out: int, err: int) -> None:
         sys.stdout = open(1, 'w', encoding='utf-8', errors='surrogateescape', closefd=False)
         sys.stderr = open(2, 'w', encoding='utf-8', errors='surrogateescape', closefd=False)
         resource.setrlimit(resource.RLIMIT_AS, (ADDRESSES, ADDRESSES))
-        resource.setrlimit(resource.RLIMIT_CPU, (CPU_S, CPU_S + 5))
+        cpu_s = CHECK_CPU_S if argv[0] == 'effect' else CPU_S
+        resource.setrlimit(resource.RLIMIT_CPU, (cpu_s, cpu_s + 5))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
         resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 30, 1 << 30))
         from stepdiag_ros.cli.main import main
@@ -117,19 +142,32 @@ def _in_child(argv: list[str], out: int, err: int) -> None:
 
 
 def _wait(child: int) -> tuple[int, resource.struct_rusage]:
-    end = time.monotonic() + WALL_S
+    began, killed = time.monotonic(), False
     while True:
         pid, status, usage = os.wait4(child, os.WNOHANG)
         if pid:
             return os.waitstatus_to_exitcode(status), usage
-        if time.monotonic() > end:
+        if not killed and time.monotonic() - began > WALL_S + _queued_s(child):
             os.kill(child, signal.SIGKILL)
-            end = float('inf')
+            killed = True
         time.sleep(0.002)
 
 
+def _queued_s(child: int) -> float:
+    """How long [s] a process was ready and had no processor: a busy computer's time, not a hang."""
+    try:
+        return int(Path(f'/proc/{child}/schedstat').read_text(encoding='ascii').split()[1]) * 1e-9
+    except (OSError, IndexError):
+        return 0.0
+
+
 def judge(outcome: Outcome, size: int) -> str:
-    """What is wrong with a run on an input of ``size`` bytes; empty: nothing."""
+    """What is wrong with a run on an input of ``size`` bytes; empty: nothing.
+
+    Where code of the user's own was run Python's warnings about it are his to see.
+    """
+    if '.py' in ' '.join(outcome.argv):
+        outcome = replace(outcome, err=PYTHON_WARNING.sub('', outcome.err))
     if outcome.status < 0:
         return f'ended by signal {-outcome.status} after {outcome.cpu_s:.0f} s and {outcome.memory >> 20} MiB'
     if 'Traceback' in outcome.err or outcome.status not in STATUSES:

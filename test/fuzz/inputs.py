@@ -1,4 +1,4 @@
-"""Structured inputs for the fuzzer: logs, cell files and tables that are nearly right.
+"""Structured inputs for the fuzzer: logs, cell files, effect files and tables that are nearly right.
 
 Each function takes a :class:`random.Random`, so that a seed names an input for good.
 """
@@ -74,3 +74,68 @@ def odd_log(rng: random.Random, sound: bytes) -> bytes:
             wide = rng.choice((1, 2, 4, 8))
             records[at] = kind, body[:place] + special[-wide:] + body[place + wide:]
     return bags.put_together(records)
+
+
+#: An effect of somebody's own that uses every hook.
+EFFECT = '''"""Everything that an effect may do."""
+
+import numpy as np
+
+from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
+from stepdiag_ros.effects.patterns import follow, saturating
+from stepdiag_ros.effects.timeforms import time_profiles
+
+
+class Own(Effect):
+    name = 'own'
+    title = 'The tool grows, the spot is pulled.'
+    short = 'tool growth'
+    parameters = (Parameter('amp', 'm', 0.0, 5e-5, meaning='growth'),
+                  Parameter('tau', 's', 5.0, 300.0, meaning='time constant'))
+    remedy = 'Wait.'
+
+    def before_pose(self, moment: Moment) -> None:
+        grown = self.amp * saturating(moment.seconds, self.tau)
+        moment.shift = moment.shift - grown[:, None] * np.array([0.0, 0.0, 1.0])
+
+    def before_light(self, moment: Moment) -> None:
+        moment.laser = moment.laser + 1e-9 * moment.rng.normals('turn', 0, len(moment.seconds), 2)
+
+    def after_light(self, moment: Moment) -> None:
+        moment.spot = moment.spot * 1.0
+
+    def appearance(self, view: StopView) -> list[Form]:
+        along_z = -view.by_shift[2:]
+        return [follow(view, profile, along_z, ('growth',), 1e-5) for profile in time_profiles(view.elapsed)]
+'''
+#: What somebody may write where an expression belongs.
+EXPRESSIONS = ('None', '0', '-1', '1e300', '10 ** 400', "float('nan')", 'np.nan', '[]', '()', '{}', "''", '1 / 0', 'np.zeros(3)',
+               'np.zeros((0, 0))', 'np.full(7, np.nan)', 'moment', 'view', 'self', 'undefined', "'x' * 3", 'object()', 'np.array(1j)',
+               '[None]', 'lambda *a: 1', 'Own', "np.array(['a'])", 'True')
+STATEMENTS = ('raise ValueError("one\\ntwo")', 'raise KeyError', 'raise SystemExit(0)', 'return None', 'return 3', 'pass', 'import nothing',
+              'raise StopIteration', 'del self', 'assert False', 'raise MemoryError', 'moment.spot = None', 'moment.shift = 1',
+              'self.amp = None', 'raise BaseException("b")', 'view.reading[:] = 0', 'moment.seconds[:] = 0', 'yield 1')
+
+
+def odd_effect(rng: random.Random) -> str:
+    """An effect file with one to three expressions or statements exchanged, or letters spoilt."""
+    text = EFFECT
+    for _ in range(rng.choice((1, 1, 2, 3))):
+        lines = text.splitlines()
+        at = rng.randrange(len(lines))
+        how = rng.random()
+        if how < 0.5:
+            places = list(re.finditer(r"[\w.]+\([^()]*\)|\d[\d.e-]*|'[^']*'|(?<=[=(, ])\w[\w.]*", text))
+            place = rng.choice(places)
+            text = text[:place.start()] + rng.choice(EXPRESSIONS) + text[place.end():]
+        elif how < 0.8:
+            indent = re.match(' *', lines[at])[0]
+            lines[at] = indent + rng.choice(STATEMENTS)
+            text = '\n'.join(lines) + '\n'
+        elif how < 0.9:
+            lines[at:at + 1] = rng.choice(([], [lines[at]] * 2, [' ' + lines[at]]))
+            text = '\n'.join(lines) + '\n'
+        else:
+            at = rng.randrange(len(text))
+            text = text[:at] + rng.choice(('\x00', '\ud800', '(', '"""', '\t', '\\', 'é', '\x1b')) + text[at:]
+    return text

@@ -36,30 +36,29 @@ def test_a_node_that_dies_is_started_again_and_that_is_said(ros_domain, cell_fil
     assert not [pid for pid in pids.values() if Path(f'/proc/{pid}').exists()]
 
 
-def test_a_node_that_comes_back_has_the_parameters_that_were_set(ros_domain, cell_file, tmp_path, eventually):
-    with Bringup(cell_file, bag=tmp_path / 'log', runtime=tmp_path / 'run') as cell:
-        for seconds in (21.0, 22.0):
-            cell.operator.set_parameters('step_sequencer', {'ready_timeout': seconds})
-            os.kill(cell.pids()['step_sequencer'], signal.SIGKILL)
-            eventually(lambda: cell.watch() == ['step_sequencer'])
-            assert cell.operator.parameters('step_sequencer', ['ready_timeout']) == [seconds]
+def test_a_node_that_comes_back_has_the_parameters_that_were_set(cell, eventually):
+    for seconds in (21.0, 22.0):
+        cell.operator.set_parameters('step_sequencer', {'ready_timeout': seconds})
+        os.kill(cell.pids()['step_sequencer'], signal.SIGKILL)
+        eventually(lambda: cell.watch() == ['step_sequencer'])
+        assert cell.operator.parameters('step_sequencer', ['ready_timeout']) == [seconds]
 
 
-def test_a_driver_that_dies_in_a_run_and_is_not_waited_for_ends_it(ros_domain, cell_file, tmp_path):
-    with Bringup(cell_file, bag=tmp_path / 'log', runtime=tmp_path / 'run') as cell:
-        cell.operator.set_parameters('step_sequencer', {'resume_timeout': 0.0})
-        killed = threading.Event()
+def test_a_driver_that_dies_in_a_run_and_is_not_waited_for_ends_it(cell):
+    bag, killed = cell.runtime.parent / 'ended', threading.Event()
+    cell.operator.new_log(str(bag))
+    cell.operator.set_parameters('step_sequencer', {'resume_timeout': 0.0})
 
-        def kill(feedback) -> None:
-            if feedback.stop >= 1 and not killed.is_set():
-                killed.set()
-                os.kill(cell.pids()['interferometer_driver'], signal.SIGKILL)
-        # One setup alone: a kill at the very change to another would do no harm.
-        outcome = cell.operator.calibrate(setups=['ppp'], dwell_s=2.0, feedback=kill, meanwhile=cell.watch)
-        assert killed.is_set() and outcome.how == 'aborted'
-        assert 'interferometer' in outcome.message and outcome.stops < 8
-    log = read_log(tmp_path / 'log')
-    assert len(log.steps) > 0
+    def kill(feedback) -> None:
+        if feedback.stop >= 1 and not killed.is_set():
+            killed.set()
+            os.kill(cell.pids()['interferometer_driver'], signal.SIGKILL)
+    # One setup alone: a kill at the very change to another would do no harm.
+    outcome = cell.operator.calibrate(setups=['ppp'], dwell_s=2.0, feedback=kill, meanwhile=cell.watch)
+    assert killed.is_set() and outcome.how == 'aborted'
+    assert 'interferometer' in outcome.message and outcome.stops < 8
+    cell.operator.bring('recorder', 'inactive')
+    assert len(read_log(bag).steps) > 0
 
 
 def test_ctrl_c_leaves_no_process_and_a_whole_bag(ros_domain, cell_file, tmp_path, eventually):
@@ -90,20 +89,6 @@ def test_ctrl_c_leaves_no_process_and_a_whole_bag(ros_domain, cell_file, tmp_pat
     assert not [pid for pid in children if Path(f'/proc/{pid}').exists()]
     log = read_log(tmp_path / 'log')
     assert len(log.steps) == 12 and not [w for w in log.warnings if 'recover' in w or 'metadata' in w]
-
-
-def test_children_end_with_a_killed_bringup(ros_domain, cell_file, tmp_path, eventually):
-    up = subprocess.Popen([sys.executable, '-m', 'stepdiag_ros.cli.main', 'up', str(cell_file), '--bag',
-                           str(tmp_path / 'log'), '--runtime', str(tmp_path / 'run')],
-                          stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    try:
-        eventually(lambda: (tmp_path / 'log' / 'metadata.yaml').exists()
-                   and len(_children(up.pid)) >= 9, 120)
-        children = _children(up.pid)
-    finally:
-        up.kill()
-        up.wait()
-    eventually(lambda: not [pid for pid in children if Path(f'/proc/{pid}').exists()], 60)
 
 
 def test_a_cell_file_with_an_error_is_one_line_and_nothing_is_started(tmp_path):

@@ -3,6 +3,7 @@
 import re
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -80,6 +81,46 @@ def test_a_node_that_still_computes_ends_in_order(module_domain):
     assert node.returncode == 0 and said == ''
 
 
+def test_a_new_log_waits_for_no_diagnosis_of_the_last_one(ros_domain, monkeypatch):
+    """Nor does what is found in the end pass for the new log's."""
+    import rclpy
+
+    from stepdiag_ros.nodes import gap_monitor
+    rclpy.init()
+    node = gap_monitor.GapMonitor()
+    diagnosing, looked, found, said = threading.Event(), threading.Event(), threading.Event(), []
+
+    def diagnose(_log, _effects):
+        diagnosing.set()
+        found.wait(60.0)
+
+    def steps_received() -> int:
+        looked.set()
+        return 1
+    monkeypatch.setattr(gap_monitor, 'diagnose', diagnose)
+    monkeypatch.setattr(node, 'whole_log', lambda: None)
+    monkeypatch.setattr(node, 'steps_received', steps_received)
+    try:
+        node.configure()
+        node.activate()
+        node.state = 'active'
+        work = threading.Thread(target=lambda: said.append(node._diagnose()))
+        work.start()
+        assert diagnosing.wait(60.0) and looked.wait(60.0)      # the watcher waits for its turn, too
+        ending = threading.Thread(target=node.deactivate, daemon=True)
+        ending.start()
+        ending.join(30.0)
+        assert not ending.is_alive()
+        found.set()
+        work.join(60.0)
+        assert said == [(False, 'another log was begun meanwhile; stepdiag gap diagnoses the bag of this one')]
+    finally:
+        found.set()
+        node.cleanup()
+        node.destroy_node()
+        rclpy.try_shutdown()
+
+
 def test_quality_of_service_can_be_overridden(cell):
     names = call(cell, ListParameters, 'interferometer_driver/list_parameters',
                  ListParameters.Request()).result.names
@@ -102,14 +143,15 @@ def test_a_node_goes_down_and_up_again(cell, node, eventually):
                why=lambda: cell.operator.health(node).message)
 
 
-#: What names files, hosts, feeds or places; a parameter service that everybody may call does not change it.
+#: What names files, hosts, feeds or places, or keeps the machine still for want of a client or of a hand; a parameter
+#: service that everybody may call does not change it.
 FIXED = {
     'interferometer_driver': {'host': '10.0.0.1', 'port': 1, 'serves': ['a=1'], 'beams': 3},
     'psd_driver': {'host': '10.0.0.1', 'port': 1, 'stream_port': 1, 'mode': 'poll', 'length': 0.1, 'rotation': 1.0,
                    'gain': [2.0, 2.0], 'zero': [1.0, 1.0]},
     'step_sequencer': {'host': '10.0.0.1', 'port': 1, 'description_file': '/etc/passwd', 'feed': 5.0,
                        'origin': [1.0, 1.0, 1.0], 'setup_codes': ['ppp=M102'], 'listeners': [''], 'sources': [''],
-                       'light': '/other/use_source'},
+                       'light': '/other/use_source', 'lease': 3600.0, 'lost_client': 'at_once', 'ask_operator': True},
     'recorder': {'bag': '/tmp/elsewhere', 'bag_folder': '/tmp'},
 }
 
@@ -184,6 +226,35 @@ def test_unknown_parameters_of_the_psd_are_refused_in_one_line(cell, eventually)
         operator.bring('psd_driver', 'inactive')
     operator.set_parameters('psd_driver', {'channels': [0, 1, 2, 3]})
     operator.bring('psd_driver', 'active')
+
+
+def test_a_node_that_takes_long_for_each_answer_is_heard(cell):
+    """Longer than the time after which it is asked again, as on a busy computer."""
+    import rclpy
+    from lifecycle_msgs.srv import GetState
+    from rclpy.experimental.events_executor import EventsExecutor
+
+    from stepdiag_ros.nodes.base import spin
+    from stepdiag_ros.nodes.operator import ASK_AGAIN_S
+
+    def slowly(_request, response):
+        time.sleep(ASK_AGAIN_S + 0.5)
+        response.current_state.label = 'active'
+        return response
+    context, stop = rclpy.Context(), threading.Event()
+    rclpy.init(context=context)
+    node, executor = rclpy.create_node('slow', namespace='/tiny', context=context), EventsExecutor(context=context)
+    node.create_service(GetState, 'slow/get_state', slowly)
+    executor.add_node(node)
+    answering = threading.Thread(target=spin, args=(executor, stop.is_set), daemon=True)
+    answering.start()
+    try:
+        assert cell.operator.state('slow', 60.0) == 'active'
+    finally:
+        stop.set()
+        answering.join(60.0)
+        node.destroy_node()
+        context.try_shutdown()
 
 
 def test_a_raw_subscription_hands_on_nothing_before_its_start(ros_domain, eventually):

@@ -76,9 +76,15 @@ def _stations(log: CalibrationLog, evaluation: Evaluation, own: dict[str, np.nda
         rows.append((name, ' / '.join(f'{1e3 * v:.1f}' for v in setup.station), *place,
                      f'{1e3 * found["dead_path_m"]:.4f} ± {2e3 * found["dead_path_sigma_m"]:.2g}',
                      str(len(stops(log.description, name))), str(log.description.repeats_of(name)),
-                     micro(float(np.sqrt(np.nanmean(own[name]**2))))))
+                     micro(_rms(own[name]))))
     return Grid('Stations [mm]', ('', 'stated X / Y / Z', '>X', '>Y', '>Z', '>dead path', '>targets', '>cycles',
                                   '>residual rms [µm]'), rows, 'U (k = 2) by repeats.')
+
+
+def _rms(residual: np.ndarray) -> float:
+    """Root mean square of what was measured; NaN where nothing was."""
+    measured = residual[np.isfinite(residual)]
+    return float(np.sqrt(np.mean(measured**2))) if len(measured) else float('nan')
 
 
 def draw(log: CalibrationLog, names: list[str], own: dict[str, np.ndarray]) -> Figure:

@@ -245,6 +245,27 @@ def test_stop_brings_the_machine_to_rest(bench):
     np.testing.assert_allclose(bench.cnc.position(), [0.05, 0.0, 0.0], atol=1e-7)
 
 
+@pytest.mark.parametrize('gone', [False, True], ids=['link open', 'link gone'])
+def test_a_stop_does_not_wait_for_the_watchdog(bench, gone):
+    """Whoever takes the signs of life is gone: that hinders every further move, and no stop."""
+    bench.go(0.0, 0.0, 0.0)
+    where, watch = bench.endpoints['cnc'], socket.create_server(('127.0.0.1', 0))
+    client = LinuxCncRsh(where['host'], where['port'], watch_port=watch.getsockname()[1], stop_timeout_s=3.0)
+    client.connect()
+    client.move(np.array([0.2, 0.0, 0.0]), 0.02)
+    watch.close()
+    with pytest.raises(DeviceError, match='watchdog of the machine control'):
+        while True:
+            client.in_position()
+    if gone:
+        client._link.close()
+    client.stop()
+    assert 0.0 < client.position()[0] < 0.1
+    client.close()
+    bench.cnc.connect()
+    bench.go(0.0, 0.0, 0.0)
+
+
 @pytest.mark.parametrize(('place', 'feed', 'words'), [
     ((0.5, 0.0, 0.0), 0.1, "X's positive limit"), ((0.0, -0.1, 0.0), 0.1, "Y's negative limit"),
     ((0.0, 0.0, np.nan), 0.1, 'three coordinates'), ((0.0, 0.0, 0.0), 0.0, 'feed above zero')])
@@ -265,6 +286,12 @@ def ask(where: dict, data: bytes, answers: int) -> bytes:
             assert more, f'closed after {got!r}'
             got += more
         return got
+
+
+@pytest.mark.parametrize('params', [b'{"a":1}', b'[1e999]', b'[[]]', b'"x"', b'[9]'])
+def test_parameters_that_are_none_are_answered_by_an_error(bench, params):
+    request = b'{"jsonrpc":"2.0","method":"com.attocube.sen.adjustment.getContrastInPermille","params":%s,"id":5}'
+    assert json.loads(ask(bench.endpoints['interferometer'], request % params, 1))['error']['code'] == -32602
 
 
 @pytest.mark.parametrize('end', [b'', b'\n', b'\r\n'])

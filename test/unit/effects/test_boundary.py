@@ -67,6 +67,7 @@ def test_a_form_that_is_tuned_is_checked_too(bench, tmp_path):
     ('moment.turn[0] = np.nan', r'moment.turn is nan at \[0, 0\], 3 of \d+ numbers are not finite'),
     ('moment.spot = moment.shift', 'moment.spot is set before there is one; change it in after_light'),
     ('moment.shift = None', 'moment.shift is NoneType'),
+    ('raise SystemExit(0)', r'\(line 12\): SystemExit: 0; correct this line'),
     ('moment.shift = moment.shift - np.ones(7)', r'\(line 12\): ValueError: .*effect check')])
 def test_what_the_physical_face_writes(bench, tmp_path, change, words):
     kind = of(tmp_path, SOUND.replace('moment.shift = moment.shift - self.amp * np.array([0.0, 0.0, 1.0])', change))
@@ -84,6 +85,13 @@ def test_stamps_and_sensors(tmp_path):
         kind().environment(np.arange(4.0))
 
 
-def test_parameters(tmp_path):
-    with pytest.raises(StepdiagError, match='Sag.parameters holds'):
-        of(tmp_path, SOUND.replace('0.0, 1e-5)', '1e-5, 0.0)'))
+@pytest.mark.parametrize(('old', 'new', 'words'), [
+    ('0.0, 1e-5)', '1e-5, 0.0)', 'Sag.parameters holds'), ('0.0, 1e-5)', "'x', 1e-5)", 'Sag.parameters holds'),
+    ('0.0, 1e-5)', '0.0, 1e-5, 0)', 'Sag.parameters holds'),
+    ("(Parameter('amp', 'm', 0.0, 1e-5),)", 'None', 'Sag.parameters is None; give a tuple'),
+    ("short = 'Spindle sags'", 'short = 3', 'Sag.short is 3; give a text'),
+    ("name = 'sag'", 'name = np.zeros(0)', 'Sag.name is array'), ("name = 'sag'", 'name = 7', 'Sag.name is 7')])
+def test_attributes(tmp_path, old, new, words):
+    assert old in SOUND
+    with pytest.raises(StepdiagError, match=words):
+        of(tmp_path, SOUND.replace(old, new))

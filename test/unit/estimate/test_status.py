@@ -47,6 +47,15 @@ def test_without_spots_it_is_not_ok(measured):
     assert 'no tilts in setup ppp, npp, pnp, nnp' in status
 
 
+def test_without_lengths_at_most_stops_it_is_not_ok(measured):
+    description, table = measured()
+    lost = (table.setup == 0) & (table.index > 0)
+    dark = replace(table, displacement=np.where(lost[:, None], np.nan, table.displacement))
+    assert reasons(fit(description, dark, quiet(table)), dark) == [
+        f'no lengths in setup {table.setup_names[0]}: interferometer/displacement is missing or cannot be used at '
+        'most of its stops']
+
+
 def test_three_beams_need_no_spots(measured):
     description, table = measured(beams=((0.0, 0.0), (0.03, 0.0), (0.0, 0.03)))
     blind = replace(table, spot=np.full_like(table.spot, np.nan))

@@ -48,6 +48,8 @@ def test_cosine_errors_only_shorten():
 
 @pytest.mark.parametrize(('line', 'said'), [
     (LINE.replace('scale', 'scales'), "mine.yaml:4: kind: 'scales' is not known"),
+    ('  - {name: t, kind: [1], type: B, value: 0.1, unit: K}', 'mine.yaml:4: kind: [1] is not known'),
+    (LINE.replace('normal', '{a: 1}'), "mine.yaml:4: distribution: {'a': 1} is not known"),
     (LINE.replace('m/m', 'ppm'), "mine.yaml:4: unit: 'ppm'; scale is given in m/m"),
     (LINE.replace('type: B', 'type: C'), "mine.yaml:4: type: 'C'"),
     (LINE.replace('normal', 'gaussian'), "mine.yaml:4: distribution: 'gaussian'"),
