@@ -96,7 +96,7 @@ def _feeds(description: Description, names: list[str]) -> str:
     own = {name: feed for name in names if (feed := description.setups[name].feed or usual) is not None}
     said = [f'{6e4 * min(own[name], usual or own[name]):.0f} mm/min' for name in own]
     if not said:
-        return f'commanded feed {NOT_STATED}'
+        return NOT_STATED
     if len(said) == len(names) and len(set(said)) == 1:
         return f'commanded {said[0]}'
     return 'commanded ' + ', '.join(f'{name} {feed}' for name, feed in zip(own, said, strict=True))

@@ -25,7 +25,7 @@ def cell(**changes):
     text = yaml.safe_load(DEMO.read_text(encoding='utf-8'))
     text['sampling'] |= {'interferometer': 200.0, 'psd': 200.0, 'in_motion': False}
     for key, value in changes.items():
-        text[key] = text[key] | value if isinstance(value, dict) and key != 'setups' else value
+        text[key] = text.get(key, {}) | value if isinstance(value, dict) and key != 'setups' else value
     return parse_cell(yaml.safe_dump(text, sort_keys=False), str(DEMO))
 
 
