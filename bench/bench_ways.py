@@ -15,6 +15,7 @@ import os
 os.environ.update({'OMP_NUM_THREADS': '1', 'OPENBLAS_NUM_THREADS': '1'})
 
 import argparse
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -32,6 +33,7 @@ from stepdiag_ros.virtual.offline import simulate_log
 KNOWN = 6e-6
 ROUNDS, ZERO = 10, 1e-15
 PAGE = Path(__file__).resolve().parents[1] / 'docs' / 'bench' / 'ways.md'
+CELLS = PAGE.parents[2] / 'cells'
 CELL = """
 schema: 1
 seed: SEED
@@ -87,11 +89,20 @@ PLANS = {
     'four stations in space': stations(GRID, PLACES, TOOLS),
     'rectangles in three planes followed from a station each, lines': (*BY_RECTANGLES, *LINES),
     'rectangles, three faces from one corner, lines': (*BY_RECTANGLES, *THREE, *LINES),
-    'all but stations': (*FACES, *LINES, *OFFSET, *BODY)}
+    'all but stations': (*FACES, *LINES, *OFFSET, *BODY),
+    'rectangles with the beam regulated (cells/held_beam.yaml)': 'held_beam.yaml',
+    'every kind in one plan (cells/family.yaml)': 'family.yaml'}
+"""Ways of the setups, or a cell file."""
 
 
-def cell_text(ways: tuple, seed: int, noise: str = USUAL, laser: float = 2e-4, station: float = 1e-3) -> str:
+def cell_text(ways: tuple | str, seed: int, noise: str = USUAL, laser: float = 2e-4, station: float = 1e-3) -> str:
     """A cell file with these ways; ``laser`` [rad], ``station`` [m]: by how much beams and stations are off."""
+    if isinstance(ways, str):
+        text = (CELLS / ways).read_text(encoding='utf-8')
+        for key, value in (('seed', str(seed)), ('noise', noise), ('misalignments', f'{{drawn: {{laser: {laser}, '
+                           f'mirror: 2.0e-4, psd_zero: 0.0, station: {station}}}}}'), ('air', '{sensors: []}')):
+            text = re.sub(f'(?m)^{key}: .*$', f'{key}: {value}', text)
+        return text
     setups = []
     for number, way in enumerate(ways):
         keys = [f'from: {list(way[:3])}', f'to: {list(way[3:6])}', f'moves: {way[6] if len(way) > 6 else "together"}']
@@ -121,7 +132,7 @@ def judged(solution, geometry) -> list[tuple[str, int, float]]:
     return found
 
 
-def hits(ways: tuple, seed: int) -> tuple[list[bool], list[bool], str]:
+def hits(ways: tuple | str, seed: int) -> tuple[list[bool], list[bool], str]:
     """Of one draw: whether each value lies within k = 2 of the truth, by the whole budget and by repeats; the status."""
     cell = parse_cell(cell_text(ways, seed))
     solution = evaluate(simulate_log(cell))
@@ -130,14 +141,14 @@ def hits(ways: tuple, seed: int) -> tuple[list[bool], list[bool], str]:
             [bool(by <= 2.0 * solution.sigma_repeatability[row]) for _, row, by in away], solution.status)
 
 
-def without_noise(ways: tuple, seed: int = 1) -> tuple[list[str], float, float]:
+def without_noise(ways: tuple | str, seed: int = 1) -> tuple[list[str], float, float]:
     """Errors that are shown, and the largest deviation [m], [rad] of those of a cell without noise.
 
     Its beams lie along the lines, and the estimate is told so; stations stand where they are said to, for whether one is
     above or below the plane of its targets bends lengths by nanometres only.  It starts from the one of the usual noise.
     """
     # Repeats would say that there is no noise.
-    cell = parse_cell(cell_text(ways, seed, NONE, 0.0, 0.0).replace('repeats: 2', 'repeats: 1'))
+    cell = parse_cell(re.sub(r'repeats: \d', 'repeats: 1', cell_text(ways, seed, NONE, 0.0, 0.0)))
     log = simulate_log(cell)
     usual = replace(log.description, noise=Noise())
     believed = evaluate(replace(log, description=usual))

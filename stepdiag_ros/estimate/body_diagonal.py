@@ -73,7 +73,7 @@ class DiagonalTest:
 
     ``sigma_m``: standard uncertainty [m] of each of :meth:`figures` by the whole budget, empty where not computed.
     ``travel_m``: (3,) of the axes from end to end, by name; the volume's where nothing is said.  ``cycles`` of each
-    diagonal, by name, where they were counted.
+    diagonal, by name, where they were counted.  ``cautions``: what its figures do not show, a sentence each.
     """
 
     diagonals: Mapping[str, DiagonalResult]
@@ -82,12 +82,13 @@ class DiagonalTest:
     traceability: Traceability | None = None
     travel_m: Mapping[str, np.ndarray] = field(default_factory=dict)
     cycles: Mapping[str, int] = field(default_factory=dict)
+    cautions: tuple[str, ...] = ()
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What the test falls short of, a sentence each."""
-        return tuple(text for name, cycles in self.cycles.items()
-                     for text in shortfalls(name, self.diagonals[name].position_m, cycles, diagonal=True))
+        """What the test falls short of, and its cautions, a sentence each."""
+        return (*(text for name, cycles in self.cycles.items()
+                  for text in shortfalls(name, self.diagonals[name].position_m, cycles, diagonal=True)), *self.cautions)
 
     def figures(self) -> dict[str, float]:
         """E and B of each diagonal and of the worst [m], by name; without those that were not measured."""

@@ -1,22 +1,25 @@
 """Whether a log is one of those on which methods of the literature are known to fail; a sentence each.
 
-Three cases, each shown on a known machine in docs/papers: two axes with equal steps that read alike in every diagonal
+Four cases, each shown on a known machine in docs/papers: two axes with equal steps that read alike in every diagonal
 (a mirror squared to the machine's diagonal does that), diagonals without linear setups (they do not tell the axes'
-slopes apart), and angular motions that the vector method takes for translations.
+slopes apart), and angular motions, which the vector method takes for translations and lengths of diagonals for
+squareness.
 
 Source: Ibaraki, Goto, Matsubara 2006; Renishaw 2016; Wang & Liotto 2003.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
 from stepdiag_ros.estimate.readings import CellReadings
 from stepdiag_ros.estimate.solution import Solution
+from stepdiag_ros.estimate.squareness_diagonals import body_squareness
 from stepdiag_ros.estimate.step_diagonal import angular_effect
 from stepdiag_ros.estimate.stepwise import increments
 from stepdiag_ros.model.description import DIAGONALS
-from stepdiag_ros.model.machine import AXES, CURVES, Curve, GeometricErrors
+from stepdiag_ros.model.machine import AXES, CURVES, SQUARENESS, Curve, GeometricErrors
 
 ALIKE = 1e-6
 """Steps of two axes that differ by a smaller share are equal."""
@@ -26,9 +29,10 @@ ANGLES = tuple(name for name in CURVES if name[1] in 'ABC')
 def cautions(cell: CellReadings, solution: Solution | None) -> tuple[str, ...]:
     """What a reader of several methods' answers must know of this log; ``solution``: the enhanced method's."""
     names = [name for name in DIAGONALS if name in cell.setups]
-    if not names:
+    if not names and not any(setup.sight.kind.endswith('diagonal') for setup in cell.setups.values()):
         return ()
-    found = (*_alike(cell, names), _without_lines(cell), _angles(cell, names, solution))
+    found = (*_alike(cell, names), _without_lines(cell), _angles(cell, names, solution),
+             _sheared(cell, names, solution))
     return tuple(text for text in found if text)
 
 
@@ -65,7 +69,7 @@ def _without_lines(cell: CellReadings) -> str:
 
 def _angles(cell: CellReadings, names: list[str], solution: Solution | None) -> str:
     """By how much the angles that were found move a reading that the vector method takes for translations."""
-    if solution is None or not all(solution.has(name) for name in ANGLES):
+    if not names or solution is None or not all(solution.has(name) for name in ANGLES):
         return ''
     if all(cell.setups[name].spot_m is None and len(cell.setups[name].sight.beams) < 3 for name in names):
         return ('the log shows no angles (no spots, fewer than three beams): step_diagonal takes them for zero, and '
@@ -83,13 +87,38 @@ def _angles(cell: CellReadings, names: list[str], solution: Solution | None) -> 
             '(docs/papers/angles_in_a_step_diagonal.md)')
 
 
-def _sigma(cell: CellReadings, name: str, stop: int, solution: Solution) -> float:
-    """Standard uncertainty [m] of what the angles do to one reading, through each angle's own value."""
+def _sheared(cell: CellReadings, names: list[str], solution: Solution | None) -> str:
+    """By how much the angles that were found change the squareness that the lengths of the four diagonals give."""
+    if solution is None or len(names) < len(DIAGONALS) or not all(solution.has(name) for name in ANGLES):
+        return ''
+    angles = replace(solution.errors, curves={n: c for n, c in solution.errors.curves.items() if n in ANGLES},
+                     square={})
+
+    def squareness(errors: GeometricErrors) -> np.ndarray:
+        return body_squareness(cell.machine, {n: float(angular_effect(cell, n, errors)[-1, 0]) for n in names}).value
+    effect, rows, slopes = squareness(angles), *_alone(solution, squareness)
+    variance = np.einsum('ik,kl,il->i', slopes, solution.covariance[np.ix_(rows, rows)], slopes)
+    expanded = 2.0 * np.sqrt(np.maximum(variance, 0.0))
+    most = int(np.argmax(np.abs(effect) - expanded))
+    if abs(effect[most]) <= expanded[most]:
+        return ''
+    return (f'the angular motions found shear the volume as a squareness {SQUARENESS[most]} of '
+            f'{1e6 * effect[most]:.3f} ± {1e6 * expanded[most]:.3f} µrad (k = 2) would: squareness_diagonals takes '
+            'that for squareness, or does not see a squareness that it undoes (docs/papers/machine_c.md)')
+
+
+def _alone(solution: Solution, of: Callable[[GeometricErrors], np.ndarray]) -> tuple[list[int], np.ndarray]:
+    """Rows of the angles in a solution, and what ``of`` (p,) each changes per radian (p, rows)."""
     rows = [row for row, (curve, _) in enumerate(solution.names) if curve in ANGLES]
     step, slopes = 1e-6, []
     for row in rows:
         curve, knot = solution.names[row]
         place = np.asarray(solution.positions[curve])
-        alone = GeometricErrors({curve: Curve(place, step * (np.arange(len(place)) == knot))}, {})
-        slopes.append(angular_effect(cell, name, alone)[stop, 0] / step)
-    return float(np.sqrt(max(np.array(slopes) @ solution.covariance[np.ix_(rows, rows)] @ np.array(slopes), 0.0)))
+        slopes.append(of(GeometricErrors({curve: Curve(place, step * (np.arange(len(place)) == knot))}, {})) / step)
+    return rows, np.array(slopes).T
+
+
+def _sigma(cell: CellReadings, name: str, stop: int, solution: Solution) -> float:
+    """Standard uncertainty [m] of what the angles do to one reading, through each angle's own value."""
+    rows, [slopes] = _alone(solution, lambda errors: angular_effect(cell, name, errors)[stop, :1])
+    return float(np.sqrt(max(slopes @ solution.covariance[np.ix_(rows, rows)] @ slopes, 0.0)))

@@ -22,6 +22,7 @@ reported by name (:mod:`stepdiag_ros.estimate.identifiability`).
 """
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from scipy import linalg, sparse
@@ -31,6 +32,7 @@ from stepdiag_ros.estimate.banded import BandedNormal
 from stepdiag_ros.estimate.dense import dense_operations, factored, inverse, normal_equations, solved, weighted
 from stepdiag_ros.estimate.forward import ForwardModel
 from stepdiag_ros.estimate.gauge import slope_weights
+from stepdiag_ros.estimate.level import PRIOR_STATION_M
 from stepdiag_ros.estimate.noise import NoiseModel, Whitener, estimate_noise, whiteners
 from stepdiag_ros.estimate.parameters import STATION, Parameters, parameters_of
 from stepdiag_ros.estimate.reduce import StopTable
@@ -42,12 +44,12 @@ PRIOR_TURN_RAD = 1e-3
 PRIOR_LASER_RAD = 1e-3
 PRIOR_MIRROR_RAD = 1e-2
 PRIOR_OFFSET_M = 10.0
-PRIOR_STATION_M = 2e-2
-"""How well it is known where a station stands: by a rule held beside it.  Wider, heights above a plane that holds the
-targets, which show to second order only, run along flat valleys where no step settles."""
 BESIDE_M = 1e-3
 PRIOR_FRAME_RAD = 1e-4
 """Turning machine and setups together is seen only to second order: it is held to this prior."""
+LEVEL_ROUNDS, LEVEL_M = 4, 1e-13
+"""Most fits beyond the first in which level stations take from the fit before what the machine is off across their
+planes, and by how much [m] readings must differ by it for another."""
 FRAME_SLOPES = ('EYX', 'EZX', 'EZY')
 HELD = 1e-3
 """Share of its prior that a combination of unknowns which is held may move by."""
@@ -134,7 +136,7 @@ def start(parameters: Parameters, model: ForwardModel, table: StopTable,
           readings: np.ndarray) -> np.ndarray:
     """First guess: an ideal machine, offsets from the first reading of each run, stations a little beside their places.
 
-    In a plane that holds the station no reading depends on its height to first order: from there no step would find it.
+    On a line that holds the station no reading depends to first order on how far it is off: no step would find it.
     """
     theta = np.zeros(parameters.size)
     for setup in parameters.setups:
@@ -167,16 +169,30 @@ def fit(description: Description, table: StopTable, noise: NoiseModel | None = N
     in units of their priors, that stay at the centre while the others are sought; the covariance knows nothing of it.
     """
     parameters = parameters or parameters_of(description, table)
-    model = ForwardModel(description, table, parameters)
     readings = readings_of(table) if readings is None else readings
+    solve = partial(_fit, description, table, noise, readings, settled, share, linear_laser,
+                    np.zeros(parameters.size) if centre is None else centre, held)
+    model = ForwardModel(description, table, parameters, np.zeros(parameters.size) if theta is None else theta)
+    result = solve(model, theta)
+    for _ in range(LEVEL_ROUNDS if model.has_level_stations else 0):
+        before, model = model, ForwardModel(description, table, parameters, result.theta)
+        if np.abs(model.predict(result.theta) - before.predict(result.theta)).max() < LEVEL_M:
+            break
+        result = solve(model, result.theta)
+    return result
+
+
+def _fit(description: Description, table: StopTable, noise: NoiseModel | None, readings: np.ndarray, settled: float,
+         share: float, linear_laser: float, centre: np.ndarray, held: np.ndarray | None, model: ForwardModel,
+         theta: np.ndarray | None) -> Fit:
+    """As :func:`fit`, with what ``model`` believes the machine to be off across the planes of level stations."""
+    parameters = model.parameters
     present = np.isfinite(readings)
     flat = present.ravel()
     if not flat.any():
         raise StepdiagError('no readings at all; nothing to solve')
     if theta is None:
         theta = start(parameters, model, table, readings)
-    if centre is None:
-        centre = np.zeros(parameters.size)
     precision = prior = prior_precision(parameters, linear_laser)
     if held is not None:
         precision = prior + held.T @ held / HELD**2

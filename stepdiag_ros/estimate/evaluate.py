@@ -120,8 +120,9 @@ def solution_of(result: Fit, table: StopTable, warnings: tuple[str, ...] = ()) -
         first, size = parameters.setup_first[setup], len(parameters.unknowns[setup])
         found = tuple(float(a) for a in result.theta[first:first + size])
         if parameters.unknowns[setup] == STATION:
-            misalignments[setup] = Misalignment(station=found)
-            stations[setup] = _station(result, table, setup, found)
+            moved, sigma = result.model.station(result.theta, result.covariance, setup)
+            misalignments[setup] = Misalignment(station=tuple(moved.tolist()))
+            stations[setup] = _station(result, table, setup, moved, sigma)
         else:
             misalignments[setup] = Misalignment(found[:2], found[2:])
     noise = {'position_repeatability_m': result.noise.position,
@@ -146,15 +147,14 @@ def _with_beams(solution: Solution, log: CalibrationLog, table: StopTable) -> So
     return replace(solution, extra=solution.extra | {'stations': told}, warnings=(*solution.warnings, *warnings))
 
 
-def _station(result: Fit, table: StopTable, setup: str, moved: tuple[float, ...]) -> dict[str, list[float] | float]:
+def _station(result: Fit, table: StopTable, setup: str, moved: np.ndarray, sigma: np.ndarray,
+             ) -> dict[str, list[float] | float]:
     """Where a station was found to stand and the dead path of its first run, each with its uncertainty by repeats."""
     parameters, rows = result.parameters, np.flatnonzero(table.setup == table.setup_names.index(setup))
-    first = parameters.setup_first[setup]
     place = result.model.places[rows[0]] + moved
-    sigma = np.sqrt(np.diag(result.covariance))
     offset = parameters.offset_first + int(table.run[rows[0]]) * parameters.beams
-    return {'position_m': place.tolist(), 'sigma_m': sigma[first:first + len(STATION)].tolist(),
-            'dead_path_m': -float(result.theta[offset]), 'dead_path_sigma_m': float(sigma[offset])}
+    return {'position_m': place.tolist(), 'sigma_m': sigma.tolist(), 'dead_path_m': -float(result.theta[offset]),
+            'dead_path_sigma_m': float(np.sqrt(result.covariance[offset, offset]))}
 
 
 def _residuals(result: Fit, table: StopTable) -> Residuals:

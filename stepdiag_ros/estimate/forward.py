@@ -11,6 +11,7 @@ spread over the unknowns, of which each stop meets only a few.
 import numpy as np
 from scipy import sparse
 
+from stepdiag_ros.estimate.level import Heights
 from stepdiag_ros.estimate.parameters import OF_SETUPS, Parameters, curve_matrices
 from stepdiag_ros.estimate.reduce import StopTable
 from stepdiag_ros.model.description import Description
@@ -25,10 +26,13 @@ class ForwardModel:
     """Predictions for the stops of one table.
 
     Channels of a stop are its beams, then spot x, spot y: ``beams + 2``.  Predictions are
-    absolute distances; the reset offset of a run is one of the unknowns and is added.
+    absolute distances; the reset offset of a run is one of the unknowns and is added.  ``believed``: unknowns (size,)
+    from which level stations have what the machine is off across their planes (:mod:`stepdiag_ros.estimate.level`),
+    those that a prediction is asked for when not given.
     """
 
-    def __init__(self, description: Description, table: StopTable, parameters: Parameters):
+    def __init__(self, description: Description, table: StopTable, parameters: Parameters,
+                 believed: np.ndarray | None = None):
         self.parameters = parameters
         self.chain = description.machine.chain
         self.commanded = table.commanded
@@ -42,6 +46,8 @@ class ForwardModel:
         self.tool = np.array([description.setups[s].tool_of(description.machine) for s in names]).reshape(-1, 3)
         self.follows = np.array([description.setups[s].follows for s in names], bool)
         self.places = np.array([description.setups[s].station or np.zeros(3) for s in names]).reshape(-1, 3)
+        self._heights = Heights.of_stops(description, names[self.follows])
+        self._across: np.ndarray | None = None
         self._triad = np.array([stations[s].triad for s in names])
         starts = {s: stations[s].beam_origins(np.array(
             (*description.setups[s].beams[:self.beams], description.setups[s].psd_offset)))
@@ -52,6 +58,8 @@ class ForwardModel:
         self._setup_column = np.array([columns[s] for s in names]).reshape(-1, len(OF_SETUPS))
         self._offset_column = (parameters.offset_first + table.run[:, None] * self.beams
                                + np.arange(self.beams))
+        if believed is not None:
+            self._across = self.across(believed)
 
     # ---- geometry ---------------------------------------------------------------------------
 
@@ -100,10 +108,44 @@ class ForwardModel:
         """What each stop's setup has (n, 7) of :data:`OF_SETUPS`, zero where it has none of it."""
         return np.where(self._setup_column >= 0, theta[self._setup_column], 0.0)
 
-    def _arms(self, theta: np.ndarray, point: np.ndarray) -> np.ndarray:
-        """From station to retroreflector (k, 3) [m] at the stops that follow one."""
-        own = self.follows
-        return point[own] - self.places[own] - self._of_setups(theta)[own, 4:]
+    @property
+    def has_level_stations(self) -> bool:
+        """Whether a station may stand in the plane of its targets."""
+        return bool(np.any((self._heights.axis >= 0) & self._heights.level))
+
+    def across(self, theta: np.ndarray) -> np.ndarray:
+        """What the machine is off (k,) [m] across the plane of its targets, at the k stops that follow."""
+        point, *_ = self._pose(*self.motions(theta), derivative=False)
+        return self._heights.errors(point[self.follows] - self.places[self.follows])
+
+    def _followed(self, theta: np.ndarray, point: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Of the k stops that follow a retroreflector: lengths (k,) [m], their derivatives (k, 3) by its place, and
+        (k, 3) by what is unknown of the station."""
+        own, heights = self.follows, self._heights
+        unknown = self._of_setups(theta)[own, 4:]
+        rows = np.flatnonzero(heights.axis >= 0)
+        across, moved, up = heights.axis[rows], unknown.copy(), np.zeros(len(unknown))
+        up[rows], moved[rows, across] = unknown[rows, across], 0.0
+        arms = point[own] - self.places[own] - moved
+        believed = heights.errors(arms) if self._across is None else self._across
+        length, by_place, by_height = heights.lengths(arms, up, believed)
+        by_station = -by_place
+        by_station[rows, across] = by_height[rows]
+        return length, by_place, by_station
+
+    def station(self, theta: np.ndarray, covariance: np.ndarray, setup: str) -> tuple[np.ndarray, np.ndarray]:
+        """How far a station stands from where it is said to stand (3,) [m], and its standard uncertainty (3,) [m]."""
+        first = self.parameters.setup_first[setup]
+        columns = slice(first, first + 3)
+        found, sigma = theta[columns].copy(), np.sqrt(np.diag(covariance)[columns])
+        stop = np.flatnonzero(self._setup_column[self.follows, 4] == first)[:1]
+        heights = Heights(*(part[stop] for part in (self._heights.axis, self._heights.stated, self._heights.unit)))
+        axis = int(heights.axis[0])
+        if axis >= 0:
+            off = found[axis:axis + 1]
+            sigma[axis] = heights.sigma(off, sigma[axis:axis + 1])[0]
+            found[axis] = heights.moved(off)[0]
+        return found, sigma
 
     # ---- predictions ------------------------------------------------------------------------
 
@@ -118,7 +160,7 @@ class ForwardModel:
         readings[:, self.beams:] = self._spot(point, normal, beam)
         if self.follows.any():
             readings[self.follows] = 0.0
-            readings[self.follows, 0] = np.linalg.norm(self._arms(theta, point), axis=1)
+            readings[self.follows, 0] = self._followed(theta, point)[0]
         readings[:, :self.beams] += theta[self._offset_column]
         return readings
 
@@ -155,12 +197,12 @@ class ForwardModel:
         readings[:, self.beams:], derivative[:, :, self.beams:] = _spot_by(
             point, normal, beam, self._origin[-1], self._triad, point_by, normal_by, beam_by)
         if self.follows.any():
-            own, arm = self.follows, self._arms(theta, point)
-            length = np.linalg.norm(arm, axis=1)
+            own = self.follows
+            length, by_place, by_station = self._followed(theta, point)
             readings[own], derivative[:, own] = 0.0, 0.0
             readings[own, 0] = length
-            derivative[:, own, 0] = np.einsum('dni,ni->dn', point_by[:, own], arm / length[:, None])
-            derivative[OF_STATION, own, 0] = -(arm / length[:, None]).T
+            derivative[:, own, 0] = np.einsum('dni,ni->dn', point_by[:, own], by_place)
+            derivative[OF_STATION, own, 0] = by_station.T
         readings[:, :self.beams] += theta[self._offset_column]
         return readings, derivative[:DIRECTIONS], derivative[DIRECTIONS:]
 

@@ -25,10 +25,12 @@ from stepdiag_ros.estimate import (
     squareness_diagonals,
     step_diagonal,
 )
+from stepdiag_ros.estimate.cautions import cautions
 from stepdiag_ros.estimate.evaluate import evaluate as evaluate_enhanced
 from stepdiag_ros.estimate.evaluate import evaluate_in_full
 from stepdiag_ros.estimate.method_budget import with_cell_budget
 from stepdiag_ros.estimate.readings import CellReadings, SetupReadings, readings_of_stops
+from stepdiag_ros.estimate.solution import Solution
 from stepdiag_ros.estimate.stepwise import travel_signs
 from stepdiag_ros.model.description import DIAGONALS
 from stepdiag_ros.model.log import CalibrationLog
@@ -214,6 +216,9 @@ def _entries() -> tuple[Method, ...]:
     )
 
 
+CAUTIONED = ('step_diagonal', 'step_diagonal_no_slopes', 'new_formulation', 'squareness_diagonals', 'body_diagonal',
+             'body_displacement', 'face_displacement')
+"""Methods whose answers may need the cautions of a log (:mod:`stepdiag_ros.estimate.cautions`)."""
 METHODS: dict[str, Method] = {method.name: method for method in _entries()}
 
 
@@ -229,7 +234,11 @@ def run_method(name: str, log: CalibrationLog) -> Any:
     missing = method.lacks(cell)
     if missing:
         raise StepdiagError(f'{log.source}: method {name} needs {missing}{cell.why()}')
-    return with_cell_budget(partial(method.run, log), evaluation)
+    result = with_cell_budget(partial(method.run, log), evaluation)
+    warned = cautions(cell, evaluation.solution) if name in CAUTIONED else ()
+    if isinstance(result, Solution):
+        return replace(result, warnings=(*result.warnings, *warned))
+    return replace(result, cautions=warned) if isinstance(result, body_diagonal.DiagonalTest) else result
 
 
 def run_all(log: CalibrationLog) -> tuple[dict[str, Any], dict[str, str]]:

@@ -4,7 +4,7 @@ The joint estimate needs none of this: to it every way is stops and a beam.  The
 name, from one corner or along one edge; here they are found by where a setup begins and ends, whatever it is called.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -37,26 +37,61 @@ def with_mirror(cell: CellReadings) -> list[SetupReadings]:
 
 def stations_lack(cell: CellReadings) -> str | None:
     """What multilateration misses in a log, in words."""
-    own = [setup.sight for setup in cell.setups.values() if setup.sight.station is not None]
-    moved = {axis for sight in own for axis in np.flatnonzero(np.ptp(sight.positions, axis=0) > SAME_M).tolist()}
-    wanted = 4 if len(moved) == 3 else 3
-    if len(own) >= wanted and moved >= {0, 1}:
+    if _one_grid(cell):
         return None
-    return f'distances to a grid from three stations in the plane XY, or from four in space (has {len(own)})'
+    have = sum(1 for setup in cell.setups.values() if setup.sight.station is not None and _grid_of(setup))
+    return ('distances to one and the same grid from three stations in the plane XY, or from four in space '
+            f'(has {have} of some grid)')
+
+
+def _grid_of(setup: SetupReadings) -> tuple[tuple[float, ...], ...] | None:
+    """The coordinates along each axis of the grid that a setup goes over as a whole; None where it does not."""
+    found = tuple(tuple(np.unique(np.round(column, 9)).tolist()) for column in setup.sight.positions.T)
+    visited = len(np.unique(np.round(setup.sight.positions, 9), axis=0))
+    several = [len(part) for part in found if len(part) > 1]
+    return found if len(several) > 1 and visited == np.prod(several) == len(setup.sight.positions) else None
+
+
+def _one_grid(cell: CellReadings) -> list[SetupReadings]:
+    """The setups that followed the same grid from enough stations, of several grids the one in space; else none.
+
+    A position that a single station saw is none that distances tell, so that unlike grids do not mix here."""
+    by_grid: dict[tuple[tuple[float, ...], ...], list[SetupReadings]] = {}
+    for setup in cell.setups.values():
+        grid = _grid_of(setup) if setup.sight.station is not None else None
+        if grid:
+            by_grid.setdefault(grid, []).append(setup)
+    for grid, group in sorted(by_grid.items(), key=lambda item: (len(item[0][2]) == 1, -len(item[1]))):
+        wanted = 4 if len(grid[2]) > 1 else 3
+        if len(group) >= wanted and min(len(grid[0]), len(grid[1])) > 1:
+            return group
+    return []
 
 
 def multilaterated(cell: CellReadings) -> Solution:
     """Multilateration of a log, by the closed problem of stations and dead paths: in the plane XY or in space."""
-    own = [setup for setup in cell.setups.values() if setup.sight.station is not None]
+    own = _one_grid(cell)
     points = [setup.sight.positions for setup in own]
     readings, stations = [setup.displacement_m[:, 0] for setup in own], np.array([s.sight.station for s in own])
     tools = np.array([setup.sight.tool for setup in own])
-    sigma = max(FLOOR_M, float(np.sqrt(np.mean([np.mean(setup.displacement_sigma_m**2) for setup in own]))))
+    sigma = _sigma_of(own)
     if np.ptp(np.concatenate(points)[:, 2]) > SAME_M:
-        return multilateration.evaluate(points, readings, stations, tools, sigma, cell.machine.chain)
+        return _settled(multilateration.evaluate(points, readings, stations, tools, sigma, cell.machine.chain))
     # The plane of the method holds the retroreflector: its own coordinates begin at the tool.
     places = (stations - tools)[:, :2]
-    return multilateration.evaluate_plane([place[:, :2] for place in points], readings, places, sigma)
+    return _settled(multilateration.evaluate_plane([place[:, :2] for place in points], readings, places, sigma))
+
+
+def _sigma_of(own: Sequence[SetupReadings]) -> float:
+    """Standard deviation [m] of the mean readings of these setups, taken together."""
+    return max(FLOOR_M, float(np.sqrt(np.mean([np.mean(setup.displacement_sigma_m**2) for setup in own]))))
+
+
+def _settled(solution: Solution) -> Solution:
+    """``solution``, unless its iteration came to no end: then its numbers are none."""
+    if solution.status != 'ok':
+        raise StepdiagError(f'{solution.method}: the iteration came to no end; check where the stations stand')
+    return solution
 
 
 def rectangle_lacks(cell: CellReadings) -> str | None:
@@ -89,7 +124,10 @@ def regulated(cell: CellReadings) -> Solution:
     far = np.array([[-2.0 * x[-1], 0.0], [0.0, -2.0 * y[-1]]])
     test = regulated_beam.Test(x, y, 0.0, 0.0, np.concatenate([far, [around.sight.station[:2]]]),
                                around.sight.positions[:, :2])
-    return regulated_beam.evaluate(test, [x + found['EXX'], y + found['EYY'], around.displacement_m[:, 0]])
+    # The table of the paper is that of a rotary axis; a station has none.
+    known = regulated_beam.Budget.of_readings(_sigma_of([around]))
+    readings = [x + found['EXX'], y + found['EYY'], around.displacement_m[:, 0]]
+    return _settled(regulated_beam.evaluate(test, readings, known))
 
 
 def faces(cell: CellReadings) -> CellReadings:

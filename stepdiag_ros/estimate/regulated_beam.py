@@ -67,6 +67,11 @@ class Budget:
     eye_position: float = 6.73e-4
     machine_positioning: float = 0.34e-4
 
+    @classmethod
+    def of_readings(cls, sigma_m: float) -> 'Budget':
+        """Of a beam that a station turns, whose centre stands still: nothing but the ``sigma_m`` of its readings."""
+        return cls(0.0, 0.0, 0.0, sigma_m, 0.0, 0.0, 0.0, 0.0, 0.0)
+
     @property
     def length(self) -> float:
         """u1 [m]."""

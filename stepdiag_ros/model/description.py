@@ -15,6 +15,7 @@ import yaml
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.guard import limits, strict_yaml
 from stepdiag_ros.model.budget import Budget
+from stepdiag_ros.model.statement import Statement, statement_of
 from stepdiag_ros.model.surroundings import (
     AirValues,
     Expansion,
@@ -167,6 +168,7 @@ class Description:
 
     ``air``: where no topic tells; ``scales``: their material by axis letter; ``budget``: the cell's own lines;
     ``timed``: whether the log's times were measured, not made up for a table without.  ``workpiece``: its material.
+    ``statement``: what its owner states of the test.
     """
 
     machine: Machine
@@ -178,6 +180,7 @@ class Description:
     budget: Budget | None = None
     timed: bool = True
     workpiece: Expansion | None = None
+    statement: Statement = field(default_factory=Statement)
 
     def repeats_of(self, setup: str) -> int:
         """How often a setup is measured, forward and backward."""
@@ -233,7 +236,8 @@ class Description:
                         for key, value in vars(Noise()).items()))
         return cls(machine, plan, setups, noise, air_of(get, data.get('air')),
                    scales_of(get, data.get('material')), _budget(data.get('budget'), source),
-                   data.get('times') != MADE_UP, workpiece_of(get, data.get('material')))
+                   data.get('times') != MADE_UP, workpiece_of(get, data.get('material')),
+                   statement_of(get, data.get('test')))
 
     def to_dict(self) -> dict[str, Any]:
         """The mapping of the contract, plain lists and floats."""
@@ -277,6 +281,8 @@ class Description:
             whole['budget'] = self.budget.to_list()
         if not self.timed:
             whole['times'] = MADE_UP
+        if stated := self.statement.to_dict():
+            whole['test'] = stated
         return whole
 
     def to_yaml(self) -> str:

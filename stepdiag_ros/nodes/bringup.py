@@ -52,6 +52,8 @@ RESTARTS_A_MINUTE = 5
 MACHINES_A_PROCESSOR = 1
 #: Of machines that share a laser one measures at a time.
 SHARING_A_PROCESSOR = 2
+#: Measured (docs/bench/hall.md): what a virtual machine's processes take of the memory [bytes], and what they share.
+MACHINE_BYTES, SHARED_BYTES = 431 << 20, 246 << 20
 _PR_SET_PDEATHSIG = 1
 _LIBC = ctypes.CDLL(None, use_errno=True)
 
@@ -371,8 +373,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def machines_carried(sharing: bool = False) -> int:
-    """How many machines this computer carries by what was measured; ``sharing``: that share a laser."""
-    return (SHARING_A_PROCESSOR if sharing else MACHINES_A_PROCESSOR) * len(os.sched_getaffinity(0))
+    """How many machines this computer carries by what was measured of processors and memory; ``sharing``: that share a
+    laser."""
+    by_processor = (SHARING_A_PROCESSOR if sharing else MACHINES_A_PROCESSOR) * len(os.sched_getaffinity(0))
+    by_memory = len(machines_up()) + max(free_bytes() - SHARED_BYTES, 0) // MACHINE_BYTES
+    return max(1, min(by_processor, by_memory))
+
+
+def free_bytes(meminfo: Path = Path('/proc/meminfo')) -> int:
+    """Memory [bytes] that new processes can have without anything being moved out."""
+    lines = dict(line.split(':', 1) for line in meminfo.read_text(encoding='ascii').splitlines())
+    return int(lines['MemAvailable'].split()[0]) << 10
 
 
 def add_most(parser: argparse.ArgumentParser, sharing: bool = False) -> None:
@@ -380,7 +391,7 @@ def add_most(parser: argparse.ArgumentParser, sharing: bool = False) -> None:
     parser.add_argument('--most', type=int, metavar='N', default=carried,
                         help='refuse to have more machines up on this computer (default: what one of its processors '
                              f'was measured to carry{" of those that share a laser" if sharing else ""}, times its '
-                             'processors: %(default)s)')
+                             'processors, or what its free memory holds if that is less: %(default)s)')
 
 
 def refuse_too_many(more: int, most: int, what: str) -> None:

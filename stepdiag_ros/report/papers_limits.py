@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from stepdiag_ros.estimate import face_diagonal, step_diagonal
+from stepdiag_ros.estimate import face_diagonal, squareness_diagonals, step_diagonal
 from stepdiag_ros.estimate.body_diagonal import worst_deviation
 from stepdiag_ros.estimate.readings import CellReadings, face_sight, simulate
 from stepdiag_ros.estimate.stepwise import increments
@@ -23,6 +23,9 @@ PLATES_UM = ((5.0, 5.0), (10.0, 0.0), (0.0, 10.0), (20.0, -10.0))
 EQUAL_SUMS = ((100e-6 / 3,) * 3, (0.0, 0.0, 100e-6), (100e-6, -50e-6, 50e-6))
 """Slopes of X, Y, Z [m/m] of three machines of one sum; the second is machine C."""
 BOX = Machine('box', 'FXYZ', (0.8, 0.6, 0.5), (0.0, 0.0, 0.0))
+SHEARED = ((20e-6, 0.0, 0.0), (20e-6, -40e-6, 0.0), (20e-6, -40e-6, -20e-6 * 0.6 / 0.8))
+"""Squareness EC0Y, yaw of X at its end [rad] and slope of EXX [m/m]: the yaw undoes what the squareness does to
+crossing diagonals, the slope what both do to all."""
 YAWS = (0.0, 5e-6, 10e-6, 20e-6, 40e-6)
 """Yaw of X [rad] over its travel."""
 
@@ -102,6 +105,22 @@ def equal_rows() -> list[tuple[float, ...]]:
     return rows
 
 
+def sheared_rows() -> list[tuple[float, ...]]:
+    """EC0Y, yaw of X [µrad] and slope of EXX put in [µm/m]; largest change of a diagonal's length [µm], EC0Y found
+    [µrad] and volumetric error [µm]."""
+    rows = []
+    for square, yaw, slope in SHEARED:
+        errors = GeometricErrors({'ECX': Curve(np.array([0.0, 0.8]), np.array([0.0, yaw])),
+                                  'EXX': Curve(np.array([0.0, 0.8]), np.array([0.0, 0.8 * slope]))}, {'EC0Y': square})
+        cell = simulate(BOX, 8, step_sights(BOX, 8, DIAGONALS), errors, measure=traced)
+        longer = {name: float(setup.displacement_m[-1, 0]) - float(np.linalg.norm(BOX.volume))
+                  for name, setup in cell.setups.items()}
+        found = squareness_diagonals.body_squareness(BOX, longer).squareness('EC0Y')[0]
+        rows.append((1e6 * square, 1e6 * yaw, 1e6 * slope, 1e6 * max(abs(v) for v in longer.values()), 1e6 * found,
+                     1e6 * worst_deviation(errors, BOX)))
+    return rows
+
+
 def equal_page(out: Path) -> str:
     rows = equal_rows()
     figure = Figure(figsize=(9.5, 3.6), layout='constrained')
@@ -119,8 +138,16 @@ def equal_page(out: Path) -> str:
           f'{row[7]:.1f}') for row in rows],
         save(figure, out, 'machine_c.png'),
         'The errors cancel or share themselves out along every diagonal; a compensation by the found slopes makes the '
-        'second and third machine worse along an axis. Linear setups tell the axes apart; `stepdiag compare` warns '
-        'where a log has none.')
+        'second and third machine worse along an axis. Linear setups tell the axes apart; `stepdiag compare` and '
+        '`stepdiag evaluate --method` warn where a log has none.\n\n## Squareness that they cannot see\n\nA yaw that '
+        'grows along X shears a face as squareness does. On a machine of 800 × 600 × 500 mm one can undo the other, '
+        'and a linear error what is left in the lengths:\n\n' + table(
+            ('EC0Y put in [µrad]', 'yaw of X at its end [µrad]', 'slope of EXX [µm/m]',
+             'largest change of a diagonal [µm]', 'EC0Y found [µrad]', 'volumetric error [µm]'),
+            [(f'{a:.0f}', f'{b:.0f}', f'{c:.1f}', f'{d:.2f}', f'{e:.2f}'.replace('-0.00', '0.00'), f'{f:.1f}')
+             for a, b, c, d, e, f in sheared_rows()])
+        + '\nThe ends of the third machine\'s diagonals say that nothing is wrong. Tilts show the yaw; the commands '
+        'warn where the angles of a log change the squareness that its diagonals give.')
 
 
 def angle_rows() -> list[tuple[float, ...]]:

@@ -173,10 +173,10 @@ def _misalignments(fit: Fit, base: Mapping[str, Any] | None) -> dict[str, Any]:
     known = ((base or {}).get('misalignments') or {}).get('given') or {}
     result = {}
     for name, first in fit.parameters.setup_first.items():
-        found = [float(a) for a in fit.theta[first:first + len(fit.parameters.unknowns[name])]]
         if fit.parameters.unknowns[name] == STATION:
-            result[name] = {'station': found}
+            result[name] = {'station': fit.model.station(fit.theta, fit.covariance, name)[0].tolist()}
             continue
+        found = [float(a) for a in fit.theta[first:first + len(fit.parameters.unknowns[name])]]
         result[name] = {'laser': found[:2], 'mirror': found[2:]}
         if 'psd_zero' in known.get(name, {}):
             result[name]['psd_zero'] = known[name]['psd_zero']

@@ -34,7 +34,7 @@ from stepdiag_ros.model.sensor import Misalignment
 from stepdiag_ros.model.way import TOGETHER, Way
 from stepdiag_ros.virtual import drawn
 from stepdiag_ros.virtual.noise import NoiseLaw, NoiseLaws, Spread
-from stepdiag_ros.virtual.surroundings import BELIEVED, believed_air, budget, scales, workpiece
+from stepdiag_ros.virtual.surroundings import BELIEVED, believed_air, budget, scales, stated, workpiece
 from stepdiag_ros.virtual.yamlreader import Reader, parse_yaml, read_yaml
 
 SCHEMA = 1
@@ -214,7 +214,7 @@ def parse_cell(text: str, source: str = 'cell') -> Cell:
 def _cell(top: Reader) -> Cell:
     keys = top.mapping(('schema', 'seed', 'machine', 'plan', 'setups', 'noise', 'geometry',
                         'misalignments', 'air', 'material', 'budget', 'motion', 'effects', 'instruments',
-                        'sampling', 'faults', 'network', 'client', 'noise_law'))
+                        'sampling', 'faults', 'network', 'client', 'noise_law', 'test'))
     if 'schema' in keys and keys['schema'].count() != SCHEMA:
         raise keys['schema'].fail(f'must be {SCHEMA} for this version')
     for needed in ('machine', 'plan', 'setups'):
@@ -224,16 +224,17 @@ def _cell(top: Reader) -> Cell:
     machine = _machine(keys['machine'])
     plan = _plan(keys['plan'])
     setups = _setups(keys['setups'], machine, plan.steps)
-    description = Description(machine, plan, setups, _noise(keys.get('noise')),
-                              believed_air(keys.get('air')), scales(keys.get('material')), budget(keys.get('budget')),
-                              workpiece=workpiece(keys.get('material')))
-    misalignments, zero = drawn.misalignments(keys.get('misalignments'), seed, tuple(setups))
     motion = _fill(Motion, keys.get('motion'), {
         'feed': {'above': 0.0, 'minimum': limits.SLOWEST, 'unit': 'm/s'},
         'acceleration': {'above': 0.0, 'minimum': limits.SLOWEST, 'unit': 'm/s²'},
         'jerk': {'above': 0.0, 'minimum': limits.SLOWEST, 'unit': 'm/s³'}, 'in_position': {'above': 0.0, 'unit': 'm'},
         'settling': {'minimum': 0.0, 'unit': 's'}, 'dwell': {'above': 0.0, 'unit': 's'},
         'stand': {'minimum': 0.0, 'maximum': 3600.0, 'unit': 's'}, 'mount': {'minimum': 0.0, 'unit': 's'}})
+    description = Description(machine, plan, setups, _noise(keys.get('noise')),
+                              believed_air(keys.get('air')), scales(keys.get('material')), budget(keys.get('budget')),
+                              workpiece=workpiece(keys.get('material')),
+                              statement=stated(keys.get('test'), motion.feed))
+    misalignments, zero = drawn.misalignments(keys.get('misalignments'), seed, tuple(setups))
     instruments = _instruments(keys.get('instruments'), machine.name, tuple(setups))
     _check_steering(top, description, instruments.detector.steering)
     return Cell(source=top.source, seed=seed, description=description,

@@ -1,7 +1,9 @@
-"""What a cell file says that its log is to carry on: air, material of scales and workpiece, uncertainty budget."""
+"""What a cell file says that its log is to carry on: air, material of scales and workpiece, uncertainty budget, what is
+stated of the test."""
 
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.model.budget import Budget
+from stepdiag_ros.model.statement import STATED, Statement, text_problem
 from stepdiag_ros.model.surroundings import LIMITS, QUANTITIES, AirValues, Expansion
 from stepdiag_ros.virtual.yamlreader import Reader
 
@@ -65,3 +67,14 @@ def budget(node: Reader | None) -> Budget | None:
         own = entry.mapping() if key != 'contributors' else {}
         return own.get(key, entry).fail(text if key in own else f'{key}: {text}')
     return Budget.from_list([entry.plain() for entry in entries], wrong, node.source)
+
+
+def stated(node: Reader | None, feed: float) -> Statement:
+    """``test``: what the cell's owner states of the test, and the ``feed`` [m/s] at which the cell moves."""
+    if node is None or node.is_null:
+        return Statement(feed=feed)
+    said = {key: child.text() for key, child in node.mapping(STATED).items()}
+    for key, text in said.items():
+        if wrong := text_problem(text):
+            raise node.mapping()[key].fail(wrong)
+    return Statement(said, feed)

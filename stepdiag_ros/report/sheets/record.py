@@ -23,9 +23,15 @@ def conditions(log: CalibrationLog, evaluation: Evaluation, names: list[str], so
     """Conditions (what, value) of the test in setups ``names``, in the order of the standards' sheets."""
     table = evaluation.metres.table
     mine = table.select(np.isin(table.setup, [table.setup_names.index(n) for n in names]))
-    return [*_identity(log, mine, source), *_instrument(log), *_positions(log, names),
-            *_motion(mine, log.description.timed, _overrun(log.description, names)),
-            *_surroundings(log, mine, names), *_corrections(evaluation, _axes(log, names))]
+    return [*_identity(log, mine, source), *_instrument(log, names), *_positions(log, names),
+            *_motion(mine, log.description.timed, _overrun(log.description, names), _feeds(log.description, names)),
+            *_surroundings(log, mine, names), *_corrections(evaluation, _axes(log, names)),
+            ('compensation active in the control', _said(log, 'compensation'))]
+
+
+def _said(log: CalibrationLog, key: str) -> str:
+    """What the cell's owner states."""
+    return log.description.statement.said.get(key, NOT_STATED)
 
 
 def moment(time_ns: int) -> str:
@@ -37,17 +43,23 @@ def _identity(log: CalibrationLog, table: StopTable, source: str) -> list[Row]:
     machine = log.description.machine
     when = f'{moment(int(table.dwell_ns.min()))} to {moment(int(table.done_ns.max()))}'
     return [('machine', f'{machine.name}; kinematic chain {machine.chain}; volume '
-             + ' × '.join(f'{1e3 * v:.0f}' for v in machine.volume) + ' mm; serial number ' + NOT_STATED),
+             + ' × '.join(f'{1e3 * v:.0f}' for v in machine.volume) + ' mm'),
+            ('make and serial number of the machine', _said(log, 'machine')),
             ('date of test', when if log.description.timed else f'{NOT_STATED} (the times of the log are made up)'),
-            ('log', source), ('place, person', NOT_STATED), ('warm-up before the test', NOT_STATED)]
+            ('log', source), ('place', _said(log, 'place')), ('person', _said(log, 'person')),
+            ('warm-up before the test', _said(log, 'warm_up'))]
 
 
-def _instrument(log: CalibrationLog) -> list[Row]:
+def _instrument(log: CalibrationLog, names: list[str]) -> list[Row]:
     wavelength = None if log.description.air is None else log.description.air.wavelength
     said = f'wavelength in vacuum {1e9 * wavelength:.3f} nm' if wavelength else f'wavelength {NOT_STATED}'
     if not log.description.timed:
         return [('instrument', f'{NOT_STATED} (the log was made from a table)')]
-    return [('instrument', f'laser interferometer; make, serial number, calibration certificate {NOT_STATED}; {said}')]
+    stated = f'laser interferometer; make, serial number, calibration: {_said(log, "instrument")}; {said}'
+    rows = [('instrument', stated)]
+    if any(log.description.setups[name].sees_spot for name in names):
+        rows.append(('detector', f'position sensitive; make, serial number, calibration: {_said(log, "detector")}'))
+    return rows
 
 
 def _positions(log: CalibrationLog, names: list[str]) -> list[Row]:
@@ -78,13 +90,24 @@ def _overrun(description: Description, names: list[str]) -> str:
     return ', '.join(f'{name} {1e3 * value:g} mm' if value else f'{name} none' for name, value in said.items())
 
 
-def _motion(table: StopTable, timed: bool, overrun: str) -> list[Row]:
+def _feeds(description: Description, names: list[str]) -> str:
+    """Feeds that were commanded [mm/min]."""
+    usual = description.statement.feed
+    own = {name: feed for name in names if (feed := description.setups[name].feed or usual) is not None}
+    said = [f'{6e4 * min(own[name], usual or own[name]):.0f} mm/min' for name in own]
+    if not said:
+        return NOT_STATED
+    if len(said) == len(names) and len(set(said)) == 1:
+        return f'commanded {said[0]}'
+    return 'commanded ' + ', '.join(f'{name} {feed}' for name, feed in zip(own, said, strict=True))
+
+
+def _motion(table: StopTable, timed: bool, overrun: str, feed: str) -> list[Row]:
     zero = ('zero of the readings', _resets(table))
     if not timed:
-        return [('feed', NOT_STATED), ('dwell at a target', NOT_STATED),
+        return [('feed', feed), ('dwell at a target', NOT_STATED),
                 ('overrun before the end targets', overrun), zero]
     moved = np.flatnonzero((np.diff(table.run) == 0) & (table.move_ns[1:] > 0)) + 1
-    feed = f'commanded feed {NOT_STATED}'
     if moved.size:
         way = np.linalg.norm(table.commanded[moved] - table.commanded[moved - 1], axis=1)
         speed = way / ((table.dwell_ns[moved] - table.move_ns[moved]) * 1e-9)
@@ -125,7 +148,8 @@ def _surroundings(log: CalibrationLog, table: StopTable, names: list[str]) -> li
         rows.append((f'temperature of scale {axis.upper()}',
                      _course(log, f'scale_temperature/{axis}', ends, 1.0, '°C', 2) or NOT_STATED))
     part = _course(log, 'scale_temperature/workpiece', ends, 1.0, '°C', 2)
-    return [*rows, ('temperature of the workpiece', part or NOT_STATED), ('temperature of the machine bed', NOT_STATED)]
+    return [*rows, ('temperature of the workpiece', part or NOT_STATED),
+            ('temperature of the machine bed', _said(log, 'bed_temperature'))]
 
 
 def _course(log: CalibrationLog, topic: str, ends: np.ndarray, factor: float, unit: str, digits: int) -> str | None:
@@ -163,4 +187,4 @@ def _corrections(evaluation: Evaluation, axes: str) -> list[Row]:
         ('correction for air', f'{WORDS[tied.air]}; mean index {tied.index:.7f}'),
         ('U of the unit of length', f'{2e6 * tied.index_sigma:.2g} µm/m (k = 2)'),
         ('budget of uncertainty', 'the cell\'s own' if tied.budget == 'cell' else 'the standard budget')]
-    return [*air, *scales, ('compensation active in the control', NOT_STATED)]
+    return [*air, *scales]

@@ -1,6 +1,6 @@
-"""The sheet of sequential multilateration: stations, targets, the errors, by how much the lengths disagree.
+"""The sheets of multilateration and of rectangular paths: stations, targets, errors, by how much the lengths disagree.
 
-No standard has a form for it; the conditions are those that ISO 230-2 and ISO 230-6 ask for, and the stations besides.
+No standard has a form for them; the conditions are those that ISO 230-2 and ISO 230-6 ask for, and the stations.
 """
 
 from functools import partial
@@ -9,15 +9,18 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from stepdiag_ros.estimate.evaluate import Evaluation
+from stepdiag_ros.model.description import Description
 from stepdiag_ros.model.log import CalibrationLog
-from stepdiag_ros.model.machine import AXES, CURVES, SQUARENESS
+from stepdiag_ros.model.machine import AXES
 from stepdiag_ros.model.path import stops
+from stepdiag_ros.model.way import AROUND
 from stepdiag_ros.report.legends import legend_outside
 from stepdiag_ros.report.plots import INK
+from stepdiag_ros.report.sheets.errors import errors_grid, open_note
 from stepdiag_ros.report.sheets.record import conditions
 from stepdiag_ros.report.sheets.sheet import Grid, Sheet, micro
 
-PUBLISHED = 'Ibaraki & Hiruya 2020, section 2.1'
+PUBLISHED, PUBLISHED_PATH = 'Ibaraki & Hiruya 2020, section 2.1', 'Ibaraki & Hiruya 2020, section 2.2'
 LEAST = {2: 3, 3: 4}
 """Stations that a plane and a space need, by the number of axes that move."""
 JOINT = ('The errors are those of the joint estimate of the whole log, to which all its setups contribute; without the '
@@ -26,22 +29,34 @@ SEEN = 'Station and dead path were not measured but found together with the erro
 
 
 def station_sheets(log: CalibrationLog, evaluation: Evaluation, source: str) -> list[Sheet]:
-    """One sheet for all setups with a station; none where there is none."""
+    """A sheet of the grids that were followed, and one of the rectangular paths; none of what a log does not hold."""
     names = [name for name in evaluation.metres.table.setup_names if log.description.setups[name].follows]
-    if not names:
-        return []
+    paths = [name for name in names if log.description.setups[name].way.moves == AROUND]
+    grids = [name for name in names if name not in paths]
+    found = []
+    if grids:
+        found.append(_sheet(log, evaluation, grids, source, 'Multilateration', PUBLISHED, _short(log, grids),
+                            'Stations and tool vectors are as many as the method needs.'))
+    if paths:
+        held = any(log.description.setups[name].regulated for name in paths)
+        found.append(_sheet(log, evaluation, paths, source,
+                            f'Rectangular paths, the beam {"regulated" if held else "follows"}', PUBLISHED_PATH,
+                            _short_of_paths(log.description, paths),
+                            'Each plane has the lines of its axes, as the method needs.'))
+    return found
+
+
+def _sheet(log: CalibrationLog, evaluation: Evaluation, names: list[str], source: str, title: str, published: str,
+           short: list[str], enough: str) -> Sheet:
     solution = evaluation.solution
     left = solution.residuals
     own = {name: left.displacement_m[left.setup == name, 0] for name in names}
     notes = [SEEN] + ([JOINT] if len(names) < len(evaluation.metres.table.setup_names) else [])
-    still_open = list(dict.fromkeys(member.split()[0] for entry in solution.unidentifiable for member in entry.names
-                                    if member.split()[0] in (*CURVES, *SQUARENESS)))
-    notes += [f'Left open by the log: {", ".join(still_open)}.'] if still_open else []
-    return [Sheet('Multilateration', PUBLISHED, _errors(evaluation, still_open),
-                  conditions(log, evaluation, names, source), _short(log, names), partial(draw, log, names, own),
-                  'Left: targets of the retroreflector and stations, seen along Z. Right: lengths less the joint '
-                  'estimate, in the order of measuring.', [_stations(log, evaluation, own)], notes,
-                  'Stations and tool vectors are as many as the method needs.')]
+    return Sheet(title, published, errors_grid(solution), conditions(log, evaluation, names, source), short,
+                 partial(draw, log, names, own),
+                 'Left: targets of the retroreflector and stations, seen along Z. Right: lengths less the joint '
+                 'estimate, in the order of measuring.', [_stations(log, evaluation, own)],
+                 [*notes, *open_note(solution)], enough)
 
 
 def _short(log: CalibrationLog, names: list[str]) -> list[str]:
@@ -55,30 +70,29 @@ def _short(log: CalibrationLog, names: list[str]) -> list[str]:
     return short
 
 
-def _errors(evaluation: Evaluation, still_open: list[str]) -> Grid:
-    solution, rows = evaluation.solution, []
-    for name in (*CURVES, *SQUARENESS):
-        if name in still_open or not solution.has(name):
-            continue
-        value, sigma = (solution.squareness(name) if name in SQUARENESS else solution.curve(name)[1:])
-        unit = 'µm' if name not in SQUARENESS and name[1] in AXES else 'µrad'
-        rows.append((name, micro(float(np.ptp(value)) if np.ndim(value) else float(value)),
-                     micro(2.0 * float(np.max(sigma))), unit))
-    head = ('', '>from lowest to highest (squareness: value)', '>U at most (k = 2)', '')
-    return Grid('Errors that are not open', head, rows)
+def _short_of_paths(description: Description, names: list[str]) -> list[str]:
+    """What the rectangular paths of some planes lack: a line along each of their axes."""
+    lines = {setup.axes[0] for setup in description.setups.values() if setup.is_line}
+    missing = {name: [AXES[axis] for axis in description.setups[name].axes if axis not in lines] for name in names}
+    return [f'{name}: no line along {" or ".join(letters)}; the path alone does not tell positioning.'
+            for name, letters in missing.items() if letters]
 
 
 def _stations(log: CalibrationLog, evaluation: Evaluation, own: dict[str, np.ndarray]) -> Grid:
-    rows = []
-    for name, found in evaluation.solution.extra.get('stations', {}).items():
+    stations = {name: evaluation.solution.extra['stations'][name] for name in own}
+    held, rows = any('beam' in found for found in stations.values()), []
+    for name, found in stations.items():
         setup = log.description.setups[name]
         place = [f'{1e3 * x:.4f} ± {2e3 * u:.2g}' for x, u in zip(found['position_m'], found['sigma_m'], strict=True)]
         rows.append((name, ' / '.join(f'{1e3 * v:.1f}' for v in setup.station), *place,
                      f'{1e3 * found["dead_path_m"]:.4f} ± {2e3 * found["dead_path_sigma_m"]:.2g}',
                      str(len(stops(log.description, name))), str(log.description.repeats_of(name)),
-                     micro(_rms(own[name]))))
-    return Grid('Stations [mm]', ('', 'stated X / Y / Z', '>X', '>Y', '>Z', '>dead path', '>targets', '>cycles',
-                                  '>residual rms [µm]'), rows, 'U (k = 2) by repeats.')
+                     micro(_rms(own[name])),
+                     *((micro(found['beam']['spot_rms_m']), micro(found['beam']['angle_rms_rad'], 1))
+                       if 'beam' in found else ('–', '–') if held else ())))
+    head = ('', 'stated X / Y / Z', '>X', '>Y', '>Z', '>dead path', '>targets', '>cycles', '>residual rms [µm]')
+    return Grid('Stations [mm]', head + (('>spot rms [µm]', '>angle rms [µrad]') if held else ()), rows,
+                'U (k = 2) by repeats.')
 
 
 def _rms(residual: np.ndarray) -> float:

@@ -18,6 +18,7 @@ from stepdiag_ros.report.sheets.linear import linear_sheets
 from stepdiag_ros.report.sheets.paper import pages_of
 from stepdiag_ros.report.sheets.sheet import Grid, Sheet
 from stepdiag_ros.report.sheets.stations import station_sheets
+from stepdiag_ros.report.sheets.steps import step_sheets
 
 HTML, PDF = 'sheets.html', 'sheets.pdf'
 
@@ -26,10 +27,10 @@ def sheets_of(log: CalibrationLog, evaluation: Evaluation, source: str) -> list[
     """Every sheet that a log holds enough for; :class:`StepdiagError` where it holds none."""
     cell = readings_of_stops(log.description, evaluation.metres.table)
     found = [*linear_sheets(log, evaluation, cell, source), *diagonal_sheets(log, evaluation, cell, source),
-             *station_sheets(log, evaluation, source)]
+             *step_sheets(log, evaluation, cell, source), *station_sheets(log, evaluation, source)]
     if not found:
         raise StepdiagError(f'{log.source}: no sheet can be made: ISO 230-2 needs a linear setup run forward and '
-                            f'backward, ISO 230-6 a body diagonal, multilateration a station{cell.why()}')
+                            f'backward, ISO 230-6 a diagonal, multilateration a station{cell.why()}')
     return found
 
 

@@ -1,5 +1,6 @@
 """Logs on which methods of the literature fail are named, others are not."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -89,7 +90,9 @@ def test_angles_beyond_their_uncertainty_are_named():
     errors = solution_with(40e-6, 0.0).errors
     cell = readings(BOX, errors)
     found = cautions(cell, solution_with(40e-6, 1e-7))
-    assert len(found) == 1 and 'the angular motions found move' in found[0]
+    assert len(found) == 2 and 'the angular motions found move' in found[0]
+    # The yaw at the end, half of it on average along X.
+    assert re.search(r'shear the volume as a squareness EC0Y of (19\.99|20\.00)\d ± \d', found[1]), found[1]
     moved = max(abs(cell.setups[n].displacement_m[:, 0]
                     - readings(BOX, GeometricErrors.zero()).setups[n].displacement_m[:, 0]).max() for n in DIAGONALS)
     assert f'{1e6 * moved:.3f} ±' in found[0]
@@ -102,3 +105,11 @@ def test_a_log_without_angles_says_that_they_are_unseen():
     blind = replace(cell, setups={n: replace(s, spot_m=None) for n, s in cell.setups.items()})
     found = cautions(blind, solution_with(0.0, 1e-7))
     assert len(found) == 1 and 'the log shows no angles' in found[0]
+
+
+def test_diagonals_with_ways_of_their_own_need_lines_too():
+    cell = readings(BOX, uneven(BOX), lines=())
+    own = {f'body_{n}': replace(cell.setups[n], sight=replace(cell.setups[n].sight, kind='body diagonal'))
+           for n in DIAGONALS}
+    found = cautions(replace(cell, setups=own), None)
+    assert len(found) == 1 and found[0].startswith('no linear setup of X, Y, Z:')

@@ -133,6 +133,27 @@ def test_the_arrays_of_the_literature_agree_with_the_joint_estimate(plan):
     assert max(found.values()) < 1e-8, found
 
 
+def test_multilateration_takes_one_grid_out_of_a_mixed_log():
+    """A rectangle or another grid has positions that a single station saw: with them nothing would settle."""
+    other = f'from: [0, 0, 0], to: [{X}, {Y}, {Z}], moves: grid, steps: 2, station: [-0.3, 0.0, 0.0]'
+    mixed = {**FOUR, 'round': f'{PLANE.replace("grid", "around")}, station: [-0.15, -0.12, -0.12]', 'coarse': other}
+
+    def found(setups):
+        log = simulate_log(cell_of(setups))
+        return of_ways.multilaterated(readings_of_stops(log.description, in_metres(log).table))
+    assert np.array_equal(found(mixed).value, found(FOUR).value)
+    log = simulate_log(cell_of({name: mixed[name] for name in ('s0', 's1', 's2', 'round', 'coarse')}))
+    lacking = of_ways.stations_lack(readings_of_stops(log.description, in_metres(log).table))
+    assert lacking and 'same grid' in lacking
+
+
+def test_an_iteration_without_an_end_gives_no_numbers(monkeypatch):
+    monkeypatch.setattr('stepdiag_ros.estimate.multilateration.MAX_ITERATIONS', 1)
+    log = simulate_log(cell_of(THREE))
+    with pytest.raises(StepdiagError, match='came to no end'):
+        of_ways.multilaterated(readings_of_stops(log.description, in_metres(log).table))
+
+
 def test_the_forward_model_is_the_sensors_closed_form_and_its_derivatives_are_right():
     cell = cell_of(FOUR | EDGES)
     description, geometry = cell.description, cell.geometry

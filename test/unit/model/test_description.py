@@ -33,6 +33,18 @@ def test_the_place_of_the_volume_in_machine_coordinates_is_kept():
         Description.from_yaml(placed.replace('-0.8, 0.0, -0.5', '-0.8, 0.0'))
 
 
+def test_what_the_owner_states_is_kept():
+    assert not Description.from_yaml(TEXT).statement.to_dict()
+    stated = TEXT + "test: {machine: 'Mill 5, no. 17', person: the operator, feed: 0.5}\n"
+    description = Description.from_yaml(stated)
+    assert description.statement.said['machine'] == 'Mill 5, no. 17' and description.statement.feed == 0.5
+    assert Description.from_yaml(description.to_yaml()) == description
+    for wrong in ('place: 3', f'place: {"x" * 201}', 'place: "a\\nb"', 'feed: fast'):
+        with pytest.raises(StepdiagError, match=r'cell\.yaml: test\.(place|feed) '):
+            Description.from_yaml(stated.replace('person: the operator', wrong).replace(
+                ', feed: 0.5', '' if 'feed' in wrong else ', feed: 0.5'), 'cell.yaml')
+
+
 def test_noise_may_be_left_out():
     short = TEXT[:TEXT.index('noise')]
     assert Description.from_yaml(short).noise.angle_repeatability == 2.0e-7

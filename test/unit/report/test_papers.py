@@ -98,6 +98,14 @@ def test_machines_that_body_diagonals_do_not_tell_apart():
     assert [row[7] for row in rows] == pytest.approx([57.735, 100.0, 122.47], abs=0.01)
 
 
+def test_a_squareness_that_a_yaw_hides_from_the_diagonals():
+    plain, hidden, unseen = papers_limits.sheared_rows()
+    assert plain[4] == pytest.approx(20.0, abs=0.01)
+    assert hidden[4] == pytest.approx(0.0, abs=0.01) and hidden[3] > 5.0
+    # Yaw and squareness move the far corner by 12 µm along X, which the slope of EXX makes good.
+    assert unseen[3] < 0.01 and unseen[4] == pytest.approx(0.0, abs=0.01) and unseen[5] > 5.0
+
+
 def test_angles_become_errors_of_translation():
     """Proportional to the angle, and gone where it is known."""
     rows = papers_limits.angle_rows()

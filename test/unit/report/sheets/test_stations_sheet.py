@@ -63,6 +63,18 @@ def test_what_is_missing_is_on_the_sheet():
     assert any('joint estimate of the whole log' in note for note in sheet.notes)
 
 
+def test_a_rectangular_path_is_a_sheet_of_its_own():
+    """It is no multilateration that lacks stations."""
+    path = 'from: [0, 0, 0], to: [0.2, 0.16, 0], moves: around, station: [-0.15, -0.12, -0.12]'
+    log = log_of(0, f'  xy: {{{path}}}\n  edge: {{standoff: 0.2, from: [0, 0, 0], to: [0.2, 0, 0]}}')
+    sheets = {sheet.title: sheet for sheet in sheets_of(log, evaluate_in_full(log), 'path')}
+    assert 'Multilateration' not in sheets
+    sheet = sheets['Rectangular paths, the beam follows']
+    assert sheet.shortfalls == ['xy: no line along Y; the path alone does not tell positioning.']
+    assert [row[0] for row in sheet.details[0].rows] == ['xy']
+    assert 'moves' not in dict(sheet.conditions) and 'around from' in dict(sheet.conditions)['targets of xy']
+
+
 def test_the_command_writes_page_and_sheet(four, tmp_path, capsys):
     write_log(replace(four, namespace='/sheet'), tmp_path / 'four')
     assert main(['report', str(tmp_path / 'four'), '--out', str(tmp_path / 'out'), '--sheets']) == 0
