@@ -2,12 +2,13 @@
 
 Errors of arrivals have one middle, however heavy their tails and whatever goes on from one to the next.  Where they
 gather about two, something snaps to and fro, at random and so without a pattern.  The errors' scores, white and one for
-each arrival, are held against a mixture of two normal distributions of one width.
+each arrival, are held against a mixture of two distributions of one width and one kind of tails.
 """
 
 from dataclasses import replace
 
 import numpy as np
+from scipy.special import gammaln, ndtr
 
 from stepdiag_ros.estimate.eigen import eigen
 from stepdiag_ros.estimate.enhanced import readings_of
@@ -21,6 +22,12 @@ SEEN = 0.05
 """Share of an arrival's error that the fit must leave, for it to count."""
 SWEEPS = 60
 """Steps of the EM algorithm."""
+TAILS = (3.0, 6.0, 12.0, 1e3)
+"""Degrees of freedom that tails are tried with."""
+FLAT = np.array([0.05, 0.1, 0.2, 0.3, 0.5, 0.7])
+"""Blur of the ends of a flat distribution that are tried, in its standard deviation."""
+LEAST_SHARE = 0.1
+"""A state that is come to more seldom is an outlier."""
 WHAT = ("the mirror's angle", "an axis's error of X", "an axis's error of Y", "an axis's error of Z")
 
 
@@ -50,21 +57,39 @@ def two_states(joint: Joint) -> tuple[float, str]:
 
 def _two_rather_than_one(score: np.ndarray) -> float:
     """Log evidence of two middles against one: by the likelihoods, less half the logarithm of their number for each of
-    two further parameters."""
-    if len(score) < LEAST:
-        return 0.0
-    spread = float(np.std(score))
+    two further parameters.  Both with the tails that suit them best: a few arrivals far off are no second state."""
+    spread = float(np.std(score)) if len(score) >= LEAST else 0.0
     if spread == 0.0:
         return 0.0
-    z = (score - score.mean()) / spread
-    one = -0.5 * float(z @ z)
-    share, low, high, width = 0.5, -0.8, 0.8, 0.6
-    for _ in range(SWEEPS):
-        first = np.log(share) - 0.5 * ((z - low) / width)**2
-        second = np.log(1.0 - share) - 0.5 * ((z - high) / width)**2
-        both = np.logaddexp(first, second)
-        mine = np.exp(first - both)
-        share = float(np.clip(mine.mean(), 0.02, 0.98))
-        low, high = (float(w @ z / w.sum()) for w in (mine, 1.0 - mine))
-        width = max(float(np.sqrt(np.mean(mine * (z - low)**2 + (1.0 - mine) * (z - high)**2))), 0.05)
-    return float(np.sum(both)) - len(z) * float(np.log(width)) - one - float(np.log(len(z)))
+    z = (score - np.median(score)) / spread
+    one, two = (max(_likelihood(z, dof, middles) for dof in TAILS) for middles in ((0.0,), (-0.8, 0.8)))
+    return two - max(one, _flat_likelihood(z - z.mean())) - float(np.log(len(z)))
+
+
+def _flat_likelihood(z: np.ndarray) -> float:
+    """Log likelihood of what is anywhere between two ends alike, the ends blurred: an axis that rests anywhere within
+    what its control takes for in position."""
+    blur = FLAT * np.std(z)
+    end = np.sqrt(3.0 * (1.0 - FLAT**2)) * np.std(z)
+    density = (ndtr((z[:, None] + end) / blur) - ndtr((z[:, None] - end) / blur)) / (2.0 * end)
+    return float(np.log(np.maximum(density, 1e-30)).sum(axis=0).max())
+
+
+def _likelihood(z: np.ndarray, dof: float, start: tuple[float, ...]) -> float:
+    """Log likelihood of a mixture of Student's distributions of ``dof`` degrees of freedom and one width, by EM."""
+    middle, share, width = np.array(start), np.full(len(start), 1.0 / len(start)), 0.6
+    for sweep in range(SWEEPS + 1):
+        distance = ((z[:, None] - middle) / width)**2
+        log_density = np.log(share) - np.log(width) + (
+            gammaln(0.5 * dof + 0.5) - gammaln(0.5 * dof) - 0.5 * np.log(np.pi * dof)
+            - 0.5 * (dof + 1.0) * np.log1p(distance / dof))
+        total = np.logaddexp.reduce(log_density, axis=1)
+        if sweep == SWEEPS:
+            break
+        mine = np.exp(log_density - total[:, None])
+        weight = mine * (dof + 1.0) / (dof + distance)
+        share = np.clip(mine.mean(axis=0), LEAST_SHARE, None)
+        share /= share.sum()
+        middle = np.sum(weight * z[:, None], axis=0) / np.maximum(weight.sum(axis=0), 1e-12)
+        width = max(float(np.sqrt(np.mean(np.sum(weight * (z[:, None] - middle)**2, axis=1)))), 0.05)
+    return float(np.sum(total))

@@ -202,7 +202,8 @@ def test_truth_in_both_forms():
     ('{"geometry": 7}', '"errors" or "geometry" is no object'), ('{"errors": {"square": []}}', 'is no object'),
     ('{"errors": {"EXX": {"value": [0.0]}}}', 'EXX.position_m: .None. where finite numbers belong'),
     ('{"errors": {"EXX": {"position_m": [0.0], "value": [null]}}}', 'EXX: .*where finite numbers belong'),
-    ('{"errors": {"EC0Y": null}}', 'EC0Y: .None. where'), ('{"errors": {"EC0Y": [1.0, 2.0]}}', 'EC0Y has 2 values; give one'),
+    ('{"errors": {"EC0Y": null}}', 'EC0Y: .None. where'),
+    ('{"errors": {"EC0Y": [1.0, 2.0]}}', 'EC0Y has 2 values; give one'),
     ('{"errors": {"EC0Y": ' + '9' * 5000 + '}}', 'not JSON'), ('[' * 100_000, 'not JSON'),
 ])
 def test_bad_truth_is_named(text, complaint):

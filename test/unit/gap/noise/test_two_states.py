@@ -31,6 +31,7 @@ def test_tails_and_correlation_are_not_two_states(seed):
     walk = np.zeros(600)
     for i in range(1, len(walk)):
         walk[i] = 0.8 * walk[i - 1] + rng.normal()
-    for score in (rng.normal(size=600), rng.standard_t(3.0, 600), walk, np.rint(rng.normal(size=600) / 0.7) * 0.7):
+    for score in (rng.normal(size=600), rng.standard_t(3.0, 600), walk, rng.uniform(size=600),
+                  np.rint(rng.normal(size=600) / 0.7) * 0.7):
         assert _two_rather_than_one(score) < 6.0
-    assert _two_rather_than_one(rng.choice([-1.8, 1.8], 600) + rng.normal(size=600)) > 20.0
+    assert _two_rather_than_one(rng.choice([-2.4, 2.4], 600) + rng.normal(size=600)) > 20.0
