@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 
+import numpy as np
 from action_msgs.msg import GoalStatus, GoalStatusArray
 from rclpy.serialization import deserialize_message
 
@@ -33,6 +34,18 @@ RECORDER = 'recorder/status'
 WORD_S = 1.5
 #: Longest wait for samples that are still on their way.
 SETTLE_S = 3.0
+#: How much of its usual interval after the one before a reading of the environment may come.
+EARLIEST = 0.9
+
+
+def _on_their_way(log: CalibrationLog) -> bool:
+    """Whether what was read before the last step's end is still to come: samples without a pause, of an environment
+    that is read now and then the reading that was due."""
+    last = log.steps.time_ns[-1]
+    samples = [s.time_ns for s in (log.displacement, log.spot, log.beam_angle) if len(s)]
+    readings = [s.time_ns for s in log.environment.values() if len(s.time_ns) > 1]
+    return (any(times[-1] < last for times in samples)
+            or any(times[-1] + EARLIEST * np.median(np.diff(times)) < last for times in readings))
 
 
 class ListenerNode(StepdiagNode):
@@ -166,9 +179,7 @@ class ListenerNode(StepdiagNode):
         end = time.monotonic() + SETTLE_S
         while True:
             log = self.log_so_far()
-            last = log.steps.time_ns[-1]
-            behind = [s for s in (log.displacement, log.spot) if len(s) and s.time_ns[-1] < last]
-            if (log.steps.phase[-1] == DONE and not behind) or time.monotonic() > end:
+            if (log.steps.phase[-1] == DONE and not _on_their_way(log)) or time.monotonic() > end:
                 return log
             time.sleep(0.05)
 
