@@ -73,7 +73,8 @@ def stated(node: Reader | None, feed: float) -> Statement:
     """``test``: what the cell's owner states of the test, and the ``feed`` [m/s] at which the cell moves."""
     if node is None or node.is_null:
         return Statement(feed=feed)
-    said = {key: child.text() for key, child in node.mapping(STATED).items()}
+    # A log's description has the feed here; in a cell file the motion tells it.
+    said = {key: child.text() for key, child in node.mapping((*STATED, 'feed')).items() if key != 'feed'}
     for key, text in said.items():
         if wrong := text_problem(text):
             raise node.mapping()[key].fail(wrong)
