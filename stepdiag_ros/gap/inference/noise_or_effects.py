@@ -73,15 +73,23 @@ def _against(nothing: Settled, acting: Settled) -> Settled:
     Of an outlier that a law of tails takes nearly as well as a slip the data do not decide, however many standard
     deviations of a normal noise it is large.
     """
+    ahead, sets = _ahead(nothing, acting)
+    if ahead < SUSPICION:     # then that noise explains more than any effect in any of the noises, its own included
+        if nothing.joint.active:
+            _, sets = _ahead(nothing, nothing)
+            return replace(nothing, joint=nothing.alone, sets=sets)
+        return nothing
+    return replace(acting, alone=acting.alone if sets[0].log_bayes > ALARM else nothing.alone, sets=sets)
+
+
+def _ahead(nothing: Settled, acting: Settled) -> tuple[float, list[EffectSet]]:
+    """By how much in log evidence effects are ahead of nothing, and their sets with no more than that."""
     among, sets = len({candidate.effect for candidate in nothing.screen.candidates}), acting.sets
     plain = total_evidence(nothing.alone, [EffectSet((), 0.0)], nothing.screen)
     ahead = acting.evidence - log_prior(sets[0], among) - plain + log_prior(EffectSet((), 0.0), among)
-    if ahead < SUSPICION:
-        return nothing
     behind = max(sets[0].log_bayes - ahead, 0.0)
-    sets = sorted((replace(s, log_bayes=s.log_bayes - behind) if s.members else s for s in sets),
-                  key=lambda s: (bool(s.refused), -(s.log_bayes + log_prior(s, among))))
-    return replace(acting, alone=acting.alone if sets[0].log_bayes > ALARM else nothing.alone, sets=sets)
+    return ahead, sorted((replace(s, log_bayes=s.log_bayes - behind) if s.members else s for s in sets),
+                         key=lambda s: (bool(s.refused), -(s.log_bayes + log_prior(s, among))))
 
 
 def _without_outliers(joint: Joint) -> Joint:
