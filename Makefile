@@ -2,12 +2,12 @@
 # PYTHON=/path/to/python3.12 names a Python, VENV=/path another place for the environment.
 
 VENV ?= .venv
-WORKERS ?= 2
+WORKERS ?= 3
 BIN := $(VENV)/bin
 HASHES ?=
 SETUP = python=$$(PYTHON="$(PYTHON)" sh tools/find_python.sh) && "$$python" tools/setup_env.py --venv "$(VENV)" $(if $(HASHES),--hashes)
 
-.PHONY: setup setup-tests demo test test-floor lint bench blind fuzz linuxcnc-test browser-test ros-workspace sbom lock clean
+.PHONY: setup setup-tests demo test test-long test-floor lint bench blind fuzz linuxcnc-test browser-test ros-workspace sbom lock clean
 
 setup:
 	@$(SETUP)
@@ -20,6 +20,10 @@ demo: setup
 
 test: setup-tests
 	$(BIN)/python -m pytest -n $(WORKERS) $(ARGS)
+
+# What takes longer than a change should wait for; before a release.
+test-long: setup-tests
+	$(BIN)/python -m pytest -n $(WORKERS) -m long $(ARGS)
 
 # With the oldest libraries that work (requirements/floor.txt), in an environment of its own: what computes, reads,
 # writes and talks to instruments, and one calibration through the running nodes.

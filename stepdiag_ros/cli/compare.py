@@ -39,13 +39,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     from stepdiag_ros.bag.reader import read_log
 
+    # What is wrong with the words of the command is said before a minute is spent on the log.
+    if args.out is not None and not args.out.absolute().parent.is_dir():
+        raise StepdiagError(f'{args.out}: the picture cannot be written: there is no folder {args.out.parent}')
+    known = None if args.truth is None else read_text(args.truth, limits.TEXT_BYTES, 'file of known errors')
     log = read_log(args.bag, args.namespace)
     results, skipped = run_all(log)
     name = real(args.bag)
     name = name.stem if name.suffix == '.mcap' else name.name
-    if args.truth is not None:
-        text = read_text(args.truth, limits.TEXT_BYTES, 'file of known errors')
-        reference, label = truth_of(text, log.description, name, str(args.truth)), 'truth'
+    if known is not None:
+        reference, label = truth_of(known, log.description, name, str(args.truth)), 'truth'
     else:
         best = results.get('enhanced')
         if not isinstance(best, Solution):

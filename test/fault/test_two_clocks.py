@@ -85,7 +85,8 @@ def together(module_domain, tmp_path_factory, clock_shim):
 
 
 @pytest.mark.parametrize(('shifted', 'offset_s'), [
-    (('interferometer_driver',), 0.040), (('interferometer_driver', 'psd_driver'), -0.040), (('psd_driver',), 1800.0)])
+    (('interferometer_driver',), 0.040), (('psd_driver',), 1800.0),
+    pytest.param(('interferometer_driver', 'psd_driver'), -0.040, marks=pytest.mark.long)])
 def test_a_clock_that_is_off_is_a_fact_of_the_log(ros_domain, tmp_path, clock_shim, together, shifted, offset_s):
     bag = calibrate(tmp_path / 'cell', clock_shim, offset_s, shifted)
     log = read_log(bag)

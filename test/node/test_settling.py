@@ -106,6 +106,7 @@ def test_the_cell_makes_the_run_that_separates(cell, bag):
     assert json.loads(json.dumps(document['rounds']))
 
 
+@pytest.mark.long
 def test_the_command_says_each_round_and_the_answer(ros_domain, tmp_path):
     path, log = tmp_path / 'open.yaml', tmp_path / 'log'
     path.write_text(CELL, encoding='utf-8')

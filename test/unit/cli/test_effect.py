@@ -26,6 +26,7 @@ def test_the_example_passes_and_says_with_what_it_is_confounded(example, capsys)
     assert 'structural_thermal_drift' in found['confounded']
 
 
+@pytest.mark.long
 def test_a_course_from_the_first_dwell_on_is_not_passed(example, capsys):
     example.write_text(example.read_text().replace('view.elapsed', 'view.time'))
     assert main(['effect', 'check', str(example)]) == 1

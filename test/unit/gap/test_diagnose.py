@@ -23,9 +23,9 @@ def test_a_null_log_is_left_alone(case):
 @pytest.mark.parametrize(('name', 'values', 'size'), [
     ('backlash', {'B': [4e-6, 0.0, 3e-6]}, ('X', 4e-6)),
     ('psd_zero_offset', {'x': 2e-4, 'y': -1e-4}, ('x', 2e-4)),
-    ('mirror_curvature', {'radius': 2000.0, 'astigmatism': 0.0}, None),
-    ('servo_settling', {'amp': 5e-6, 'tau': 0.15}, None),
-    ('psd_rotation', {'angle': 0.05}, None),
+    pytest.param('mirror_curvature', {'radius': 2000.0, 'astigmatism': 0.0}, None, marks=pytest.mark.long),
+    pytest.param('servo_settling', {'amp': 5e-6, 'tau': 0.15}, None, marks=pytest.mark.long),
+    pytest.param('psd_rotation', {'angle': 0.05}, None, marks=pytest.mark.long),
 ])
 def test_a_single_effect_is_named_and_its_gap_closed(case, name, values, size):
     found = case.diagnose(effect_class(name)(**values))
@@ -38,6 +38,7 @@ def test_a_single_effect_is_named_and_its_gap_closed(case, name, values, size):
         assert found.effects[0].parameters[parameter] == pytest.approx(value, rel=0.25)
 
 
+@pytest.mark.long
 def test_two_at_once(case):
     found = case.diagnose(effect_class('backlash')(B=[5e-6, 4e-6, 3e-6]),
                           effect_class('psd_zero_offset')(x=3e-4, y=2e-4))
@@ -53,6 +54,7 @@ def test_the_answer_has_the_contracts_form(case):
     assert answer['gap']['after_m'] < answer['gap']['before_m']
 
 
+@pytest.mark.long
 def test_scatter_without_a_pattern_is_called_unknown(case):
     from dataclasses import replace
     log = case.log()

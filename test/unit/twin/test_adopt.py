@@ -24,6 +24,8 @@ CASES = {'backlash': {'B': [4e-6, 3e-6, 5e-6]},
 SLOW = {'structural_thermal_drift': 2.0}
 """Seconds at a stop for what needs time to show."""
 FLOOR = 1.15
+SHORT_AND_LONG = [pytest.param(name, marks=pytest.mark.long) if name in ('mirror_curvature', 'structural_thermal_drift')
+                  else name for name in CASES]
 """Reduced χ² of log minus noise-free simulation: 1 is the log's own noise."""
 
 
@@ -54,7 +56,7 @@ def disagreement(diagnosis: Diagnosis, cell: Cell) -> float:
     return float(left @ left / (len(left) - len(real.run_ids)))
 
 
-@pytest.mark.parametrize('name', CASES)
+@pytest.mark.parametrize('name', SHORT_AND_LONG)
 def test_simulator_reproduces_the_log(diagnosed, name):
     diagnosis = diagnosed(name, CASES[name], None, SLOW.get(name, 0.1))
     cell, _, notes = adopted(diagnosis)
@@ -62,7 +64,7 @@ def test_simulator_reproduces_the_log(diagnosed, name):
     assert disagreement(diagnosis, cell) < FLOOR
 
 
-@pytest.mark.parametrize('name', CASES)
+@pytest.mark.parametrize('name', SHORT_AND_LONG)
 def test_without_the_effect_it_does_not(diagnosed, name):
     """The check above can fail: the same cell without the effect is far from the log."""
     diagnosis = diagnosed(name, CASES[name], None, SLOW.get(name, 0.1))

@@ -77,6 +77,7 @@ def test_an_effect_of_ones_own_is_adopted_and_then_known(tmp_path, monkeypatch):
     assert diagnose(less, [kind()]).verdict == 'no_gap'
 
 
+@pytest.mark.long
 def test_what_the_physical_face_cannot_do_is_told(tmp_path, diagnosed):
     """An effect that appears along X and acts along Z."""
     file = tmp_path / 'spindle_growth.py'

@@ -43,8 +43,9 @@ class Bow(Effect):
         moment.shift = moment.shift + size[:, None] * np.eye(3)[2]
 
 
-@pytest.mark.parametrize(('kind', 'words'), [(Leak, 'follows the spot'), (Twist, 'turned by the direction of Z'),
-                                             (Bow, 'changes its shape')])
+@pytest.mark.parametrize(('kind', 'words'), [
+    (Leak, 'follows the spot'), (Bow, 'changes its shape'),
+    pytest.param(Twist, 'turned by the direction of Z', marks=pytest.mark.long)])
 def test_physics_of_no_name_is_not_named(case, kind, words):
     found = case.diagnose(kind())
     assert not found.effects, [(e.name, e.probability) for e in found.effects]
@@ -135,7 +136,8 @@ class CutBeam(Effect):
         moment.spot = moment.spot + cut[:, None] * np.array([3e-4, -1e-4])
 
 
-@pytest.mark.parametrize(('kind', 'words'), [(Shear, 'not square'), (HalfPlane, 'one side'), (CutBeam, 'follow the')])
+@pytest.mark.parametrize(('kind', 'words'), [(Shear, 'not square'), (HalfPlane, 'one side'),
+                                             pytest.param(CutBeam, 'follow the', marks=pytest.mark.long)])
 def test_a_detector_that_no_effect_describes_is_not_named(case, kind, words):
     found = case.diagnose(kind())
     assert not [e.name for e in found.effects if e.probability > 0.85], [(e.name, e.probability) for e in found.effects]

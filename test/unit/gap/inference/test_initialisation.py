@@ -36,6 +36,7 @@ def test_a_log_with_a_small_effect_begins_at_its_nominal_fit(case):
     assert place_to_begin(nominal, {}) is nominal
 
 
+@pytest.mark.long
 def test_two_gross_effects_are_named(case):
     found = case.diagnose(effect_class('psd_zero_offset')(x=1e-3, y=5e-4),
                           effect_class('mirror_curvature')(radius=60.0, astigmatism=0.0))

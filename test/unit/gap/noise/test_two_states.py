@@ -19,6 +19,7 @@ class Rattling(Effect):
         moment.mirror = moment.mirror + 1.6e-6 * self.state[moment.arrival, None] * np.array([0.6, 0.8])
 
 
+@pytest.mark.long
 def test_a_rattling_mirror_is_no_noise(case):
     found = diagnose(case.log(Rattling()), [kind() for kind in all_effects().values()])
     assert found.verdict == 'unexplained' and not found.effects

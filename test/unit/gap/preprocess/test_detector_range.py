@@ -52,6 +52,7 @@ def test_other_effects_lose_no_reading(case, name, values):
     assert words == ''
 
 
+@pytest.mark.long
 def test_a_detector_that_turns_back_is_named(case):
     cell = parse_cell(case.text.replace('mirror: 3e-4', 'mirror: 4e-3'))
     log = simulate_log(cell, effects=[effect_class('psd_nonlinearity')(k3=-1.5e4, cross=0.0)])

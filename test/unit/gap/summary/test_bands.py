@@ -50,6 +50,7 @@ def test_one_frequency_stands_out_in_its_band(null, setting, half_waves, channel
     assert not any(b.stands_out for b in found if b.channel != channel)
 
 
+@pytest.mark.long
 def test_lost_motion_is_opposite_on_the_way_back_and_gone_with_its_effect(case):
     diagnosis = case.diagnose(effect_class('backlash')(B=[4e-6, 0.0, 3e-6]))
     loud = [b for b in diagnosis.bands if b.stands_out]

@@ -51,6 +51,7 @@ def test_no_hint_where_there_is_nothing_or_a_finding(case, size, verdict):
     assert found.to_json_dict()['hint'] is None and 'hint' not in summary(found, 'log')
 
 
+@pytest.mark.long
 def test_where_no_run_is_worth_it_all_is_done_once_more(case):
     """A mount that creeps and a beam that turns: no single run tells either from nothing and from the other."""
     found = case.diagnose(effect_class('mirror_mount_creep')(amp=[4.1e-6, -4.1e-6], tau=40.0))
@@ -76,6 +77,7 @@ def test_nothing_predicts_less_spread_than_what_may_act(faint):
     assert plain.volume < acting.volume
 
 
+@pytest.mark.long
 def test_a_hint_says_what_it_may_be_taken_for(case):
     found = case.diagnose(effect_class('mirror_mount_creep')(amp=[4.1e-6, -4.1e-6], tau=40.0))
     group, = found.indistinguishable
@@ -99,6 +101,7 @@ def test_a_hint_without_a_name_says_what_it_looks_like(case):
     assert 'hint of unmodelled structure (' in headline(found) and 'not in the list' not in headline(found)
 
 
+@pytest.mark.long
 def test_a_hint_stands_beside_what_is_claimed(case):
     """Stamps are judged by themselves: what else is there may be a hint."""
     found = case.diagnose(effect_class('clock_skew')(psd=0.05), effect_class('backlash')(B=[9e-7, 0.0, 0.0]))
