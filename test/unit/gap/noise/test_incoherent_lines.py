@@ -62,6 +62,16 @@ def test_noise_of_a_smooth_spectrum_is_no_line(power):
     assert lines.log_bayes > 20.0
 
 
+@pytest.mark.parametrize('alike', [0.3, 0.55, 0.68, 0.8])
+def test_a_sensor_whose_neighbouring_samples_are_alike_has_no_line(alike):
+    """Of much noise a form of the smooth spectrum that is a little off leaves a line at the lowest frequency."""
+    noise = np.random.default_rng(4).standard_normal((COUNT, SIZE + 50))
+    for k in range(1, SIZE + 50):
+        noise[:, k] += alike * noise[:, k - 1]
+    lines, slow = find_lines(_dwells(3.0 * noise[:, 50:]))
+    assert slow > 50.0 and lines.log_bayes < 6.0
+
+
 def test_what_every_move_leaves_behind_is_no_line():
     creep = np.exp(-np.arange(SIZE) / 4.0)[None] * np.where(np.arange(COUNT) % 12 < 6, 8.0, -5.0)[:, None]
     lines, slow = find_lines(_dwells(creep))
