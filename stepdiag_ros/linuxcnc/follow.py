@@ -37,6 +37,9 @@ class Track:
         os.chmod(part, 0o644)
         with open(part, 'r+b') as file:
             self._map = mmap.mmap(file.fileno(), 0)
+        # Readers look at any moment: each number of the header is stored at once.  struct.pack_into zeroes before it
+        # writes, and byte by byte, so that a reader found no record, or a look as old as the clock.
+        self._header = memoryview(self._map)[:HEADER.size].cast('q')
         self._count = 0
         self._last = None
         self._speed = 0.0           # at the last look [m/ns]
@@ -55,7 +58,8 @@ class Track:
         if self._last is not None and now_ns > self._last[0]:
             self._speed = math.dist(place, self._last[1][1:]) / (now_ns - self._last[0])
         self._last = (now_ns, state)
-        HEADER.pack_into(self._map, 0, self._count, now_ns)
+        self._header[0] = self._count
+        self._header[1] = now_ns
         if self._part:
             os.replace(self._part, self._path)
             self._part = ''

@@ -1,5 +1,9 @@
 """The track of a real control's drives, as moves."""
 
+import subprocess
+import sys
+import time
+
 import numpy as np
 import pytest
 
@@ -63,6 +67,31 @@ def test_what_comes_later_is_taken_in(track, monkeypatch):
         writer.look(begin + ms * MS, 1, (0.1, 0.0980001, 0.0))
     assert history.follow() == 5
     assert history.records['setup'][-1] == 1
+
+
+WRITER = """
+import sys, time
+from stepdiag_ros.linuxcnc.follow import Track
+track, x, end = Track(sys.argv[1]), 0.0, time.monotonic() + 1.0
+while time.monotonic() < end:
+    x += 1e-6
+    track.look(time.monotonic_ns(), 0, (x, 0.0, 0.0))
+"""
+
+
+def test_whoever_looks_at_any_moment_sees_whole_numbers(tmp_path):
+    """Seen half written, the newest look was as old as the clock: sensors took LinuxCNC for dead and lost an answer."""
+    path = tmp_path / 'track.bin'
+    with subprocess.Popen([sys.executable, '-c', WRITER, str(path)]) as writer:
+        end = time.monotonic() + 60.0
+        while not path.exists() and time.monotonic() < end:
+            time.sleep(0.01)
+        header, seen = np.memmap(path, '<i8', 'r', 0, 2), []
+        while writer.poll() is None:
+            seen.append((int(header[0]), int(header[1])))
+    seen = np.array(seen)
+    assert writer.returncode == 0 and len(np.unique(seen[:, 0])) > 10
+    assert np.all(np.diff(seen, axis=0) >= 0)
 
 
 def test_a_track_that_nobody_writes_any_more_is_said(track, monkeypatch):
