@@ -25,6 +25,7 @@ from typing import Any
 
 from stepdiag_ros.cli.progress import Bar
 from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.estimate.traceability import WORDS
 from stepdiag_ros.guard.jsontext import to_json
 
 NAME = 'calibrate'
@@ -186,10 +187,19 @@ def fit_words(document: dict[str, Any]) -> str:
     return f'status {document["status"]}, reduced chi2 {reduced:.3g} with {dof} degrees of freedom'
 
 
+def _tied(tied: dict[str, Any] | None) -> list[str]:
+    """What an evaluation says of metre, 20 °C and parts."""
+    if tied is None:
+        return []
+    parts = tied['workpiece']
+    return [f'lengths: {WORDS[tied["air"]]}; positioning errors: {tied["temperature"]}',
+            f'parts: {parts if isinstance(parts, str) else parts["said"]}']
+
+
 def summary(document: dict[str, Any]) -> str:
     """An evaluation in a few lines, µm and µrad."""
     lines = [fit_words(document),
-             f'{"":6}{"range":>10}{"± (k=2)":>10}']
+             *_tied(document.get('traceability')), f'{"":6}{"range":>10}{"± (k=2)":>10}']
     lines[1:1] = [f'not sane: {finding["found"]}: {finding["change"]}' for finding in document.get('sanity', ())]
     for name, error in document['errors'].items():
         unit = 'µm' if name[1] in 'XYZ' and name[2] in 'XYZ' else 'µrad'

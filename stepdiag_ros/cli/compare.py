@@ -9,8 +9,11 @@ are named with what they would need.
 """
 
 import argparse
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
+from stepdiag_ros.cli.evaluate import tied_lines
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate.cautions import cautions
 from stepdiag_ros.estimate.compare import Comparison, compare, text_table, truth_of
@@ -69,6 +72,8 @@ def run(args: argparse.Namespace) -> int:
     else:
         print(text_table(outcome))
         print()
+        for line in _tied(results):
+            print(line)
         for caution in warned:
             print(f'caution: {caution}')
         for method, result in results.items():
@@ -79,6 +84,14 @@ def run(args: argparse.Namespace) -> int:
         if args.out is not None:
             print(f'picture: {args.out}')
     return 0
+
+
+def _tied(results: Mapping[str, Any]) -> list[str]:
+    """What all results rest on, for they have the lengths of one log: metre, 20 °C, budget."""
+    result = next((r for r in results.values() if r.traceability is not None), None)
+    if result is None:
+        return []
+    return [*tied_lines(result), *(f'warning: {remark}' for remark in result.traceability.remarks)]
 
 
 def _json(outcome: Comparison, results: dict, skipped: dict[str, str]) -> dict:

@@ -8,7 +8,8 @@ holds enough for.
   stepdiag evaluate bags/demo --method step_diagonal
 
 Ends with status 1 where the answer is not ok: the log shows a mistake of commissioning, the residuals are larger
-than noise, or nothing checks the model.  The answer is printed all the same, with the reason.
+than noise, nothing checks the model, or lengths are not corrected for air.  The answer is printed all the same, with
+the reason.
 """
 
 import argparse
@@ -17,10 +18,12 @@ import numpy as np
 
 from stepdiag_ros.bag.reader import read_log
 from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.estimate.body_diagonal import DiagonalTest
 from stepdiag_ros.estimate.closure import said
 from stepdiag_ros.estimate.contributions import listed
 from stepdiag_ros.estimate.gauge import STRAIGHTNESS
 from stepdiag_ros.estimate.identifiability import LOOSELY
+from stepdiag_ros.estimate.iso230_2 import LinearTest
 from stepdiag_ros.estimate.methods import METHODS, run_method
 from stepdiag_ros.estimate.solution import Solution
 from stepdiag_ros.estimate.status import OK
@@ -59,21 +62,29 @@ def run(args: argparse.Namespace) -> int:
         print(to_json(whole))
     else:
         for bag, result in answers.items():
-            print(text(bag, result) if isinstance(result, Solution)
-                  else '\n'.join([f'{bag}: {result.text()}', *(f'remark: {remark}' for remark in result.remarks)]))
+            print(text(bag, result) if isinstance(result, Solution) else figures_text(bag, result))
     if failed:
         raise StepdiagError('; '.join(failed))
     return 0 if all(getattr(result, 'status', OK) == OK for result in answers.values()) else 1
 
 
-def tied_lines(solution: Solution) -> list[str]:
-    """How the result is tied to the metre and to 20 °C, a line each; none where that was not looked at."""
-    tied = solution.traceability
+def tied_lines(result: Solution | DiagonalTest | LinearTest) -> list[str]:
+    """How a result is tied to the metre and to 20 °C, a line each; none where that was not looked at."""
+    tied = result.traceability
     if tied is None:
         return []
     return [f'lengths: {WORDS[tied.air]}; U of the unit of length {2e6 * tied.index_sigma:.2g} µm/m (k=2)',
             f'positioning errors: {tied.temperature_words}', f'parts: {tied.workpiece_words}',
             f'uncertainty: {"the budget of the cell" if tied.budget == "cell" else "the standard budget"}']
+
+
+def figures_text(bag: str, result: DiagonalTest | LinearTest) -> str:
+    """A test's figures for people, with what they rest on."""
+    tied = result.traceability
+    head = [] if result.status == OK else [f'{bag}: {result.status}']
+    return '\n'.join([*head, f'{bag}: {result.text()}', '', *tied_lines(result),
+                      *(f'warning: {bag}: {remark}' for remark in (tied.remarks if tied else ())),
+                      *(f'remark: {remark}' for remark in result.remarks)])
 
 
 def text(bag: str, solution: Solution) -> str:

@@ -101,6 +101,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _improve(loop: _Loop, cell: Any, folder: Path) -> int:
+    from stepdiag_ros.cli.evaluate import tied_lines
     from stepdiag_ros.cli.known import known_errors
     from stepdiag_ros.cli.tables import write_tables
     from stepdiag_ros.compensate.fit_to_act import not_metres, unfit
@@ -121,6 +122,7 @@ def _improve(loop: _Loop, cell: Any, folder: Path) -> int:
                            matrixkins=installed('matrixkins'), reversal=known.reversal)
     wanted = replace(wanted, notes=(*wanted.notes, *known.notes))
     if not args.json:
+        print('\n'.join(tied_lines(first)))
         print(_plan(wanted, folder))
     if wanted.refusals:
         raise StepdiagError('nothing written: ' + '; '.join(wanted.refusals))

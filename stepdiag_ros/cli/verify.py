@@ -22,6 +22,8 @@ from stepdiag_ros.guard.jsontext import to_json
 
 NAME = 'verify'
 HELP = 'decide by a log before and one after whether a machine conforms'
+UNLIKE_K = 0.5
+"""Difference [K] from which temperatures of scales are unlike, where nothing is referred to 20 °C."""
 UNITS = {'m': 1.0, 'mm': 1e-3, 'um': 1e-6, 'µm': 1e-6, 'nm': 1e-9, 'rad': 1.0, 'mrad': 1e-3, 'urad': 1e-6, 'µrad': 1e-6}
 
 
@@ -40,6 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     from stepdiag_ros.bag.reader import read_log
+    from stepdiag_ros.cli.evaluate import tied_lines
     from stepdiag_ros.cli.known import known_errors
     from stepdiag_ros.cli.tables import in_force, nothing
     from stepdiag_ros.compensate.applied import remaining, taken_off, without_applied
@@ -74,9 +77,13 @@ def run(args: argparse.Namespace) -> int:
         if not nothing(taken):
             notes.append(f'{Path(bag).name}: measured under the volumetric compensation of {predicted.control}; of '
                          'each error is shown what acts on the tool point')
+        notes += [f'{Path(bag).name}: {line}' for line in tied_lines(known.solution)]
         notes += [f'{Path(bag).name}: {note}' for note in known.notes]
+    notes += apart_words(*solutions)
     found = verified(*solutions, machine, tolerances, tuple(map(_diagonals, logs)), predicted)
-    document = found.to_json_dict() | {'before': args.before, 'after': args.after, 'notes': notes}
+    tied = {when: solution.traceability.to_json_dict() if solution.traceability else None
+            for when, solution in zip(('before', 'after'), solutions, strict=True)}
+    document = found.to_json_dict() | {'before': args.before, 'after': args.after, 'notes': notes, 'traceability': tied}
     names = (Path(args.before).name, Path(args.after).name)
     try:
         args.out.mkdir(parents=True, exist_ok=True)
@@ -106,6 +113,19 @@ def text(found) -> str:
                 f'{number(f.after):>9} {number(f.after_spread):>7} {number(f.tolerance):>10}  {f.decision}')
         lines.append(line.rstrip())
     return '\n'.join(lines)
+
+
+def apart_words(before, after) -> list[str]:
+    """That two results hold at unlike temperatures, in words; nothing where they do not, or nobody knows."""
+    one, other = before.traceability, after.traceability
+    if one is None or other is None:
+        return []
+    unlike = one.reference_temperature != other.reference_temperature
+    if one.reference_temperature is None and other.reference_temperature is None:
+        both = one.measured_at.keys() & other.measured_at.keys()
+        unlike = any(abs(one.measured_at[axis] - other.measured_at[axis]) > UNLIKE_K for axis in both)
+    return ['before and after hold at unlike temperatures; their positioning errors differ by their scales too: '
+            'give material.scales and the temperatures of the scales for both'] if unlike else []
 
 
 def _tolerances(words: list[str]) -> dict[str, float]:

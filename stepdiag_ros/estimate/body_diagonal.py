@@ -130,9 +130,14 @@ class DiagonalTest:
             lines.append(f'{name:6} {cells[0]:>9} {cells[1]:>8} {cells[2]:>9} {cells[3]:>8}')
         return '\n'.join(lines)
 
+    @property
+    def status(self) -> str:
+        """``ok``, or that the lengths are no metres."""
+        return 'ok' if self.traceability is None else self.traceability.status
+
     def to_json_dict(self) -> dict[str, Any]:
         tied = self.traceability
-        return {'method': self.method, 'status': 'ok' if tied is None else tied.status, 'Ed_m': self.Ed,
+        return {'method': self.method, 'status': self.status, 'Ed_m': self.Ed,
                 'Bd_m': self.Bd, 'sigma_m': dict(self.sigma_m), 'remarks': list(self.remarks),
                 'traceability': None if tied is None else tied.to_json_dict(),
                 'diagonals': {n: r.to_json_dict() for n, r in self.diagonals.items()}}

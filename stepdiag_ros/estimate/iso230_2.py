@@ -197,9 +197,14 @@ class LinearTest:
                 lines.append(f'U, k=2 {cells}   –')
         return '\n'.join(lines)
 
+    @property
+    def status(self) -> str:
+        """``ok``, or that the lengths are no metres."""
+        return 'ok' if self.traceability is None else self.traceability.status
+
     def to_json_dict(self) -> dict[str, Any]:
         tied = self.traceability
-        return {'method': self.method, 'status': 'ok' if tied is None else tied.status, 'sigma_m': dict(self.sigma_m),
+        return {'method': self.method, 'status': self.status, 'sigma_m': dict(self.sigma_m),
                 'remarks': list(self.remarks), 'traceability': None if tied is None else tied.to_json_dict(),
                 'axes': {name: result.to_json_dict() for name, result in self.axes.items()}}
 

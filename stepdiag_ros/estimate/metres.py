@@ -52,6 +52,8 @@ SILENT_NS = 900_000_000_000
 APART = 3.0
 """Standard uncertainties between two indices above which they contradict each other."""
 WORKPIECE = 'scale_temperature/workpiece'
+NOT_TOLD = (f'{WORDS[NOBODY]}: the samples are vacuum lengths (refractive_index 1.0), and neither environment topics '
+            'nor air: in the cell description say what the index of air was; record the topics or give air:')
 TOPIC = {'temperature': 'air_temperature', 'pressure': 'air_pressure', 'humidity': 'humidity'}
 
 
@@ -142,6 +144,12 @@ def with_one_index(log: CalibrationLog, table: StopTable) -> StopTable:
     index = np.where(vacuum, known.index[first], 1.0)
     return replace(table, displacement=table.displacement / index[:, None],
                    refractive_index=table.refractive_index * index)
+
+
+def untold(log: CalibrationLog, table: StopTable) -> str:
+    """That the lengths of ``table`` are no metres, vacuum lengths of which nobody tells the air, in words; else ''."""
+    vacuum = np.abs(table.refractive_index - 1.0) < VACUUM
+    return NOT_TOLD if vacuum.any() and not _Known.of(log, table).enough else ''
 
 
 @dataclass(frozen=True)
@@ -240,9 +248,7 @@ def _air(log: CalibrationLog, table: StopTable) -> tuple[StopTable, Conditions, 
             return (table, replace(conditions, unknown=unseen, variation=unseen), CONSTANT, float(divided.mean()),
                     remarks)
     elif not known.enough:
-        remarks.append(f'{WORDS[NOBODY]}: the samples are vacuum lengths (refractive_index 1.0), and '
-                       'neither environment topics nor air: in the cell description say what the index of air was; '
-                       'record the topics or give air:')
+        remarks.append(NOT_TOLD)
         return (table, replace(conditions, unknown=NO_AIR, variation=UNSEEN_VARIATION), NOBODY, 1.0, remarks)
     for quantity, source in zip(QUANTITIES, known.source, strict=True):
         if source == 'nobody':

@@ -35,7 +35,8 @@ class PartExpansion:
     def to_json_dict(self) -> dict[str, Any]:
         def lists(curves: Mapping[str, np.ndarray]) -> dict[str, list[float]]:
             return {name: [float(v) for v in values] for name, values in curves.items()}
-        return {'temperature_C': self.temperature, 'temperature_sigma_K': self.temperature_sigma, 'by': self.by,
+        return {'said': self.words, 'by': self.by,
+                'temperature_C': self.temperature, 'temperature_sigma_K': self.temperature_sigma,
                 'expansion': self.expansion, 'expansion_sigma': self.expansion_sigma,
                 'differential_m': lists(self.differential_m), 'differential_sigma_m': lists(self.sigma_m)}
 

@@ -17,6 +17,7 @@ from dataclasses import replace
 import numpy as np
 
 from stepdiag_ros.effects.base import Effect
+from stepdiag_ros.estimate.metres import untold
 from stepdiag_ros.estimate.on_centre import on_centre
 from stepdiag_ros.gap.alternatives.unmodelled import NAME as UNKNOWN
 from stepdiag_ros.gap.constants import (
@@ -106,7 +107,8 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
               for s, w in zip(sets, weights, strict=True))[:20],
         groups, observation, joint, clocks, disturbances.dwell_spectrum.displacement, unmodelled,
         log.warnings + observation.table.warnings + ((beyond_range,) if beyond_range else ()) + left_out + tuple(unlit)
-        + stated(joint, disturbances.quanta), sets, screen, words, run,
+        + stated(joint, disturbances.quanta) + tuple(filter(None, [untold(log, observation.table)])),
+        sets, screen, words, run,
         separations(sets, doubtful), hint, len(effects) + 1)
 
 

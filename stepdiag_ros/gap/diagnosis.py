@@ -1,10 +1,14 @@
 """What a diagnosis is: everything that a report needs."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
+import numpy as np
+
+from stepdiag_ros.estimate.conditions import NO_AIR
 from stepdiag_ros.estimate.evaluate import solution_of
+from stepdiag_ros.estimate.metres import untold
 from stepdiag_ros.estimate.solution import Solution
 from stepdiag_ros.gap.experiment_design.next_run import NextRun
 from stepdiag_ros.gap.inference.averaged import averaged_solution
@@ -24,9 +28,11 @@ from stepdiag_ros.gap.summary.margins import Margins, margins
 from stepdiag_ros.gap.summary.volume import VolumeChange, volume_change
 from stepdiag_ros.gap.summary.where import Share
 from stepdiag_ros.model.log import CalibrationLog
+from stepdiag_ros.model.machine import AXES
 
 AXIS_LIKE = 3
 """Names of sizes shorter than this are of an axis or a direction: X, y, u."""
+ALONG = tuple(f'E{axis}{axis}' for axis in AXES)
 STAMPS = 'clock_skew'
 """The effect that is seen while axes move, and only then."""
 
@@ -102,8 +108,9 @@ class Diagnosis:
             'sets': [{'names': list(names), 'probability': p} for names, p in self.sets],
             'weighed': [row.to_json_dict() for row in self.weighed],
             'volumetric_change': self.volume_change.to_json_dict() if self.volume_change else None,
-            'errors': self.solution.to_json_dict()['errors'],
-            'errors_before': self.plain.to_json_dict()['errors'] if self.joint.active else None,
+            'traceable': not self.untold,
+            'errors': self.shown(self.solution).to_json_dict()['errors'],
+            'errors_before': self.shown(self.plain).to_json_dict()['errors'] if self.joint.active else None,
             'noise': {'position_repeatability_m': self.joint.noise.position,
                       'angle_repeatability_rad': self.joint.noise.angle,
                       'law': law_of(self.joint.noise), 'source': self.joint.noise.source},
@@ -149,6 +156,19 @@ class Diagnosis:
         if not self.joint.active:
             return None
         return volume_change(self.plain, self.solution, self.log.description.machine)
+
+    @cached_property
+    def untold(self) -> str:
+        """That the lengths are no metres, in words; '' where somebody took the index of air into account."""
+        return untold(self.log, self.nominal.table)
+
+    def shown(self, solution: Solution) -> Solution:
+        """``solution`` as it may be shown: where nobody tells the index of air, all lengths are uncertain alike."""
+        if not self.untold:
+            return solution
+        longer = np.array([NO_AIR * solution.positions[name][knot] if name in ALONG else 0.0
+                           for name, knot in solution.names])
+        return replace(solution, covariance=solution.covariance + np.outer(longer, longer))
 
     @cached_property
     def plain(self) -> Solution:

@@ -26,6 +26,7 @@ import yaml
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.guard.missing import missing
 from stepdiag_ros.guard.show import escaped
+from stepdiag_ros.linuxcnc.running import wait_until_free
 from stepdiag_ros.nodes import environment
 from stepdiag_ros.nodes.brought_up import BroughtUp
 from stepdiag_ros.nodes.graph import (
@@ -235,6 +236,8 @@ class Bringup(BroughtUp):
         """Start the virtual cell; the addresses of its instruments."""
         file = self.runtime / 'endpoints.yaml'
         file.unlink(missing_ok=True)
+        if self.machines[0].cell.instruments.control == 'linuxcnc' and (not options or 'cnc' in options):
+            wait_until_free(self._say)
         self._spawn(_Child(CELL, [sys.executable, '-m', 'stepdiag_ros.virtual.cell_process',
                                   str(self.cell_path), '--runtime', str(self.runtime),
                                   '--truth', str(self.truth_file), *options], None))

@@ -6,6 +6,7 @@ from html import escape
 
 import numpy as np
 
+from stepdiag_ros.estimate.traceability import NOBODY, WORDS
 from stepdiag_ros.gap.alternatives.unmodelled import NAME as UNKNOWN
 from stepdiag_ros.gap.constants import LEAST_SHARE
 from stepdiag_ros.gap.diagnosis import Diagnosis, Found
@@ -50,6 +51,8 @@ def _head(diagnosis: Diagnosis, name: str) -> str:
     log, table_ = diagnosis.log, diagnosis.nominal.table
     hinted = diagnosis.hint and not diagnosis.effects
     kind, word = BADGES.get('hint' if hinted else diagnosis.verdict, ('warn', diagnosis.verdict))
+    if diagnosis.untold and diagnosis.verdict == 'no_gap':
+        kind, word = 'warn', f'nothing wrong, but {WORDS[NOBODY]}'
     when = datetime.fromtimestamp(log.steps.time_ns[0] * 1e-9, UTC)
     minutes = (log.steps.time_ns[-1] - log.steps.time_ns[0]) / 60e9
     runs = f'{len(table_.run_ids)} runs' if len(table_.run_ids) > 1 else 'one run'
@@ -62,7 +65,9 @@ def _head(diagnosis: Diagnosis, name: str) -> str:
             f'<p><span class="badge {kind}">{word}</span></p>'
             f'<dl class="first"><dt>How sure</dt><dd>{escape(gap_words.how_sure(diagnosis))}</dd>'
             f'<dt>What to do</dt><dd>{escape(gap_words.what_to_do(diagnosis))}</dd></dl>'
-            f'<p class="lead">{escape(gap_words.how_far(diagnosis))}</p></header>')
+            f'<p class="lead">{escape(gap_words.how_far(diagnosis))}</p>'
+            + (f'<div class="todo warn2"><b>The lengths are no metres.</b> They are {escape(diagnosis.untold)}</div>'
+               if diagnosis.untold else '') + '</header>')
 
 
 # ---- the budget -----------------------------------------------------------------------------------
@@ -335,10 +340,13 @@ def _swings(diagnosis: Diagnosis) -> str:
 
 def _errors(diagnosis: Diagnosis) -> str:
     text = '<h2>What it means for the 21 errors</h2>'
+    known = ('with bands of k = 2 of repeats and of an index of air that nobody tells' if diagnosis.untold else
+             'at the temperature of the measurement, with bands of k = 2 of what repeats; at 20 °C and with the whole '
+             'budget they stand in <code>stepdiag evaluate</code>')
     if not diagnosis.joint.active:
-        return text + ('<p>There is nothing to take out: these are the errors of the machine, with bands of '
-                       'k = 2.</p>') + figure(gap_figures.errors_before_after(diagnosis.plain, None),
-                                              'The 18 error curves and the three squareness errors.')
+        return text + (f'<p>There is nothing to take out: these are the errors of the machine, {known}.</p>') + figure(
+            gap_figures.errors_before_after(diagnosis.shown(diagnosis.plain), None),
+            'The 18 error curves and the three squareness errors.')
     freed = diagnosis.solution
     moved = [row for row in gap_words.changes(diagnosis.plain, freed) if row[2] > 2.0]
     if moved:
@@ -353,8 +361,9 @@ def _errors(diagnosis: Diagnosis) -> str:
         text += ('<p>No error changes by more than twice its standard deviation when the causes are taken '
                  'out: a plain evaluation of this log was not misled.</p>')
     text += f'<p>{escape(gap_words.volume_words(diagnosis.volume_change))}</p>'
-    return text + figure(gap_figures.errors_before_after(diagnosis.plain, freed),
-                         'The 18 error curves and the three squareness errors, bands k = 2.')
+    return text + f'<p>The errors are shown {known}.</p>' + figure(
+        gap_figures.errors_before_after(diagnosis.shown(diagnosis.plain), diagnosis.shown(freed)),
+        'The 18 error curves and the three squareness errors, bands k = 2.')
 
 
 # ---- the end --------------------------------------------------------------------------------------

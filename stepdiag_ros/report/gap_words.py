@@ -49,6 +49,8 @@ SETTINGS = {'path': 'along the path', 'reversal': 'along the path, opposite on t
 STATES = {MOVING: 'while the axes move (stamps)', SETTLING: 'inside the stops (settling, shaking)',
           AT_REST: 'at rest (means of the stops)'}
 """The states of the machine in which a gap shows, in words."""
+NOT_METRES = ('Have the index of air recorded (environment topics), or give air: in the cell file; until then neither '
+              'this log nor what follows from it can tell what the positioning errors are, by some 270 µm a metre.')
 JOIN = 'Record it in a bag of its own; “stepdiag gap BAG --further NEW_BAG” then diagnoses both as one log.'
 """How a further run comes to bear."""
 
@@ -154,6 +156,8 @@ def how_sure(diagnosis: Diagnosis) -> str:
 def what_to_do(diagnosis: Diagnosis) -> str:
     """What to do about it: the remedies, the next measurement; in sentences."""
     said = [f.remedy for f in diagnosis.effects if f.remedy]
+    if diagnosis.untold:
+        said.append(NOT_METRES)
     said = [f'{i}) {text}' for i, text in enumerate(said, 1)] if len(said) > 1 else said
     if diagnosis.next_measurement:
         said.append(f'Measure next: {diagnosis.next_measurement}')
@@ -387,6 +391,8 @@ def where_words(diagnosis: Diagnosis) -> str:
 def summary(diagnosis: Diagnosis, name: str, adoption: tuple[str, ...] = ()) -> str:
     """What the command prints of one log."""
     lines = [f'{name}: {headline(diagnosis)}', f'  {how_far(diagnosis)}']
+    if diagnosis.untold:
+        lines += ['', f'  The lengths are {diagnosis.untold}', f'  {NOT_METRES}']
     for found in diagnosis.effects:
         lines.append('')
         lines.append(f'  {title(found.name)} [{found.name}]: {certainty(found.probability)} '
@@ -416,5 +422,5 @@ def summary(diagnosis: Diagnosis, name: str, adoption: tuple[str, ...] = ()) -> 
     if diagnosis.next_measurement:
         lines += [f'  Measure next: {diagnosis.next_measurement}']
         lines += [f'    {JOIN}'] if diagnosis.next_run or diagnosis.hint else []
-    lines += [f'  note: {text}' for text in (*diagnosis.warnings, *adoption)]
+    lines += [f'  note: {text}' for text in (*diagnosis.warnings, *adoption) if text != diagnosis.untold]
     return '\n'.join(lines)

@@ -21,6 +21,7 @@ import yaml
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.guard.files import real
 from stepdiag_ros.guard.jsontext import to_json
+from stepdiag_ros.linuxcnc.running import wait_until_free
 from stepdiag_ros.virtual.cell import load_cell
 from stepdiag_ros.virtual.serving import (
     ENDPOINTS_FILE,
@@ -57,6 +58,7 @@ class CellProcess:
         whole = len(self._servers) == len(SERVERS)
         if instruments.control == 'linuxcnc' and 'cnc' in self._servers:
             self._servers['cnc'], self._grace_s = 'linuxcnc_server', LINUXCNC_GRACE_S
+            wait_until_free(lambda text: print(f'stepdiag: {text}', file=sys.stderr, flush=True))
         self._beside = {name: self._runtime / name for name in instruments.multiplexer[1:]} if whole else {}
         for folder in (self._runtime, *self._beside.values()):
             folder.mkdir(parents=True, exist_ok=True)

@@ -19,8 +19,9 @@ REST_NS = 15_000_000
 """Standing so long ends a move."""
 LEAST_SHARE = 0.01
 """Share of a move below which an axis does not count as moved: a compensation moves all a little."""
-FRESH_NS = 5_000_000
-"""A look this young is waited for no longer: a move is not over before its control says so some milliseconds later."""
+FRESH_NS = 2_500_000
+"""A look this young, one period of looks, is waited for no longer: a move is over some milliseconds before its control
+says so."""
 PATIENCE_S = 0.5
 DEAD_S = 5.0
 

@@ -144,11 +144,14 @@ def _surroundings(log: CalibrationLog, table: StopTable, names: list[str]) -> li
         if value is None and said is not None:
             value = f'{factor * said:.{digits}f} {unit} (the cell file\'s value, not measured)'
         rows.append((what, value or NOT_STATED))
-    for axis in _axes(log, names):
-        rows.append((f'temperature of scale {axis.upper()}',
-                     _course(log, f'scale_temperature/{axis}', ends, 1.0, '°C', 2) or NOT_STATED))
-    part = _course(log, 'scale_temperature/workpiece', ends, 1.0, '°C', 2)
-    return [*rows, ('temperature of the workpiece', part or NOT_STATED),
+    scales = [(f'scale {axis.upper()}', axis, log.description.scales.get(axis)) for axis in _axes(log, names)]
+    for what, topic, material in (*scales, ('the workpiece', 'workpiece', log.description.workpiece)):
+        value = _course(log, f'scale_temperature/{topic}', ends, 1.0, '°C', 2)
+        if value is None and material is not None and material.temperature is not None:
+            value = (f'{material.temperature:.2f} °C, U {2.0 * material.temperature_sigma:.2f} °C (k = 2) '
+                     "(the cell file's value, not measured)")
+        rows.append((f'temperature of {what}', value or NOT_STATED))
+    return [*rows,
             ('temperature of the machine bed', _said(log, 'bed_temperature'))]
 
 
@@ -187,4 +190,5 @@ def _corrections(evaluation: Evaluation, axes: str) -> list[Row]:
         ('correction for air', f'{WORDS[tied.air]}; mean index {tied.index:.7f}'),
         ('U of the unit of length', f'{2e6 * tied.index_sigma:.2g} µm/m (k = 2)'),
         ('budget of uncertainty', 'the cell\'s own' if tied.budget == 'cell' else 'the standard budget')]
-    return [*air, *scales]
+    part = [] if tied is None else [('parts', tied.workpiece_words)]
+    return [*air, *scales, *part]

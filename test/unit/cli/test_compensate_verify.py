@@ -3,6 +3,7 @@
 import json
 import shutil
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from stepdiag_ros.bag.import_csv import import_csv
 from stepdiag_ros.bag.reader import read_log
 from stepdiag_ros.cli.known import known_errors
 from stepdiag_ros.cli.main import main
+from stepdiag_ros.cli.verify import apart_words
 from stepdiag_ros.compensate.applied import taken_off
 from stepdiag_ros.compensate.compensation import compensation
 from stepdiag_ros.compensate.control import Place
@@ -21,6 +23,7 @@ from stepdiag_ros.compensate.taken import left_of
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate import evaluate
 from stepdiag_ros.estimate.methods import run_method
+from stepdiag_ros.estimate.traceability import Traceability
 from stepdiag_ros.report.compensation_words import summary
 from stepdiag_ros.virtual.cell import Cell, parse_cell
 from stepdiag_ros.virtual.offline import simulate_log
@@ -229,6 +232,26 @@ def test_lengths_without_air_are_neither_compensated_nor_verified(refused, tmp_p
     assert 'not corrected for air' in one_line(capsys)
 
 
+def test_every_answer_says_that_lengths_are_not_corrected_for_air(refused, tmp_path, capsys):
+    """Whatever is asked: text, status, page and JSON; and no error along an axis looks known."""
+    bag, out = refused['vacuum'], tmp_path / 'gap'
+    for asked in (['evaluate', bag], ['evaluate', bag, '--method', 'body_diagonal'],
+                  ['evaluate', bag, '--method', 'iso230_2'], ['replay', bag]):
+        capsys.readouterr()
+        assert main(asked) == 1, asked
+        assert 'not corrected for air' in capsys.readouterr().out, asked
+    for asked in (['compare', bag], ['map', bag], ['gap', bag, '--out', str(out)]):
+        assert main(asked) == 0, asked
+        assert 'not corrected for air' in capsys.readouterr().out, asked
+    document = json.loads((out / 'vacuum' / 'gap.json').read_text(encoding='utf-8'))
+    assert document['traceable'] is False and any('not corrected for air' in text for text in document['warnings'])
+    known = evaluate(read_log(bag))
+    for name in ('EXX', 'EYY', 'EZZ'):
+        assert document['errors'][name]['sigma'][-1] == pytest.approx(known.curve(name)[2][-1], rel=0.02)
+    page = (out / 'vacuum' / 'index.html').read_text(encoding='utf-8')
+    assert 'nothing wrong, but not corrected for air' in page and 'no metres' in page
+
+
 @pytest.mark.parametrize(('arguments', 'said'), [
     (['--origin', '1,2'], '--origin'), (['--line', '0.1,0.1,nan'], '--line'), (['--line', '9,9,9'], 'reference line'),
     (['--line', '0,0,0', '--workpiece', '0,0,0'], 'give one of them'), (['--present', 'nowhere.comp'], 'nowhere.comp'),
@@ -309,6 +332,10 @@ def test_e_and_b_of_a_verification_are_in_metres(tmp_path, capsys):
     assert main(['verify', bag, bag, '--tolerance', '40um', 'E=25um', 'B=9um', '--out', str(tmp_path / 'v'),
                  '--json']) == 0
     figures = {f['name']: f for f in json.loads(capsys.readouterr().out)['figures']}
+    document = json.loads((tmp_path / 'v' / 'verify.json').read_text(encoding='utf-8'))
+    assert document['traceability']['after']['reference_temperature'] == 20.0
+    assert any('referred to 20 °C' in note for note in document['notes'])
+    assert not any('unlike' in note for note in document['notes'])
     test = run_method('body_diagonal', read_log(bag))
     assert figures['E']['after'] == pytest.approx(test.Ed) and figures['E']['after'] < 2e-5
     assert figures['E']['U_after'] == pytest.approx(2.0 * test.sigma_m['Ed'])
@@ -347,3 +374,14 @@ def test_a_table_of_one_axis_makes_tables_of_that_axis_alone(tmp_path, capsys):
     assert main(['compensate', str(tmp_path / 'bag'), *asked]) == 0
     assert {p.name for p in (tmp_path / 't').glob('*.comp')} == {'x.comp'}
     assert {p.name for p in (tmp_path / 't' / 'before').iterdir()} == {'x.comp', 'joints.ini'}
+
+
+def test_results_at_unlike_temperatures_are_not_compared_without_a_word():
+    """A machine measured cold and warm differs by its scales, unless both are referred to 20 °C."""
+    def at(x: float | None, reference: float | None):
+        return SimpleNamespace(traceability=Traceability(
+            reference_temperature=reference, measured_at={} if x is None else {'x': x}))
+    assert apart_words(at(18.0, 20.0), at(25.0, 20.0)) == apart_words(at(20.0, None), at(20.2, None)) == []
+    assert apart_words(at(None, None), at(None, None)) == []
+    for before, after in ((at(18.0, None), at(25.0, None)), (at(18.0, 20.0), at(None, None))):
+        assert 'unlike temperatures' in apart_words(before, after)[0]

@@ -1,5 +1,9 @@
 """The track of a real control's drives, as moves."""
 
+import subprocess
+import sys
+import time
+
 import numpy as np
 import pytest
 
@@ -65,9 +69,58 @@ def test_what_comes_later_is_taken_in(track, monkeypatch):
     assert history.records['setup'][-1] == 1
 
 
+WRITER = """
+import sys, time
+from stepdiag_ros.linuxcnc.follow import Track
+track, x, end = Track(sys.argv[1]), 0.0, time.monotonic() + 1.0
+while time.monotonic() < end:
+    x += 1e-6
+    track.look(time.monotonic_ns(), 0, (x, 0.0, 0.0))
+"""
+
+
+def test_whoever_looks_at_any_moment_sees_whole_numbers(tmp_path):
+    """Seen half written, the newest look was as old as the clock: sensors took LinuxCNC for dead and lost an answer."""
+    path = tmp_path / 'track.bin'
+    with subprocess.Popen([sys.executable, '-c', WRITER, str(path)]) as writer:
+        end = time.monotonic() + 60.0
+        while not path.exists() and time.monotonic() < end:
+            time.sleep(0.01)
+        header, seen = np.memmap(path, '<i8', 'r', 0, 2), []
+        while writer.poll() is None:
+            seen.append((int(header[0]), int(header[1])))
+    seen = np.array(seen)
+    assert writer.returncode == 0 and len(np.unique(seen[:, 0])) > 10
+    assert np.all(np.diff(seen, axis=0) >= 0)
+
+
 def test_a_track_that_nobody_writes_any_more_is_said(track, monkeypatch):
     path, _, _ = track
     monkeypatch.setattr(sampled, 'PATIENCE_S', 0.01)
     monkeypatch.setattr(sampled, 'DEAD_S', 0.5)
     with pytest.raises(StepdiagError, match='nobody has looked'):
         sampled.SampledHistory(path).follow()
+
+
+@pytest.mark.parametrize('looks_at', [90, 130, 400])
+def test_a_late_look_keeps_no_machine_moving_that_stands(tmp_path, monkeypatch, looks_at):
+    """A machine that brakes for 50 ms, begins to at 50 ms, stands from 100 ms on; nobody looks from 70 ms to the end of
+    a gap, which may be long after its dwell has begun."""
+    monkeypatch.setattr(sampled, 'PATIENCE_S', 0.01)
+    track, begin = Track(str(tmp_path / 'track.bin')), now_ns() - 2_000 * MS
+
+    def place(ms):
+        braking = min(max(ms - 50, 0), 50)
+        return 1e-3 * (min(max(ms, 0), 50) + braking - braking**2 / 100.0), 0.0, 0.0
+    for ms in [*range(-40, 71, 2), *range(looks_at, 450, 2)]:
+        track.look(begin + ms * MS, 0, place(ms))
+    for ms in range(450, 500, 2):
+        track.look(begin + ms * MS, 0, (place(ms)[0], 1e-3 * (ms - 450), 0.0))
+    history = sampled.SampledHistory(tmp_path / 'track.bin')
+    assert history.follow() == 3
+    times = np.arange(104, 450, 3)
+    _, seen, _, _ = history.locate(begin + times * MS, 0.0)
+    np.testing.assert_allclose(seen[:, 0], place(200)[0], rtol=0.0, atol=0.0 if looks_at > 100 else 1e-12)
+    # While it moves, straight lines between looks are all that is known: the track never runs backwards.
+    _, under_way, _, _ = history.locate(begin + np.arange(-40, 104, 1) * MS, 0.0)
+    assert np.all(np.diff(under_way[:, 0]) >= 0.0)
