@@ -8,6 +8,7 @@ import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import IO
 
 import pytest
 
@@ -55,6 +56,26 @@ def ros_domain(tmp_path: Path) -> Iterator[int]:
     """A ROS domain of the test's own, set in the environment; ROS's log files go to its folder."""
     with held_domain(tmp_path / 'ros_log') as domain:
         yield domain
+
+
+_turn: IO[str] | None = None
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> Iterator[None]:
+    """Modules with tests on a LinuxCNC take turns: a computer runs one at a time, and what waits for it while it starts
+    gives up one day.  The wait is before the test's own time begins."""
+    global _turn
+    if _turn is None and item.get_closest_marker('linuxcnc') is not None:
+        _turn = open(LOCKS.with_name(f'stepdiag-linuxcnc-tests-{os.getuid()}'), 'w')
+        fcntl.flock(_turn, fcntl.LOCK_EX)
+    try:
+        return (yield)
+    finally:
+        # The module's fixtures, a LinuxCNC among them, live until its last test.
+        if _turn is not None and (nextitem is None or nextitem.path != item.path):
+            _turn.close()
+            _turn = None
 
 
 @pytest.fixture(scope='module')

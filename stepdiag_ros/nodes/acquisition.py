@@ -45,6 +45,8 @@ class Acquisition:
         self.gaps = 0
         self.gap_s = 0.0
         self.reconnects = 0
+        self.real_time = False
+        """Whether the system lets the thread go before other work."""
         self.error = ''
 
     @property
@@ -94,7 +96,7 @@ class Acquisition:
     def _run(self) -> None:
         """The supervised loop: no exception ends it, each one breaks the connection."""
         connected = True
-        go_first()
+        self.real_time = go_first()
         while not self._stop.is_set():
             try:
                 if not connected:

@@ -17,7 +17,8 @@ from typing import Any
 
 from stepdiag_ros.nodes import environment
 
-environment.prepare()
+#: What a user is to be told of the network: that it is open, or what of his environment is not followed.
+NETWORK_SAID = environment.prepare()
 
 import rclpy  # noqa: E402 - the environment has to be set before
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue  # noqa: E402
@@ -290,6 +291,8 @@ def _run(make: Callable[[], StepdiagNode]) -> int:
     node = None
     try:
         node = make()
+        if NETWORK_SAID:
+            node.get_logger().warning(NETWORK_SAID)
         executor = EventsExecutor()
         executor.add_node(node)
         spin(executor, lambda: bool(asked))

@@ -141,7 +141,7 @@ class DriverNode(StepdiagNode):
         if work is None or self.state != 'active':
             return Health(OK, self.state, values)
         values |= {'rate_Hz': work.rate, 'samples': work.samples, 'blocks': work.blocks,
-                   'gaps': work.gaps, 'gap_s': work.gap_s, 'reconnects': work.reconnects}
+                   'gaps': work.gaps, 'gap_s': work.gap_s, 'reconnects': work.reconnects, 'real_time': work.real_time}
         values |= self.more_values()
         if not work.running:
             return Health(ERROR, 'the acquisition has stopped', values)
@@ -157,5 +157,6 @@ class DriverNode(StepdiagNode):
         """The health of a sensor that delivers."""
         wanted = self.value('sample_rate')
         if values['blocks'] > 2 and values['rate_Hz'] < 0.9 * wanted:
-            return Health(WARN, f'{values["rate_Hz"]:.0f} of {wanted:.0f} samples a second', values)
+            why = '' if values['real_time'] else '; not in real time (rtprio in /etc/security/limits.conf)'
+            return Health(WARN, f'{values["rate_Hz"]:.0f} of {wanted:.0f} samples a second{why}', values)
         return Health(OK, 'measuring', values)

@@ -30,8 +30,8 @@ from stepdiag_ros.nodes.step_sequencer import ACTION
 from stepdiag_ros.nodes.subscription import RECEIVED_TOPICS, RawSubscription, Received
 
 RECORDER = 'recorder/status'
-#: Longest wait for the recorder's first word.
-WORD_S = 1.5
+#: Longest wait for the recorder's first word: it speaks five times a second, but has to be found first.
+WORD_S = 10.0
 #: Longest wait for samples that are still on their way.
 SETTLE_S = 3.0
 #: How much of its usual interval after the one before a reading of the environment may come.
@@ -57,6 +57,7 @@ class ListenerNode(StepdiagNode):
                                  reliable(10, latched=True))
         self._missed = ''        # the bag of which this node has missed the beginning
         self._asked_ns = 0       # since when the recorder's word is waited for; 0: it has come
+        self._waited = False     # whoever wanted the log has waited for it once in vain
         self._keeping = threading.Lock()
         self._busy = threading.Lock()
         self._begin_log()
@@ -93,7 +94,7 @@ class ListenerNode(StepdiagNode):
     def _begin_log(self) -> None:
         self._assembler = LogAssembler(self.get_namespace())
         self._filter = IdleFilter(self._assembler.add, Step)
-        self._missed, self._asked_ns = '', time.time_ns()
+        self._missed, self._asked_ns, self._waited = '', time.time_ns(), False
 
     def deactivate(self) -> None:
         if self._subscription is not None:
@@ -164,9 +165,9 @@ class ListenerNode(StepdiagNode):
         A node that was started again has missed the runs before; the recorder's bag has them all.
         """
         end = time.monotonic() + WORD_S
-        while self._asked_ns and time.monotonic() < end:
+        while self._asked_ns and not self._waited and time.monotonic() < end:
             time.sleep(0.02)
-        self._asked_ns = 0
+        self._waited = True     # it counts whenever it comes
         if self._missed:
             return self._log_of_bag(self._missed)
         with self._keeping:

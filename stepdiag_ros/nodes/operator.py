@@ -52,6 +52,9 @@ ASK_AGAIN_S = 2.0
 #: So long one question whether it is back may take.
 ANSWER_S = 8.0
 UNCONFIGURED, INACTIVE, ACTIVE = 'unconfigured', 'inactive', 'active'
+#: From a state to another: the next transition on the way.
+WAYS = {(UNCONFIGURED, ACTIVE): 'configure', (UNCONFIGURED, INACTIVE): 'configure', (INACTIVE, ACTIVE): 'activate',
+        (INACTIVE, UNCONFIGURED): 'cleanup', (ACTIVE, INACTIVE): 'deactivate', (ACTIVE, UNCONFIGURED): 'deactivate'}
 
 
 @dataclass(frozen=True)
@@ -168,21 +171,20 @@ class Operator:
         return self._call(ChangeState, f'{node}/change_state', request, timeout_s).success
 
     def bring(self, node: str, target: str, timeout_s: float = 60.0) -> None:
-        """Take a node to ``target`` on the shortest way; :class:`StepdiagError` if it refuses."""
-        way = {(UNCONFIGURED, ACTIVE): ('configure', 'activate'),
-               (UNCONFIGURED, INACTIVE): ('configure',), (INACTIVE, ACTIVE): ('activate',),
-               (ACTIVE, INACTIVE): ('deactivate',), (INACTIVE, UNCONFIGURED): ('cleanup',),
-               (ACTIVE, UNCONFIGURED): ('deactivate', 'cleanup')}
-        state = self.state(node, timeout_s)
-        if state == target:
-            return
-        for name in way.get((state, target), ()):
-            asked_s = time.monotonic()
-            if not self.transition(node, name, timeout_s):
+        """Take a node to ``target`` on the shortest way; :class:`StepdiagError` if it refuses.
+
+        Somebody else may make a step of the way first (a node that starts by itself does): that is no refusal.
+        """
+        end, state = time.monotonic() + timeout_s, self.state(node, timeout_s)
+        while state != target and (name := WAYS.get((state, target))) and time.monotonic() < end:
+            before, asked_s = state, time.monotonic()
+            made = self.transition(node, name, timeout_s)
+            state = self.state(node, timeout_s)
+            if not made and state != target and state in (before, UNCONFIGURED):
                 raise StepdiagError(f'{self.namespace}/{node} refuses to {name}: '
                                     f'{self._why(node, asked_s)}')
-        if (now := self.state(node, timeout_s)) != target:
-            raise StepdiagError(f'{self.namespace}/{node} is {now}, not {target}')
+        if state != target:
+            raise StepdiagError(f'{self.namespace}/{node} is {state}, not {target}')
 
     def _why(self, node: str, since_s: float) -> str:
         """What the node has said of itself since a moment (monotonic)."""

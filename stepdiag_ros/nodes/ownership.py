@@ -1,11 +1,13 @@
 """One namespace, one owner: a second cell, or a second sequencer, of the same name is refused.
 
-Two sequencers of one name would answer to the same goal, and the wrong machine might move.  The owner
-holds an abstract socket, which every user of this computer sees and the kernel frees with the process,
-however it ends.
+Two sequencers of one name would answer to the same goal, and the wrong machine might move.  Two of other names, or in
+other ROS domains, that command one control would take the machine out of each other's hands: a control has one owner,
+too.  The owner holds an abstract socket, which every user of this computer sees and the kernel frees with the
+process, however it ends.
 """
 
 import errno
+import ipaddress
 import os
 import socket
 from pathlib import Path
@@ -23,20 +25,50 @@ class Ownership:
 
     def __init__(self, namespace: str, what: str):
         self.namespace, self.domain = '/' + namespace.strip('/'), os.environ.get('ROS_DOMAIN_ID') or '0'
-        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_CLOEXEC)
-        try:
-            self._socket.bind(f'\0stepdiag_ros/{self.domain}{self.namespace}/{what}')
-        except OSError as error:
-            self._socket.close()
-            if error.errno != errno.EADDRINUSE:
-                raise StepdiagError(f'{self.namespace}: its ownership cannot be marked: {error.strerror}') from None
-            raise StepdiagError(
-                f'{self.namespace} is up already in ROS domain {self.domain} on this computer; calibrate it with '
-                f'stepdiag calibrate {self.namespace}, or end it, or choose another ROS_DOMAIN_ID') from None
+        self._socket = _hold(
+            f'{self.domain}{self.namespace}/{what}', self.namespace,
+            f'{self.namespace} is up already in ROS domain {self.domain} on this computer; calibrate it with '
+            f'stepdiag calibrate {self.namespace}, or end it, or choose another ROS_DOMAIN_ID')
 
     def release(self) -> None:
         """Somebody else may have it."""
         self._socket.close()
+
+
+class ControlOwnership:
+    """Holds the machine control at an address until :meth:`release` or the process's end, whatever the sequencer's
+    namespace and ROS domain.  Raises :class:`StepdiagError` where another sequencer of this computer does."""
+
+    def __init__(self, host: str, port: int):
+        where = f'machine control at {host}:{port}'
+        self._socket = _hold(f'control/{_address(host, port)}:{port}', where,
+                             f'{where}: another sequencer on this computer commands it; end that one first')
+
+    def release(self) -> None:
+        """Somebody else may have it."""
+        self._socket.close()
+
+
+def _hold(name: str, what: str, taken: str) -> socket.socket:
+    """A socket that bears a name which nobody else has; :class:`StepdiagError` says ``taken``."""
+    held = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_CLOEXEC)
+    try:
+        held.bind(f'\0stepdiag_ros/{name}')
+    except OSError as error:
+        held.close()
+        if error.errno != errno.EADDRINUSE:
+            raise StepdiagError(f'{what}: its ownership cannot be marked: {error.strerror or error}') from None
+        raise StepdiagError(taken) from None
+    return held
+
+
+def _address(host: str, port: int) -> str:
+    """One word for each computer, under whatever name it is called; a name that nobody knows is its own."""
+    try:
+        found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][4][0]
+        return 'loopback' if ipaddress.ip_address(found).is_loopback else str(found)
+    except (OSError, ValueError):
+        return host.lower()[:60]
 
 
 def machines_up() -> list[str]:

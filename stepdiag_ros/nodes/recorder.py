@@ -12,8 +12,6 @@ import time
 from datetime import datetime
 from pathlib import Path
 
-from rclpy.parameter import Parameter
-
 from stepdiag_msgs.msg import RecorderStatus
 from stepdiag_ros.bag.append import go_on
 from stepdiag_ros.bag.mark import Mark
@@ -40,7 +38,7 @@ class Recorder(StepdiagNode):
         self.text('bag_folder', '.', 'where new bags are made', fixed=True)
         self.text('name', '', "the next bag's name in bag_folder; empty: after machine and time")
         self.text('compression', 'zstd', f'of the chunks: {", ".join(COMPRESSIONS)}')
-        self.text('go_on', False, 'go on in the bag, which exists: its recorder has died')
+        self._go_on = self.text('go_on', False, 'go on in the bag, which exists: its recorder has died', fixed=True)
         self.count('queue_depth', 10_000, 'messages of a topic that may wait to be written', 1, 1_000_000)
         self._status = self.create_publisher(RecorderStatus, 'recorder/status', reliable(10))
         self._timer = self.every(STATUS_PERIOD_S, self._publish_status)
@@ -62,14 +60,13 @@ class Recorder(StepdiagNode):
         path = torn or self._path()
         self._announced = set()
         self._earlier = {}
-        if torn is not None or self.value('go_on') and path.exists():
+        if torn is not None or self._go_on and path.exists():
             continued = go_on(path, self.value('compression'))
             self._writer, self._earlier = continued.writer, continued.received
             for name in continued.mended:
                 self.get_logger().warning(f'{path / name} was torn; it is mended, and recording goes on in '
                                           f'{continued.writer.file.name}')
-            # Only this once: a bag of that name that comes later is a new one.
-            self.set_parameters([Parameter('go_on', value=False)])
+            self._go_on = False     # only this once: a bag of that name that comes later is a new one
         else:
             self._writer = BagWriter(path, compression=self.value('compression'))
         self._mark.put(path)
@@ -103,7 +100,7 @@ class Recorder(StepdiagNode):
             return Path(self.value('bag')).expanduser().absolute()
         folder = Path(self.value('bag_folder')).expanduser().absolute()
         if name := self.value('name'):
-            if Path(name).name != name or not name.isprintable():
+            if name == '..' or Path(name).name != name or not name.isprintable():
                 raise StepdiagError(f'recorder: parameter name is {name!r}; give a name without a folder')
             return folder / name
         name = f'{self._machine()}_{datetime.now():%Y%m%d_%H%M%S}'

@@ -45,7 +45,7 @@ from stepdiag_ros.nodes.futures import ended
 from stepdiag_ros.nodes.lease import TICK_S, Lease
 from stepdiag_ros.nodes.light import Light
 from stepdiag_ros.nodes.marked import Marked
-from stepdiag_ros.nodes.ownership import SEQUENCER, Ownership
+from stepdiag_ros.nodes.ownership import SEQUENCER, ControlOwnership, Ownership
 from stepdiag_ros.nodes.run_plan import (
     Run,
     Stop,
@@ -149,6 +149,7 @@ class StepSequencer(StepdiagNode):
             self, RunStepDiagonal, ACTION, self._execute, goal_callback=self._on_goal,
             cancel_callback=lambda _handle: CancelResponse.ACCEPT)
         self.controller: LinuxCncRsh | None = None
+        self._control: ControlOwnership | None = None
         self.description: Description | None = None
         self._worker: threading.Thread | None = None
         self._leave = threading.Event()
@@ -186,9 +187,11 @@ class StepSequencer(StepdiagNode):
             raise StepdiagError(f'step_sequencer: parameter lost_client is {self.value("lost_client")!r}; '
                                 f'choose {NEXT_STOP} or {AT_ONCE}')
         try:
+            # Before anything is said to it: who commands it already would be stopped.
+            self._control = ControlOwnership(self.value('host'), self.value('port'))
             self.controller.connect()
             if not self.controller.state()['idle']:
-                # Whoever commanded this is gone: this node is the namespace's only sequencer.
+                # Whoever commanded this is gone: this node is the control's only sequencer.
                 self.get_logger().warning('the machine was moving when the sequencer started; stopping it')
                 self.controller.stop()
         except StepdiagError:
@@ -217,6 +220,9 @@ class StepSequencer(StepdiagNode):
         if self.controller is not None:
             self.controller.close()
             self.controller = None
+        if self._control is not None:
+            self._control.release()
+            self._control = None
 
     def health(self) -> Health:
         values: dict[str, object] = {'device': f'{self.value("host")}:{self.value("port")}',
@@ -327,10 +333,10 @@ class StepSequencer(StepdiagNode):
         self._follow_clock()
         self._clock_steps = []
         asked = planned_runs(self.description, goal.setups)   # unknown setups are refused at once
-        with self._lit(asked[0].setup, READY_S, handle):
-            self._await_ready(handle)
-        bag = self._watch.recording.bag
         held = [*goal.completed, *filter(None, [goal.broken])]
+        with self._lit(asked[0].setup, READY_S, handle):
+            self._await_ready(handle, bool(held))
+        bag = self._watch.recording.bag
         self._begin_bag(bag, held)
         runs = remaining(planned_runs(self.description, goal.setups, goal.repeats, self._repeats),
                          goal.completed, goal.broken)
@@ -389,9 +395,11 @@ class StepSequencer(StepdiagNode):
             finally:
                 self._watch.expect(topic, False)
 
-    def _await_ready(self, handle: ServerGoalHandle) -> None:
+    def _await_ready(self, handle: ServerGoalHandle, resumed: bool) -> None:
         """Every source delivers, and the recorder and the listeners receive it, or the goal is refused."""
-        if wants := self._wait_until_ready(handle, self.value('ready_timeout')):
+        # Who takes a calibration over was started a moment ago, and has to find the others first.
+        timeout_s = max(self.value('ready_timeout'), self.value('resume_timeout') if resumed else 0.0)
+        if wants := self._wait_until_ready(handle, timeout_s):
             raise StepdiagError('refused to start: ' + '; '.join(wants))
 
     def _wait_until_ready(self, handle: ServerGoalHandle, timeout_s: float, bag: str = '') -> list[str]:

@@ -14,11 +14,19 @@ import pytest
 
 from stepdiag_ros.bag.reader import read_log
 from stepdiag_ros.errors import StepdiagError
-from stepdiag_ros.nodes.ownership import CELL, Ownership
+from stepdiag_ros.nodes.ownership import CELL, ControlOwnership, Ownership
 
 #: With a fifth of the samples: how they are taken is tried elsewhere.
 DEMO = re.sub(r'(interferometer|psd): 1000\.0', r'\1: 200.0',
               (Path(__file__).resolve().parents[2] / 'cells' / 'demo.yaml').read_text(encoding='utf-8'))
+#: Fast DDS reads it in the folder where a process starts.
+WIDE_PROFILE = """<?xml version="1.0" encoding="UTF-8"?>
+<dds xmlns="http://www.eprosima.com"><profiles>
+  <participant profile_name="wide" is_default_profile="true">
+    <rtps><useBuiltinTransports>true</useBuiltinTransports></rtps>
+  </participant>
+</profiles></dds>
+"""
 STEPDIAG = [sys.executable, '-m', 'stepdiag_ros.cli.main']
 
 
@@ -27,11 +35,12 @@ class Up:
 
     def __init__(self, cell: Path, folder: Path, **environment: str):
         self.lines: list[str] = []
+        (folder / 'DEFAULT_FASTRTPS_PROFILES.xml').write_text(WIDE_PROFILE, encoding='utf-8')
         self.runtime = folder / 'run'
         self.process = subprocess.Popen(
             [*STEPDIAG, 'up', str(cell), '--bag', str(folder / 'first'), '--runtime', str(self.runtime),
              '--bag-folder', str(folder)], text=True,
-            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, env=os.environ | environment)
+            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, cwd=folder, env=os.environ | environment)
         self._reader = threading.Thread(target=lambda: self.lines.extend(self.process.stdout), daemon=True)
         self._reader.start()
 
@@ -67,7 +76,8 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 #: What would widen the network, were it followed.
-WIDE = {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'SUBNET', 'ROS_STATIC_PEERS': '192.0.2.1'}
+WIDE = {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'SUBNET', 'ROS_STATIC_PEERS': '192.0.2.1',
+        'FASTDDS_BUILTIN_TRANSPORTS': 'LARGE_DATA'}
 
 
 @pytest.fixture(scope='module')
@@ -81,7 +91,8 @@ def test_a_second_owner_is_refused_and_the_kernel_frees_what_a_killed_one_held(m
     monkeypatch.setenv('ROS_DOMAIN_ID', '77')
     holder = subprocess.Popen(
         [sys.executable, '-c', 'import time; from stepdiag_ros.nodes.ownership import *; '
-                               'o = Ownership("/owned", CELL); print("held", flush=True); time.sleep(60)'],
+                               'o, c = Ownership("/owned", CELL), ControlOwnership("localhost", 5998); '
+                               'print("held", flush=True); time.sleep(60)'],
         stdout=subprocess.PIPE, text=True)
     try:
         assert holder.stdout.readline() == 'held\n'
@@ -90,11 +101,15 @@ def test_a_second_owner_is_refused_and_the_kernel_frees_what_a_killed_one_held(m
         Ownership('/other', CELL).release()
         monkeypatch.setenv('ROS_DOMAIN_ID', '78')
         Ownership('/owned', CELL).release()
+        with pytest.raises(StepdiagError, match='at 127.0.0.1:5998: another sequencer on this computer commands it'):
+            ControlOwnership('127.0.0.1', 5998)
+        ControlOwnership('127.0.0.1', 5997).release()
     finally:
         holder.kill()
         holder.communicate()
     monkeypatch.setenv('ROS_DOMAIN_ID', '77')
     Ownership('/owned', CELL).release()
+    ControlOwnership('127.0.0.1', 5998).release()
 
 
 def test_a_second_up_is_refused_in_one_line(up, small, tmp_path):
@@ -113,6 +128,20 @@ def test_a_second_sequencer_of_a_namespace_ends_at_once(up):
         capture_output=True, text=True, timeout=300.0)
     assert second.returncode == 2
     assert second.stderr.splitlines()[-1].startswith('stepdiag: /demo is up already in ROS domain')
+
+
+def test_a_second_sequencer_of_a_control_is_refused_whatever_its_name(up):
+    """And the first one keeps the control: the next test calibrates with it."""
+    second = subprocess.Popen(
+        [sys.executable, '-m', 'stepdiag_ros.nodes.step_sequencer', '--ros-args', '-r', '__ns:=/elsewhere',
+         '--params-file', str(up.runtime / 'parameters.yaml'), '-p', 'autostart:=true'],
+        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+    try:
+        said = next(line for line in second.stderr if 'machine control' in line)
+        assert 'another sequencer on this computer commands it' in said
+    finally:
+        second.terminate()
+        second.communicate(timeout=60)
 
 
 def test_a_running_cell_is_calibrated_with_other_steps_and_then_with_its_own(up):

@@ -116,6 +116,21 @@ def measured(operator, bag: Path) -> tuple:
     return outcome, feedback, document, bag
 
 
+def repeated(run_ids, planned) -> list[str]:
+    """Names of the runs of a calibration that bear another than the ``planned`` one: they were broken off before.
+
+    Which run a node's death breaks off is the computer's affair: what a test is told of a calibration and what it then
+    does come late on a busy one.
+    """
+    assert ['/'.join(run_id.split('/')[:3]) for run_id in run_ids] == list(planned)
+    return [run_id for run_id, plan in zip(run_ids, planned, strict=True) if run_id != plan]
+
+
+@pytest.fixture(name='repeated', scope='session')
+def _repeated():
+    return repeated
+
+
 @pytest.fixture(name='measured', scope='session')
 def _measured():
     return measured

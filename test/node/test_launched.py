@@ -44,7 +44,7 @@ class Launched:
         for node in self.nodes.values():
             node.send_signal(signal.SIGINT)
         for node in self.nodes.values():
-            node.wait(60)
+            node.wait(300)
 
 
 @pytest.mark.timeout(600)
@@ -74,7 +74,7 @@ def test_without_a_cell_that_runs_the_command_says_how_to_start_one(cell_file: P
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize('node', ['recorder', 'interferometer_driver', 'step_sequencer'])
 def test_a_calibration_goes_on_where_a_node_that_launch_started_dies(ros_domain: int, tmp_path: Path, write_cell,
-                                                                     node: str) -> None:
+                                                                     repeated, eventually, node: str) -> None:
     runtime, cell = tmp_path / 'run', write_cell(tmp_path, dwell=0.5)
     runtime.mkdir()
     with CellProcess(cell, runtime) as instruments:
@@ -84,18 +84,22 @@ def test_a_calibration_goes_on_where_a_node_that_launch_started_dies(ros_domain:
         killed = []
         with Launched(parameters) as launched, Operator('/cell1') as operator:
             for name in NODES:
-                operator.bring(name, 'active', 120.0)
-            bag = operator.recorder.bag
+                operator.bring(name, 'active', 300.0)
+            bag = eventually(lambda: operator.recorder and operator.recorder.bag)
 
             def kill(feedback) -> None:
-                if feedback.run_id == 'ppp/0/-' and feedback.stop >= 6 and not killed:
+                # In the first of the two runs, so that there is one to be broken off however late this comes.
+                if feedback.stop >= 2 and not killed:
                     killed.append(feedback.run_id)
                     launched.nodes[node].kill()
             outcome = operator.calibrate(setups=['ppp'], feedback=kill, meanwhile=launched.watch)
             assert operator.recorder.bag == bag
     assert killed and outcome.succeeded, outcome.message
-    assert list(outcome.run_ids) == ['ppp/0/+', 'ppp/0/-/2']
+    again = repeated(outcome.run_ids, ['ppp/0/+', 'ppp/0/-'])
+    assert again
     log = read_log(bag)
-    assert any(w.startswith('run ppp/0/- was broken off and repeated as ppp/0/-/2') for w in log.warnings)
+    for run in again:
+        said = f'run {run.rpartition("/")[0]} was broken off and repeated as {run};'
+        assert any(w.startswith(said) for w in log.warnings), log.warnings
     assert len(open_bag(Path(bag)).files) == (2 if node == 'recorder' else 1)
     assert not list(tmp_path.glob('.*.recording'))     # the mark goes with the writer

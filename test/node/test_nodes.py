@@ -152,7 +152,7 @@ FIXED = {
     'step_sequencer': {'host': '10.0.0.1', 'port': 1, 'description_file': '/etc/passwd', 'feed': 5.0,
                        'origin': [1.0, 1.0, 1.0], 'setup_codes': ['ppp=M102'], 'listeners': [''], 'sources': [''],
                        'light': '/other/use_source', 'lease': 3600.0, 'lost_client': 'at_once', 'ask_operator': True},
-    'recorder': {'bag': '/tmp/elsewhere', 'bag_folder': '/tmp'},
+    'recorder': {'bag': '/tmp/elsewhere', 'bag_folder': '/tmp', 'go_on': True},
 }
 
 
@@ -177,9 +177,10 @@ def test_a_bag_elsewhere_than_in_the_recorder_s_folder_is_refused(cell, tmp_path
         cell.operator.new_log(str(tmp_path / 'elsewhere'))
     operator = cell.operator
     operator.bring('recorder', 'inactive')
-    operator.set_parameters('recorder', {'name': '../outside'})
-    with pytest.raises(StepdiagError, match='a name without a folder'):
-        operator.bring('recorder', 'active')
+    for name in ('../outside', '..'):
+        operator.set_parameters('recorder', {'name': name})
+        with pytest.raises(StepdiagError, match='a name without a folder'):
+            operator.bring('recorder', 'active')
     operator.set_parameters('recorder', {'name': ''})
     operator.bring('recorder', 'active')
 

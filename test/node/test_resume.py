@@ -13,6 +13,9 @@ from stepdiag_ros.estimate import evaluate
 from stepdiag_ros.model.log import DONE
 
 RUNS = ('ppp/0/+', 'ppp/0/-', 'lin_x/0/+', 'lin_x/0/-')
+STOPS = {'ppp': {0, 1, 2, 3}, 'lin_x': {0, 1}}
+#: Whose death stops nothing.
+LOOKS_ON = ('evaluation_solver', 'gap_monitor')
 
 
 def first_names(run_ids) -> tuple[str, ...]:
@@ -34,11 +37,14 @@ def agree(one, other) -> None:
         assert max(a['sigma']) < 2e-5 and (away <= uncertainty).all(), (name, away, uncertainty)
 
 
+@pytest.mark.timeout(1800)
 @pytest.mark.parametrize('node', ['psd_driver', 'interferometer_driver', 'recorder', 'evaluation_solver', 'gap_monitor',
                                   'step_sequencer'])
-def test_a_calibration_goes_on_where_a_node_s_death_broke_it_off(cell, undisturbed, node, eventually):
+def test_a_calibration_goes_on_where_a_node_s_death_broke_it_off(cell, undisturbed, node, repeated, eventually):
     killed, bag, before = [], cell.runtime.parent / node, cell.restarts
     cell.operator.new_log(str(bag))
+    # Where nothing is to stop, a computer that is busy with other work shall not be why something does.
+    cell.operator.set_parameters('step_sequencer', {'source_timeout': 30.0 if node in LOOKS_ON else 3.0})
 
     def kill(feedback) -> None:
         if feedback.run_id == 'ppp/0/-' and feedback.stop >= 6 and not killed:
@@ -48,16 +54,18 @@ def test_a_calibration_goes_on_where_a_node_s_death_broke_it_off(cell, undisturb
     late = node == 'gap_monitor'
     outcome = cell.operator.calibrate(dwell_s=0.5, feedback=kill, meanwhile=(lambda: None) if late else cell.watch)
     if late:
-        assert cell.watch() == [node]
+        assert eventually(cell.watch) == [node]
     assert killed and cell.restarts == before + 1
     assert outcome.succeeded, outcome.message
     assert ('was started again' in outcome.message) == (node == 'step_sequencer'), outcome.message
-    assert first_names(outcome.run_ids) == RUNS
+    again = repeated(outcome.run_ids, RUNS)
     live = cell.operator.evaluate()
     if node == 'gap_monitor':     # it has read what it missed from the bag
-        def verdict() -> str:
-            return {v.key: v.value for v in cell.operator.health(node).values}['verdict']
-        eventually(lambda: verdict() != 'none yet', 180.0)
+        def health() -> dict[str, str]:
+            return {v.key: v.value for v in cell.operator.health(node).values}
+        # It diagnoses when nobody else wants the processor: that takes as long as the others leave it.
+        eventually(lambda: health().get('verdict', 'none yet') != 'none yet', 1500.0,
+                   lambda: cell.operator.health(node))
     assert cell.operator.recorder.bag == str(bag)
     cell.operator.bring('recorder', 'inactive')
     log = read_log(bag)
@@ -65,19 +73,20 @@ def test_a_calibration_goes_on_where_a_node_s_death_broke_it_off(cell, undisturb
     assert log.description == description
     done = {run: set(log.steps.index[(log.steps.run == k) & (log.steps.phase == DONE)])
             for k, run in enumerate(log.steps.run_ids)}
-    assert all(done[run] == done[RUNS[0] if 'ppp' in run else RUNS[2]] for run in outcome.run_ids)
-    if node in ('evaluation_solver', 'gap_monitor'):
-        assert not any('broken off' in w for w in log.warnings)     # nothing stopped for it
+    assert all(done[run] == STOPS[run.split('/')[0]] for run in outcome.run_ids)
+    if node in LOOKS_ON:
+        assert not again and not any('broken off' in w for w in log.warnings)     # nothing stopped for it
     else:
-        assert any(w.startswith('run ppp/0/- was broken off and repeated as ppp/0/-/2') for w in log.warnings)
+        assert again and all(any(w.startswith(f'run {run.rpartition("/")[0]} was broken off and repeated as {run};')
+                                 for w in log.warnings) for run in again), log.warnings
     if node == 'recorder':
         assert len(open_bag(bag).files) == 2
         assert any('lost before the recorder' in w for w in log.warnings)
     assert (bag / f'{node}_0.mcap').exists()
-    again = evaluate(log)
-    agree(again, solution)
+    evaluated = evaluate(log)
+    agree(evaluated, solution)
     if node != 'recorder':     # the solver has received what the recorder has not
-        assert live['dof'] == again.to_json_dict()['dof']
+        assert live['dof'] == evaluated.to_json_dict()['dof']
 
 
 def test_a_sequencer_that_stood_still_is_called_silent_and_keeps_goal_and_client(cell):

@@ -1,5 +1,6 @@
 """The acquisition's thread: blocks in order, commands between them, lost and found again."""
 
+import os
 import threading
 import time
 from dataclasses import dataclass
@@ -138,3 +139,9 @@ def test_a_fault_that_comes_again_and_again_is_reported_once(bench):
     instrument.unforeseen = KeyError('x')
     wait_for(lambda: instrument.connects > 4)
     assert len(said) == 1
+
+
+def test_it_says_whether_the_system_lets_it_go_first(bench):
+    work, _, blocks, _ = bench
+    wait_for(lambda: blocks)
+    assert work.real_time == (os.sched_getscheduler(work._thread.native_id) == os.SCHED_RR)
