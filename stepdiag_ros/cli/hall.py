@@ -28,11 +28,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--runtime', type=Path, metavar='DIR',
                         help='directory for logs and parameters, a folder a machine (default: a temporary one)')
     add_most(parser, sharing=True)
+    parser.add_argument('--effect', metavar='FILE.py', action='append', default=[],
+                        help='let the cell files name this Python file with an effect of your own; it is run, so '
+                             'give only files that you trust')
 
 
 def run(args: argparse.Namespace) -> int:
     from stepdiag_ros.nodes.bringup import refuse_too_many
     from stepdiag_ros.nodes.hall import Hall
+    from stepdiag_ros.virtual.acting import allow_effect_files
+    allow_effect_files(args.effect)
     refuse_too_many(len(load_hall(args.hall).machines), args.most, str(args.hall))
     asked: list[int] = []
     for number in (signal.SIGINT, signal.SIGTERM):

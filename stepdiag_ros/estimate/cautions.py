@@ -3,7 +3,7 @@
 Four cases, each shown on a known machine in docs/papers: two axes with equal steps that read alike in every diagonal
 (a mirror squared to the machine's diagonal does that), diagonals without linear setups (they do not tell the axes'
 slopes apart), and angular motions, which the vector method takes for translations and lengths of diagonals for
-squareness.
+squareness.  Diagonals are found by what they are, of the body or of faces, whatever the log calls them.
 
 Source: Ibaraki, Goto, Matsubara 2006; Renishaw 2016; Wang & Liotto 2003.
 """
@@ -13,11 +13,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from stepdiag_ros.estimate.of_ways import by_short_names, of_kind
 from stepdiag_ros.estimate.readings import CellReadings
 from stepdiag_ros.estimate.solution import Solution
 from stepdiag_ros.estimate.squareness_diagonals import body_squareness
 from stepdiag_ros.estimate.step_diagonal import angular_effect
-from stepdiag_ros.estimate.stepwise import increments
 from stepdiag_ros.model.description import DIAGONALS
 from stepdiag_ros.model.machine import AXES, CURVES, SQUARENESS, Curve, GeometricErrors
 
@@ -28,33 +28,41 @@ ANGLES = tuple(name for name in CURVES if name[1] in 'ABC')
 
 def cautions(cell: CellReadings, solution: Solution | None) -> tuple[str, ...]:
     """What a reader of several methods' answers must know of this log; ``solution``: the enhanced method's."""
-    names = [name for name in DIAGONALS if name in cell.setups]
-    if not names and not any(setup.sight.kind.endswith('diagonal') for setup in cell.setups.values()):
+    body, face = _stepped(cell, 'body'), _stepped(cell, 'face')
+    if not body and not face and not any(setup.sight.kind.endswith('diagonal') for setup in cell.setups.values()):
         return ()
-    found = (*_alike(cell, names), _without_lines(cell), _angles(cell, names, solution),
-             _sheared(cell, names, solution))
+    found = (*_alike(cell, body, 'diagonal', 'step_diagonal finds'),
+             *_alike(cell, face, 'face diagonal', 'the methods of faces alone (face_diagonal_xy, …) find'),
+             _without_lines(cell), _angles(cell, body + face, solution), _sheared(cell, solution))
     return tuple(text for text in found if text)
 
 
-def _alike(cell: CellReadings, names: list[str]) -> list[str]:
-    """Pairs of axes that read the same in every diagonal, within the noise."""
-    volume, found = np.array(cell.machine.volume), []
+def _stepped(cell: CellReadings, space: str) -> list[str]:
+    """Names of the step diagonals of the ``body`` or of faces, ``face``."""
+    short = [name for name in DIAGONALS if name in cell.setups and space == 'body']
+    return short + of_kind(cell, f'{space} step diagonal')
+
+
+def _alike(cell: CellReadings, names: list[str], which: str, who: str) -> list[str]:
+    """Pairs of axes that read the same in every diagonal that moves both by equal steps, within the noise."""
+    found = []
     for i, j in ((0, 1), (0, 2), (1, 2)):
-        if abs(volume[i] - volume[j]) > ALIKE * volume[i]:
-            continue
-        apart, known = [], []
+        apart, known = [0.0], [0.0]
         for name in names:
             setup = cell.setups[name]
-            sums = np.abs(increments(setup.sight, setup.displacement_m[:, 0], cell.steps).sum(axis=1))
-            apart.append(abs(sums[i] - sums[j]))
+            travel = np.abs(setup.sight.positions[-1] - setup.sight.positions[0])
+            if not travel[i] or abs(travel[i] - travel[j]) > ALIKE * travel[i]:
+                continue
+            change, moved = np.diff(setup.displacement_m[:, 0]), setup.sight.axis[1:]
+            apart.append(abs(abs(change[moved == i].sum()) - abs(change[moved == j].sum())))
             # Each sum is of as many differences of two readings as there are steps.
-            known.append(2.0 * 2.0 * np.sqrt(cell.steps) * float(setup.displacement_sigma_m.max()))
-        if all(a <= u for a, u in zip(apart, known, strict=True)):
+            known.append(2.0 * 2.0 * np.sqrt(np.sum(moved == i)) * float(setup.displacement_sigma_m.max()))
+        if len(apart) > 1 and all(a <= u for a, u in zip(apart, known, strict=True)):
             found.append(
-                f'{AXES[i]} and {AXES[j]} read alike in every diagonal (largest difference {1e6 * max(apart):.3f} µm, '
+                f'{AXES[i]} and {AXES[j]} read alike in every {which} (largest difference {1e6 * max(apart):.3f} µm, '
                 f'U {1e6 * max(known):.3f} µm, k = 2): either the two axes are alike and every mirror stood square '
                 "to its laser, or the mirrors were squared to the machine's diagonal; then the steps tell no more than "
-                "the diagonals' lengths, and step_diagonal finds the mean of both axes (docs/papers/mirror_squared.md)")
+                f"the diagonals' lengths, and {who} the mean of both axes (docs/papers/mirror_squared.md)")
     return found
 
 
@@ -72,8 +80,8 @@ def _angles(cell: CellReadings, names: list[str], solution: Solution | None) -> 
     if not names or solution is None or not all(solution.has(name) for name in ANGLES):
         return ''
     if all(cell.setups[name].spot_m is None and len(cell.setups[name].sight.beams) < 3 for name in names):
-        return ('the log shows no angles (no spots, fewer than three beams): step_diagonal takes them for zero, and '
-                'nothing here says whether they are (docs/papers/angles_in_a_step_diagonal.md)')
+        return ('the log shows no angles (no spots, fewer than three beams): the vector method takes them for zero, '
+                'and nothing here says whether they are (docs/papers/angles_in_a_step_diagonal.md)')
     angles = replace(solution.errors, curves={n: c for n, c in solution.errors.curves.items() if n in ANGLES},
                      square={})
     effects = {name: angular_effect(cell, name, angles)[:, 0] for name in names}
@@ -83,12 +91,14 @@ def _angles(cell: CellReadings, names: list[str], solution: Solution | None) -> 
     if abs(size) <= max(expanded, 2.0 * float(cell.setups[name].displacement_sigma_m.max())):
         return ''
     return (f'the angular motions found move the readings of the diagonals by up to {1e6 * abs(size):.3f} ± '
-            f'{1e6 * expanded:.3f} µm (k = 2; {name}, stop {stop}): step_diagonal takes that for translations '
-            '(docs/papers/angles_in_a_step_diagonal.md)')
+            f'{1e6 * expanded:.3f} µm (k = 2; {name}, stop {stop}): the vector method takes that for '
+            'translations (docs/papers/angles_in_a_step_diagonal.md)')
 
 
-def _sheared(cell: CellReadings, names: list[str], solution: Solution | None) -> str:
+def _sheared(cell: CellReadings, solution: Solution | None) -> str:
     """By how much the angles that were found change the squareness that the lengths of the four diagonals give."""
+    cell = by_short_names(cell, straight=True)
+    names = [name for name in DIAGONALS if name in cell.setups]
     if solution is None or len(names) < len(DIAGONALS) or not all(solution.has(name) for name in ANGLES):
         return ''
     angles = replace(solution.errors, curves={n: c for n, c in solution.errors.curves.items() if n in ANGLES},

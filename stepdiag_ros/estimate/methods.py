@@ -1,9 +1,8 @@
 """Every method by name: what it needs of a log, where it comes from, and how to run it.
 
-``stepdiag evaluate --method NAME`` and ``stepdiag compare`` go through this table.  Methods
-that measure what a step-diagonal log does not hold (face diagonals, tracking
-interferometers, lines with Abbe offsets) are listed with their reason, so that a reader
-sees what exists; they work on arrays.
+``stepdiag evaluate --method NAME`` and ``stepdiag compare`` go through this table.  What a log does not hold
+(step diagonals, faces, parallel lines, stations) is said in words, so that a reader sees what exists.  Setups are
+found by their ways, whatever they are called.
 """
 
 from collections.abc import Callable
@@ -53,28 +52,34 @@ class Method:
 
 # ---- what a log must hold ---------------------------------------------------------------------
 
-def _diagonals(needed: int) -> Callable[[CellReadings], str | None]:
+def _diagonals(needed: int, words: str = "body step diagonals in the plan's steps", straight: bool = False
+               ) -> Callable[[CellReadings], str | None]:
     def lacks(cell: CellReadings) -> str | None:
-        have = [n for n in DIAGONALS if n in cell.setups]
-        return None if len(have) >= needed else f'{needed} body diagonals (has {len(have)})'
+        have = [n for n in DIAGONALS if n in of_ways.short_names(cell, straight)]
+        return None if len(have) >= needed else f'{needed} {words} (has {len(have)})'
     return lacks
 
 
 def _tilts(cell: CellReadings) -> str | None:
-    for name in DIAGONALS:
-        setup = cell.setups.get(name)
-        if setup is not None and setup.spot_m is None and len(setup.sight.beams) < 3:
+    for short, name in of_ways.short_names(cell).items():
+        setup = cell.setups[name]
+        if short in DIAGONALS and setup.spot_m is None and len(setup.sight.beams) < 3:
             return f'psd/spot or three beams in setup {name}'
     return None
 
 
 def _linear(cell: CellReadings) -> str | None:
-    missing = [f'lin_{a}' for a in 'xyz' if f'lin_{a}' not in cell.setups]
+    found = of_ways.short_names(cell)
+    missing = [f'lin_{a}' for a in 'xyz' if f'lin_{a}' not in found]
     return f'linear setups {", ".join(missing)}' if missing else None
 
 
 def _needs(text: str, found: Callable[[CellReadings], Any]) -> Callable[[CellReadings], str | None]:
     return lambda cell: None if found(cell) else text
+
+
+def _short_diagonal(cell: CellReadings) -> str | None:
+    return None if any(name in cell.setups for name in DIAGONALS) else f'one of the setups {", ".join(DIAGONALS)}'
 
 
 def _both_ways(cell: CellReadings) -> str | None:
@@ -146,8 +151,18 @@ def _face_entry(plane: str) -> Method:
                   lambda log, cell: face_diagonal.evaluate(of_ways.faces(cell), plane))
 
 
-def squareness_test(cell: CellReadings):
-    """Squareness from the total lengths of the four diagonals of a log."""
+def _short_named(evaluate: Callable[[CellReadings], Solution]) -> Callable[[CalibrationLog, CellReadings], Solution]:
+    """A method of body step diagonals and lines, which finds them whatever the log calls them."""
+    def run(log: CalibrationLog, cell: CellReadings) -> Solution:
+        found = of_ways.short_names(cell)
+        own = evaluate(of_ways.by_short_names(cell))
+        return replace(own, misalignments={found.get(name, name): value for name, value in own.misalignments.items()})
+    return run
+
+
+def squareness_test(cell: CellReadings) -> Solution:
+    """Squareness from the total lengths of the four diagonals of a log, stepped or in one motion."""
+    cell = of_ways.by_short_names(cell, straight=True)
     names = cell.diagonals('squareness_diagonals', 4)
     setups = {n: cell.setups[n] for n in names}
     return squareness_diagonals.body_squareness(
@@ -182,20 +197,21 @@ def _entries() -> tuple[Method, ...]:
         Method('enhanced_dahlem', 'Enhanced step diagonal, closed form',
                'Dahlem et al. 2018, eqs. 1-6',
                'three body diagonals with PSD or three beams; linear setups for the slopes',
-               _all(_diagonals(3), _tilts), lambda log, cell: enhanced_dahlem.evaluate(cell)),
+               _all(_diagonals(3), _tilts), _short_named(enhanced_dahlem.evaluate)),
         Method('step_diagonal', 'Sequential step diagonal (vector method)',
                'Wang & Liotto 2003, eqs. 5-16', 'three body diagonals', _diagonals(3),
-               lambda log, cell: step_diagonal.evaluate(cell)),
+               _short_named(step_diagonal.evaluate)),
         Method('step_diagonal_no_slopes', 'Vector method, slopes ascribed to the mirror',
                'practice described by Renishaw 2016', 'three body diagonals', _diagonals(3),
-               lambda log, cell: step_diagonal.evaluate(cell, slopes='removed')),
+               _short_named(partial(step_diagonal.evaluate, slopes='removed'))),
         Method('new_formulation', 'New formulation of the step diagonal',
                'Ibaraki et al. 2006, in space', 'four body diagonals and three linear setups',
-               _all(_diagonals(4), _linear), lambda log, cell: new_formulation.evaluate(cell)),
+               _all(_diagonals(4), _linear), _short_named(new_formulation.evaluate)),
         Method('squareness_diagonals', 'Squareness from body diagonals', 'Renishaw 2016',
-               'four body diagonals', _diagonals(4), lambda log, cell: squareness_test(cell)),
+               'four body diagonals', _diagonals(4, 'whole body diagonals', straight=True),
+               lambda log, cell: squareness_test(cell)),
         Method('body_diagonal', 'Body diagonal displacement', 'ISO 230-6 / ASME B5.54-2005',
-               'one body diagonal', _diagonals(1), lambda log, cell: body_diagonal_test(cell)),
+               'one body diagonal', _short_diagonal, lambda log, cell: body_diagonal_test(cell)),
         Method('iso230_2', 'Linear displacement', 'ISO 230-2', 'a linear setup run both ways',
                _both_ways, lambda log, cell: linear_test(cell)),
         _diagonal_entry('body_displacement', 'body'), _diagonal_entry('face_displacement', 'face'),
@@ -217,7 +233,7 @@ def _entries() -> tuple[Method, ...]:
 
 
 CAUTIONED = ('step_diagonal', 'step_diagonal_no_slopes', 'new_formulation', 'squareness_diagonals', 'body_diagonal',
-             'body_displacement', 'face_displacement')
+             'body_displacement', 'face_displacement', *(f'face_diagonal_{plane}' for plane in face_diagonal.PLANES))
 """Methods whose answers may need the cautions of a log (:mod:`stepdiag_ros.estimate.cautions`)."""
 METHODS: dict[str, Method] = {method.name: method for method in _entries()}
 

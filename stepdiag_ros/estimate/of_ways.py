@@ -16,6 +16,7 @@ from stepdiag_ros.estimate.noise import FLOOR_M
 from stepdiag_ros.estimate.readings import CellReadings, SetupReadings
 from stepdiag_ros.estimate.solution import Solution
 from stepdiag_ros.estimate.stepwise import travel_signs
+from stepdiag_ros.model.description import DIAGONALS, LINEAR
 from stepdiag_ros.model.machine import AXES, Curve, GeometricErrors, tool_pose
 
 SAME_M = 1e-6
@@ -147,6 +148,37 @@ def faces(cell: CellReadings) -> CellReadings:
         if whole and len(setup.sight.positions) == 2 * cell.steps + 1 and label not in found:
             found[label] = replace(setup, sight=replace(setup.sight, name=label))
     return replace(cell, setups=found)
+
+
+def short_names(cell: CellReadings, straight: bool = False) -> dict[str, str]:
+    """Names of the setups whose ways are those of a short name, by that: ``ppp`` → ``ppp`` or ``corner_to_corner``.
+
+    ``straight``: diagonals in one motion, which have the stops of none, count where no stepped one is there.
+    """
+    volume, found = np.array(cell.machine.volume), {name: name for name in cell.setups if name in (*DIAGONALS, *LINEAR)}
+    kinds = ('body step diagonal', *(('body diagonal',) if straight else ()))
+    for kind in kinds:
+        for name in of_kind(cell, kind):
+            sight = cell.setups[name].sight
+            corner = volume * [sign < 0.0 for sign in travel_signs(sight)]
+            whole = np.allclose(sight.positions[0], corner, atol=SAME_M) and np.allclose(
+                sight.positions[-1], volume - corner, atol=SAME_M)
+            stepped = kind == 'body diagonal' or (len(sight.positions) == 3 * cell.steps + 1 and np.allclose(
+                np.unique(np.round(sight.positions / volume * cell.steps, 6)), np.arange(cell.steps + 1), atol=1e-5))
+            if whole and stepped and corner[2] == 0.0:
+                found.setdefault(''.join('n' if at else 'p' for at in corner), name)
+    for name in of_kind(cell, 'line'):
+        sight = cell.setups[name].sight
+        if np.abs(sight.positions[0]).max() < SAME_M and travel_signs(sight).sum() > 0.0:
+            found.setdefault(f'lin_{"xyz"[int(np.argmax(travel_signs(sight)))]}', name)
+    return found
+
+
+def by_short_names(cell: CellReadings, straight: bool = False) -> CellReadings:
+    """The setups of :func:`short_names` under these, for methods that look for no others."""
+    found = short_names(cell, straight)
+    return replace(cell, setups={short: replace(cell.setups[name], sight=replace(cell.setups[name].sight, name=short))
+                                 for short, name in found.items()})
 
 
 def edges(cell: CellReadings) -> dict[str, np.ndarray]:

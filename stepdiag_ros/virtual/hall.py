@@ -99,17 +99,24 @@ def write_cells(hall: HallFile, runtime: Path) -> tuple[Path, dict[str, Path]]:
         files[machine.name] = _write(runtime / machine.name / CELL_FILE, content)
     first, *others = hall.machines
     source = _content(first)
-    laser = (source.setdefault('instruments', {}) or {}).setdefault('interferometer', {}) or {}
+    instruments = source['instruments'] = source.get('instruments') or {}
+    laser = instruments.get('interferometer') or {}
     laser |= {'host': hall.laser.host, 'port': hall.laser.port, 'multiplexer': {
         'host': hall.switch.host, 'port': hall.switch.port,
         'machines': [f'{machine.name}/{CELL_FILE}' for machine in others]}}
-    source['instruments']['interferometer'] = laser
+    instruments['interferometer'] = laser
     return _write(runtime / CELL_FILE, source), files
 
 
 def _content(machine: HallMachine) -> dict[str, Any]:
     content = strict_yaml.load(read_text(machine.cell, limits.YAML_BYTES, 'cell file'), str(machine.cell))
     content['machine'] = content['machine'] | {'name': machine.name}
+    # What the cell names relative to its own file is to be found from the folder of the machine, too.
+    control = (content.get('instruments') or {}).get('cnc') or {}
+    named = [(effect, 'file') for effect in (content.get('effects') or {}).values() if effect]
+    for keys, key in (*named, (control, 'config')):
+        if keys.get(key):
+            keys[key] = str(machine.cell.absolute().parent / keys[key])
     return content if machine.seed is None else content | {'seed': machine.seed}
 
 

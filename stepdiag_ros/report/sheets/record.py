@@ -10,6 +10,7 @@ from stepdiag_ros.estimate.traceability import WORDS
 from stepdiag_ros.model.description import Description
 from stepdiag_ros.model.log import CalibrationLog
 from stepdiag_ros.model.path import stops
+from stepdiag_ros.model.surroundings import Expansion
 
 NOT_STATED = 'not stated'
 Row = tuple[str, str]
@@ -144,15 +145,27 @@ def _surroundings(log: CalibrationLog, table: StopTable, names: list[str]) -> li
         if value is None and said is not None:
             value = f'{factor * said:.{digits}f} {unit} (the cell file\'s value, not measured)'
         rows.append((what, value or NOT_STATED))
-    scales = [(f'scale {axis.upper()}', axis, log.description.scales.get(axis)) for axis in _axes(log, names)]
-    for what, topic, material in (*scales, ('the workpiece', 'workpiece', log.description.workpiece)):
-        value = _course(log, f'scale_temperature/{topic}', ends, 1.0, '°C', 2)
-        if value is None and material is not None and material.temperature is not None:
-            value = (f'{material.temperature:.2f} °C, U {2.0 * material.temperature_sigma:.2f} °C (k = 2) '
-                     "(the cell file's value, not measured)")
-        rows.append((f'temperature of {what}', value or NOT_STATED))
-    return [*rows,
-            ('temperature of the machine bed', _said(log, 'bed_temperature'))]
+    for axis in _axes(log, names):
+        rows.append((f'temperature of scale {axis.upper()}',
+                     _material(log, axis, ends, log.description.scales.get(axis))))
+    part = log.description.workpiece
+    rows.append(('temperature of the workpiece', _material(log, 'workpiece', ends, part)))
+    if part is not None:
+        rows.append(('expansion coefficient of the workpiece', _coefficient(part)))
+    return [*rows, ('temperature of the machine bed', _said(log, 'bed_temperature'))]
+
+
+def _material(log: CalibrationLog, name: str, ends: np.ndarray, described: Expansion | None) -> str:
+    """The temperature of a scale or the workpiece: as measured, else as the cell states it."""
+    measured = _course(log, f'scale_temperature/{name}', ends, 1.0, '°C', 2)
+    if measured is not None or described is None or described.temperature is None:
+        return measured or NOT_STATED
+    return (f'{described.temperature:.2f} ± {2.0 * described.temperature_sigma:.2f} °C (k = 2; the cell file\'s value, '
+            'not measured)')
+
+
+def _coefficient(material: Expansion) -> str:
+    return f'{1e6 * material.expansion:.2f} ± {2e6 * material.sigma:.2f} µm/(m·K) (k = 2)'
 
 
 def _course(log: CalibrationLog, topic: str, ends: np.ndarray, factor: float, unit: str, digits: int) -> str | None:
@@ -178,11 +191,7 @@ def _corrections(evaluation: Evaluation, axes: str) -> list[Row]:
     described = evaluation.setting.description.scales
     for axis in axes:
         place = 'xyz'.index(axis)
-        if axis in described:
-            used = described[axis]
-            coefficient = f'{1e6 * used.expansion:.2f} ± {2e6 * used.sigma:.2f} µm/(m·K) (k = 2)'
-        else:
-            coefficient = NOT_STATED
+        coefficient = _coefficient(described[axis]) if axis in described else NOT_STATED
         scales.append((f'expansion coefficient of scale {axis.upper()}', coefficient))
         scales.append((f'readings along {axis.upper()} referred to 20 °C', 'yes, at the temperature of its scale above'
                        if known.referred[place] and np.isfinite(known.expansion[place]) else 'no'))

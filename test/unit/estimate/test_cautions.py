@@ -6,8 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from stepdiag_ros.estimate import face_diagonal
 from stepdiag_ros.estimate.cautions import ANGLES, cautions
-from stepdiag_ros.estimate.readings import sight_of, simulate
+from stepdiag_ros.estimate.of_ways import faces
+from stepdiag_ros.estimate.readings import face_sight, sight_of, simulate
 from stepdiag_ros.estimate.solution import Solution
 from stepdiag_ros.estimate.step_diagonal import evaluate
 from stepdiag_ros.estimate.stepwise import increments
@@ -107,9 +109,62 @@ def test_a_log_without_angles_says_that_they_are_unseen():
     assert len(found) == 1 and 'the log shows no angles' in found[0]
 
 
-def test_diagonals_with_ways_of_their_own_need_lines_too():
-    cell = readings(BOX, uneven(BOX), lines=())
-    own = {f'body_{n}': replace(cell.setups[n], sight=replace(cell.setups[n].sight, kind='body diagonal'))
-           for n in DIAGONALS}
-    found = cautions(replace(cell, setups=own), None)
+def under_own_names(cell, stops=slice(None)):
+    """The same readings as those of setups with ways of their own, at all stops or at some."""
+    own = {}
+    for name, setup in cell.setups.items():
+        kind = 'line' if name in LINEAR else 'body step diagonal' if stops == slice(None) else 'body diagonal'
+        cut = slice(None) if name in LINEAR else stops
+        sight = replace(setup.sight, name=f'own_{name}', kind=kind, positions=setup.sight.positions[cut],
+                        axis=setup.sight.axis[cut])
+        own[sight.name] = replace(setup, sight=sight, displacement_m=setup.displacement_m[cut],
+                                  displacement_sigma_m=setup.displacement_sigma_m[cut], spot_m=setup.spot_m[cut])
+    return replace(cell, setups=own)
+
+
+def test_what_is_said_does_not_depend_on_how_the_log_calls_its_setups():
+    mirrors = squared(CUBE, uneven(CUBE))
+    solution = solution_with(40e-6, 1e-7)
+    for cell, given in ((readings(CUBE, uneven(CUBE), mirrors), None), (readings(BOX, solution.errors), solution),
+                        (readings(BOX, uneven(BOX), lines=('lin_x',)), None)):
+        said = cautions(cell, given)
+        assert said and cautions(under_own_names(cell), given) == tuple(text.replace(' (k = 2; ', ' (k = 2; own_')
+                                                                        .replace('own_own_', 'own_') for text in said)
+
+
+def test_diagonals_in_one_motion_need_lines_and_do_not_see_what_a_yaw_hides():
+    found = cautions(under_own_names(readings(BOX, uneven(BOX), lines=()), slice(None, None, 3)), None)
     assert len(found) == 1 and found[0].startswith('no linear setup of X, Y, Z:')
+    solution = solution_with(40e-6, 1e-7)
+    [sheared] = cautions(under_own_names(readings(BOX, solution.errors), slice(None, None, 3)), solution)
+    assert 'shear the volume as a squareness EC0Y of' in sheared
+
+
+def plate(x_m, y_m, turns):
+    """Both face diagonals of a plate under names of a user's own, mirrors turned in the plane [rad], and the lines."""
+    sights = [face_sight(CUBE, 'xy', sign, STEPS, 0.2) for sign in 'pn']
+    mirrors = {s.name: Misalignment(mirror=tuple(turn * (s.triad[:2] @ [0.0, 0.0, 1.0])))
+               for s, turn in zip(sights, turns, strict=True)}
+    errors = GeometricErrors({f'E{a}{a}': Curve(np.array([0.0, 0.4]), np.array([0.0, e]))
+                              for a, e in (('X', x_m), ('Y', y_m))}, {})
+    cell = simulate(CUBE, STEPS, sights, errors, mirrors, sigma_m=1e-7)
+    lines = {name: setup for name, setup in readings(CUBE, errors).setups.items() if name in LINEAR}
+    own = {f'plate_{name}': replace(setup, sight=replace(setup.sight, name=f'plate_{name}', kind='face step diagonal'))
+           for name, setup in cell.setups.items()}
+    return replace(cell, setups=own | lines)
+
+
+def test_a_mirror_squared_to_the_diagonal_of_a_face_is_named():
+    """The case of 2006 itself: a plate, its two diagonals, under any name."""
+    def apart(turns):
+        changes = [(np.diff(s.displacement_m[:, 0]), s.sight.axis[1:])
+                   for s in plate(30e-6, -10e-6, turns).setups.values() if s.sight.kind]
+        return np.array([abs(c[a == 0].sum()) - abs(c[a == 1].sum()) for c, a in changes])
+    turns = -apart((0.0, 0.0)) * 1e-5 / (apart((1e-5, 1e-5)) - apart((0.0, 0.0)))
+    [found] = cautions(plate(30e-6, -10e-6, turns), None)
+    assert found.startswith('X and Y read alike in every face diagonal') and 'mirror_squared.md' in found
+    ends = [face_diagonal.evaluate(faces(plate(30e-6, -10e-6, turns))).curve(n)[1][-1] for n in ('EXX', 'EYY')]
+    assert ends == pytest.approx([10e-6] * 2, abs=2e-8)
+    assert cautions(plate(30e-6, -10e-6, (0.0, 0.0)), None) == ()
+    # One mirror of two turned: the other still tells the axes apart.
+    assert cautions(plate(30e-6, -10e-6, (turns[0], 0.0)), None) == ()

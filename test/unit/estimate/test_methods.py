@@ -21,7 +21,7 @@ from stepdiag_ros.estimate.methods import (
 from stepdiag_ros.estimate.readings import readings_of_stops, simulate
 from stepdiag_ros.estimate.reduce import reduce_log
 from stepdiag_ros.estimate.solution import Solution
-from stepdiag_ros.model.description import DIAGONALS, Description, Machine, Plan, Setup
+from stepdiag_ros.model.description import DIAGONALS, LINEAR, Description, Machine, Plan, Setup
 from stepdiag_ros.model.machine import CURVES
 
 
@@ -65,8 +65,30 @@ def test_every_method_has_its_reasons(machine, draw_errors, cell_sights):
         assert method.name == name
         assert method.title and method.source and method.needs
         assert (method.lacks(whole) is None) == (name not in never)
-    assert METHODS['step_diagonal'].lacks(bare) == '3 body diagonals (has 2)'
-    assert METHODS['new_formulation'].lacks(bare.without('npp')) == '4 body diagonals (has 1)'
+    assert METHODS['step_diagonal'].lacks(bare) == "3 body step diagonals in the plan's steps (has 2)"
+    assert METHODS['new_formulation'].lacks(bare.without('npp')) == "4 body step diagonals in the plan's steps (has 1)"
+
+
+def test_setups_are_found_by_their_ways_whatever_they_are_called(machine, draw_errors, cell_sights):
+    """Corner to corner, spelled out in the cell file, is the diagonal of a short name; the same for edges."""
+    short = simulate(machine, 3, cell_sights(machine, 3), draw_errors(machine, 3), sigma_m=1e-7)
+    kinds = dict.fromkeys(DIAGONALS, 'body step diagonal') | dict.fromkeys(LINEAR, 'line')
+    spelled = replace(short, setups={f'own_{name}': replace(setup, sight=replace(
+        setup.sight, name=f'own_{name}', kind=kinds[name])) for name, setup in short.setups.items()})
+    for name in ('enhanced_dahlem', 'step_diagonal', 'step_diagonal_no_slopes', 'new_formulation',
+                 'squareness_diagonals'):
+        assert METHODS[name].lacks(spelled) is None, name
+        one, other = (METHODS[name].run(None, cell) for cell in (short, spelled))
+        assert np.array_equal(one.value, other.value) and np.array_equal(one.covariance, other.covariance), name
+        assert {f'own_{setup}' for setup in one.misalignments} == set(other.misalignments), name
+    # Their ends alone, as diagonals in one motion have them, tell squareness and no more.
+    straight = replace(spelled, setups={name: replace(
+        setup, displacement_m=setup.displacement_m[::3], displacement_sigma_m=setup.displacement_sigma_m[::3],
+        sight=replace(setup.sight, kind='body diagonal', positions=setup.sight.positions[::3],
+                      axis=setup.sight.axis[::3]))
+        for name, setup in spelled.setups.items() if name[4:] in DIAGONALS})
+    assert np.array_equal(squareness_test(straight).value, squareness_test(short).value)
+    assert METHODS['step_diagonal'].lacks(straight) == "3 body step diagonals in the plan's steps (has 0)"
 
 
 def test_field_log_every_method(field_log):
@@ -139,7 +161,7 @@ def test_a_setup_with_a_hole_is_left_out_and_named(field_log):
     assert 'ppp' not in cell.setups
     assert 'no run has a reading at stop 5' in cell.left_out['ppp']
     assert METHODS['step_diagonal'].lacks(cell) is None
-    assert METHODS['new_formulation'].lacks(cell) == '4 body diagonals (has 3)'
+    assert METHODS['new_formulation'].lacks(cell) == "4 body step diagonals in the plan's steps (has 3)"
     # One run without that stop is no harm.
     displacement = table.displacement.copy()
     displacement[gone & (table.run == table.run[ppp][0])] = np.nan

@@ -1,6 +1,7 @@
 """The runner drives a control that answers, one that never arrives, and one that fails."""
 
 import time
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
@@ -101,6 +102,29 @@ def test_the_first_dwell_after_a_mounting_may_be_longer():
     dwells = [times[run, stop, DONE] - times[run, stop, DWELL] for run, stop in (
         ('lin_x/0/+', 0), ('lin_x/0/+', 1), ('lin_x/0/-', 1), ('lin_x/0/-', 0))]
     assert dwells[0] >= 200_000_000 and max(dwells[1:]) < dwells[0]
+
+
+def test_the_light_is_held_from_zero_to_the_last_stop_and_by_no_other_move():
+    """Mounting (and whoever is waited for in it), the approach and the way to the next run are made without it."""
+    order = []
+
+    @contextmanager
+    def light(run, expected_s):
+        order.append(('has it', run.run_id))
+        yield
+        order.append(('gives it back', run.run_id))
+    control = Control()
+    hall = Hall(control, light=light)
+    move, announce = control.move, hall.runner.announce
+    control.move = lambda position_m, feed_m_s: (order.append('move'), move(position_m, feed_m_s))
+    hall.runner.mount = lambda setup: order.append('mounts')
+    hall.runner.reset = lambda: order.append('zero')
+    hall.runner.announce = lambda run, stop, phase, time_ns: (
+        order.append('done') if phase == DONE else None, announce(run, stop, phase, time_ns))
+    hall.runner.execute(runs())
+    forward, back = ([('has it', f'lin_x/0/{way}'), 'zero', 'done', 'move', 'done', ('gives it back', f'lin_x/0/{way}')]
+                     for way in '+-')
+    assert order == ['mounts', 'move', *forward, 'move', *back]
 
 
 def test_cancel_stops_the_axes_and_says_what_was_done():

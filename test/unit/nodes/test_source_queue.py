@@ -1,5 +1,9 @@
 """One source, many who ask: order, expected times, leases, and never two at once."""
 
+import runpy
+from pathlib import Path
+
+import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
@@ -128,6 +132,17 @@ def test_usage_counts_what_was_wanted_and_not_given(queue, clock):
     clock.s += 50.0
     usage = queue.measure()
     assert (usage.idle_s, usage.held_s, usage.grants) == (1.0, 4.0, 1) and usage.idle_share == pytest.approx(0.2)
+
+
+def test_four_machines_that_wait_keep_the_light_busy_nearly_as_by_the_best_schedule():
+    """The queue's own code with the simulated clock of bench/bench_hall.py, against the exact schedule."""
+    bench = runpy.run_path(str(Path(__file__).resolve().parents[3] / 'bench' / 'bench_hall.py'))
+    random = np.random.default_rng(5)
+    for dark in (0.1, 1.0):
+        chains = bench['drawn'](random, 4, 3, dark)
+        makespan, idle = bench['by_queue'](chains)
+        least, whole = bench['exact'](chains)
+        assert whole and idle < 0.1 and least <= makespan < 1.2 * least
 
 
 def test_the_holder_counts_from_what_it_sent(clock):

@@ -5,8 +5,10 @@ from pathlib import Path
 import pytest
 
 from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.virtual.acting import ALLOWED, create_effects
 from stepdiag_ros.virtual.cell import load_cell
 from stepdiag_ros.virtual.hall import load_hall, write_cells
+from stepdiag_ros.virtual.linuxcnc_server import config_folder
 
 CELLS = Path(__file__).resolve().parents[3] / 'cells'
 
@@ -34,6 +36,23 @@ def test_each_machine_is_its_cell_under_another_name_and_seed(tmp_path):
     assert shared.instruments.multiplexer == tuple(files)
     assert str(shared.geometry) == str(first.geometry) and shared.seed == first.seed
     assert str(load_cell(shared.instruments.machine_files[0]).geometry) == str(second.geometry)
+
+
+def test_what_a_cell_names_relative_to_its_file_is_found_in_the_hall(tmp_path, monkeypatch):
+    """An effect of one's own beside the cell file, the folder of a LinuxCNC; and a cell without instruments."""
+    (tmp_path / 'own.py').write_text(
+        'from stepdiag_ros.effects.base import Effect\n\n\nclass Own(Effect):\n    name = \'own\'\n')
+    own = (CELLS / 'demo.yaml').read_text(encoding='utf-8').replace('cnc: {', 'cnc: {config: linuxcnc, ')
+    own = own.replace('effects: {}', 'effects: {own: {file: own.py}}')
+    (tmp_path / 'own.yaml').write_text(own, encoding='utf-8')
+    own = own.replace('effects: {own: {file: own.py}}', 'effects:')
+    (tmp_path / 'bare.yaml').write_text(own[:own.index('instruments:')] + 'instruments:\n', encoding='utf-8')
+    found = load_hall(hall(tmp_path, 'machines:\n  - {cell: bare.yaml, name: a}\n  - {cell: own.yaml, name: b}\n'))
+    source, files = write_cells(found, tmp_path / 'run')
+    monkeypatch.setenv(ALLOWED, str(tmp_path / 'own.py'))
+    assert [effect.name for effect in create_effects(load_cell(files['b']))] == ['own']
+    assert config_folder(load_cell(files['b'])) == tmp_path / 'linuxcnc'
+    assert load_cell(source).instruments.multiplexer == ('a', 'b')
 
 
 @pytest.mark.parametrize(('text', 'complaint'), [

@@ -139,16 +139,17 @@ def test_what_the_owner_states_is_on_the_sheet_and_in_the_log(tmp_path):
             'place': 'hall 2', 'person': 'the operator', 'warm_up': '2 h', 'compensation': 'none',
             'bed_temperature': '20.4 °C'}
     setups = yaml.safe_load(DEMO.read_text(encoding='utf-8'))['setups']
-    material = {'scales': {'x': {'expansion': 1.15e-5, 'sigma': 1e-6, 'temperature': 22.0, 'temperature_sigma': 0.2}},
-                'workpiece': {'expansion': 2.3e-5, 'sigma': 1e-6, 'temperature': 24.0}}
-    bag = bag_of(tmp_path / 'stated', test=said, setups={'lin_x': setups['lin_x'] | {'feed': 0.02}}, material=material)
+    scale = {'expansion': 1.15e-5, 'sigma': 1e-6, 'temperature': 21.3, 'temperature_sigma': 0.2}
+    bag = bag_of(tmp_path / 'stated', test=said, setups={'lin_x': setups['lin_x'] | {'feed': 0.02}}, material={
+        'scales': {'x': scale}, 'workpiece': {'expansion': 2.3e-5, 'sigma': 1e-6, 'temperature': 22.0}})
     log = read_log(bag)
     assert dict(log.description.statement.said) == said
     shown = dict(sheets_of(log, evaluate_in_full(log), 'stated')[0].conditions)
-    assert shown['temperature of scale X'].startswith('22.00 °C, U 0.40 °C (k = 2)')
-    assert 'not measured' in shown['temperature of scale X'] and shown['readings along X referred to 20 °C'] != 'no'
-    assert shown['temperature of the workpiece'].startswith('24.00 °C, U 1.00 °C (k = 2)')
-    assert 'EXX -13.' in shown['parts'] and '(k = 2)' in shown['parts']
+    assert shown['temperature of scale X'] == '21.30 ± 0.40 °C (k = 2; the cell file\'s value, not measured)'
+    assert shown['temperature of the workpiece'].startswith('22.00 ± 1.00 °C')
+    assert shown['expansion coefficient of the workpiece'] == '23.00 ± 2.00 µm/(m·K) (k = 2)'
+    assert shown['readings along X referred to 20 °C'].startswith('yes')
+    assert 'EXX -' in shown['parts'] and '(k = 2)' in shown['parts']
     for text in said.values():
         assert any(text in value for value in shown.values()), text
     assert shown['feed'].startswith('commanded 1200 mm/min')
