@@ -43,7 +43,8 @@ from stepdiag_ros.virtual.acting import allow_effect_files
 from stepdiag_ros.virtual.cell import Cell, load_cell
 
 CELL = 'virtual cell'
-START_TIMEOUT_S = 90.0
+#: Whatever lives is waited for so long: what ends is noticed at once, and a computer that is busy takes its time.
+START_TIMEOUT_S = 300.0
 GRACE_S = 15.0
 #: So long the graph is looked at for nodes of the same name before any is started.
 LOOK_AROUND_S = 1.5

@@ -35,7 +35,7 @@ from stepdiag_ros.virtual.truth import truth
 SERVERS = {'cnc': 'cnc_server', 'interferometer': 'interferometer_server', 'psd': 'psd_server'}
 OWN = ('cnc', 'psd')
 """What each of several machines has to itself."""
-START_TIMEOUT_S = 60.0
+START_TIMEOUT_S = 240.0
 GRACE_S = 3.0
 LINUXCNC_GRACE_S = 12.0
 """A real control takes its own time to end."""

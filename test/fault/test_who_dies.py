@@ -151,7 +151,7 @@ class Wire:
 class Wired(Bringup):
     """A cell whose sequencer talks to the control through a :class:`Wire`."""
 
-    wire: Wire
+    wire: Wire | None = None     # until the cell is up
 
     def _endpoints(self):
         endpoints = super()._endpoints()
@@ -161,7 +161,8 @@ class Wired(Bringup):
 
     def stop(self):
         super().stop()
-        self.wire.close()
+        if self.wire is not None:
+            self.wire.close()
 
 
 class Client:
@@ -324,7 +325,7 @@ class OnLinuxCnc:
         self.machine = Machine(folder / 'run', SampledHistory)
 
     def _wait(self, condition) -> None:
-        end = time.monotonic() + 120.0
+        end = time.monotonic() + 400.0
         while not condition():
             assert time.monotonic() < end and self.up.poll() is None, self.said()
             time.sleep(0.1)
