@@ -217,10 +217,8 @@ def _restarted() -> None:
 
 
 def _result(found: Any, args: argparse.Namespace, out: Path) -> str:
-    from stepdiag_ros.compensate.compensation import worst
-    rows = [f'largest deviation in the volume, {name:9} {MICRO * size:8.2f} µm, U = {MICRO * spread:.2f} µm (k = 2)'
-            for name, (size, spread, _) in (('before', worst(found.before)), ('predicted', worst(found.predicted)),
-                                            ('after', worst(found.after)))]
+    rows = [f'largest deviation in the volume, {name:9} {MICRO * size:8.2f} µm, U = {MICRO * spread:.2f} µm (95 %)'
+            for name, (size, spread, _) in found.largest.items()]
     worse = int((found.stops.worse > 0.0).sum())
     rows += [f'smaller by a factor of {found.factor:.1f}',
              f'from the prediction it is off by {MICRO * found.off_m:.2f} µm at most; noise alone stays below '

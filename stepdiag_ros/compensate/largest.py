@@ -8,10 +8,12 @@ taken (GUM Supplement 1); U covers 95 % of them around the stated value.
 
 import numpy as np
 
-from stepdiag_ros.estimate.prediction import Prediction, sensitivities
+from stepdiag_ros.estimate.prediction import Prediction, largest_deviation, predict, sensitivities
 from stepdiag_ros.estimate.solution import Solution
 from stepdiag_ros.model.description import Machine
 
+MOST_KNOTS = 21
+"""Positions an axis at most at which places are looked at."""
 DRAWS, SEED, COVERED = 400, 20, 0.95
 BLOCK = 128
 """Points whose draws are formed together: 128 × 39 × 400 numbers, 16 MB."""
@@ -36,3 +38,16 @@ def largest(solution: Solution, machine: Machine, tool: np.ndarray, field: Predi
     row = int(np.argmax(field.size_m))
     size = float(field.size_m[row])
     return size, float(np.quantile(np.abs(found - size), COVERED)), field.points[row]
+
+
+def largest_of_all(solution: Solution, machine: Machine) -> tuple[float, float, np.ndarray]:
+    """The same over all knots and corners of the volume, for the machine's own tool."""
+    _, _, place = largest_deviation(solution, machine)
+    axes = []
+    for axis, letter in enumerate('XYZ'):
+        knots = [np.asarray(at) for name, at in solution.positions.items() if name[2] == letter]
+        own = np.unique(np.clip(np.concatenate([[0.0, machine.volume[axis]], *knots]), 0.0, machine.volume[axis]))
+        axes.append(own if len(own) <= MOST_KNOTS else np.linspace(own[0], own[-1], MOST_KNOTS))
+    points = np.stack(np.meshgrid(*axes, indexing='ij'), -1).reshape(-1, 3)
+    field = predict(solution, machine, np.concatenate([points, place[None]]))
+    return largest(solution, machine, np.asarray(machine.tool), field)

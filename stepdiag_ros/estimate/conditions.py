@@ -11,7 +11,9 @@ NO_AIR = 3.0e-4 / np.sqrt(3.0)
 UNSEEN_VARIATION = 6.2e-7
 """Standard deviation of the index in a workshop that nobody watches over a calibration: 1 K and 200 Pa, half
 widths of rectangular distributions."""
-ANY_SCALE = 24.0e-6 / np.sqrt(3.0)
+MOST_SCALE = 24.0e-6
+"""Expansion [1/K] of aluminium: no scale expands more."""
+ANY_SCALE = MOST_SCALE / np.sqrt(3.0)
 """Standard uncertainty [1/K] of the expansion of scales of which nothing is known: glass ceramics to aluminium."""
 UNREFERRED = 0.5 * ANY_SCALE
 """Standard uncertainty [1] of a positioning error's slope at a temperature that is not referred to 20 °C: such scales

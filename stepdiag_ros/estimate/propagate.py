@@ -20,7 +20,7 @@ import numpy as np
 from scipy import linalg, sparse, special
 
 from stepdiag_ros.estimate.columns import STOPWISE, Setting, arrival_columns, stop_columns, systematic, turn_columns
-from stepdiag_ros.estimate.conditions import ANY_SCALE, UNREFERRED, Conditions
+from stepdiag_ros.estimate.conditions import ANY_SCALE, MOST_SCALE, UNREFERRED, Conditions
 from stepdiag_ros.estimate.enhanced import Fit
 from stepdiag_ros.estimate.gauge import reporting_matrix
 from stepdiag_ros.estimate.noise import NoiseModel
@@ -141,7 +141,9 @@ def _thermal_slopes(contributor: Contributor, conditions: Conditions) -> np.ndar
     sensor = np.maximum(contributor.standard, np.array(conditions.scale_sigma))
     by_sensor = sensor * np.where(np.isfinite(own), own, contributor.coefficient)
     shown = ANY_SCALE * np.hypot(np.array(conditions.away), sensor)
-    return np.where(referred, by_sensor, np.maximum(by_sensor, np.fmin(shown, UNREFERRED)))
+    # A scale of which nothing is stated may be one that expands most.
+    unstated = sensor * np.where(np.isfinite(own), own, max(MOST_SCALE, contributor.coefficient))
+    return np.where(referred, by_sensor, np.maximum(unstated, np.fmin(shown, UNREFERRED)))
 
 
 def gain(result: Fit, rows: np.ndarray | None = None) -> np.ndarray:

@@ -5,13 +5,15 @@ makes of that maximum follows from drawing both calibrations' errors from their 
 one place, for the largest of many places is looked at (GUM Supplement 1).
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.stats import norm
 
 from stepdiag_ros.compensate.applied import remaining
-from stepdiag_ros.compensate.compensation import K, worst
+from stepdiag_ros.compensate.compensation import worst
+from stepdiag_ros.compensate.largest import largest
 from stepdiag_ros.compensate.taken import Taken
 from stepdiag_ros.estimate.prediction import Prediction, predict, sensitivities
 from stepdiag_ros.estimate.solution import Solution
@@ -46,7 +48,8 @@ class Stops:
 @dataclass(frozen=True)
 class Outcome:
     """Before, predicted and after at the same places; ``off_m`` the largest difference of after from predicted
-    anywhere, ``off_bound_m`` what noise alone stays below in 95 % of all cases; the stops."""
+    anywhere, ``off_bound_m`` what noise alone stays below in 95 % of all cases; the stops; ``largest``: of each of the
+    three fields the largest deviation, its U (95 %) and its place, all [m]."""
 
     before: Prediction
     predicted: Prediction
@@ -54,6 +57,7 @@ class Outcome:
     off_m: float
     off_bound_m: float
     stops: Stops
+    largest: Mapping[str, tuple[float, float, np.ndarray]]
 
     @property
     def as_predicted(self) -> bool:
@@ -72,11 +76,9 @@ class Outcome:
         return worst(self.before)[0] / max(worst(self.after)[0], 1e-12)
 
     def to_json_dict(self) -> dict:
-        def one(prediction: Prediction) -> dict:
-            size, spread, at = worst(prediction)
-            return {'largest_m': size, 'U_m': spread, 'k': K, 'at_m': at.tolist()}
-        return {'before': one(self.before), 'predicted': one(self.predicted), 'after': one(self.after),
-                'factor': self.factor, 'as_predicted': self.as_predicted, 'better': self.better,
+        fields = {when: {'largest_m': size, 'U_m': spread, 'coverage': 0.95, 'at_m': at.tolist()}
+                  for when, (size, spread, at) in self.largest.items()}
+        return {**fields, 'factor': self.factor, 'as_predicted': self.as_predicted, 'better': self.better,
                 'off_prediction_m': self.off_m, 'off_prediction_bound_m': self.off_bound_m,
                 'stops': {'names': list(self.stops.name), 'before_m': self.stops.before_m.tolist(),
                           'after_m': self.stops.after_m.tolist(), 'U_m': self.stops.spread_m.tolist(),
@@ -91,8 +93,10 @@ def outcome(change: Change, first: Solution, first_applied: Taken, second: Solut
     first, second = _under(first, first_applied), _under(second, change.applied)
     after = predict(second, machine, points)
     off = np.linalg.norm(after.deviation_m - predicted.deviation_m, axis=1)
+    figures = {'before': made.worst_before, 'predicted': made.worst(predicted),
+               'after': largest(second, machine, made.point.tool, after)}
     return Outcome(made.before, predicted, after, float(off.max()), _largest_of_noise((first, second), machine, points),
-                   _stops(first, second, log))
+                   _stops(first, second, log), figures)
 
 
 def _under(solution: Solution, applied: Taken) -> Solution:

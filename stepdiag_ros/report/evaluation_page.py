@@ -8,8 +8,8 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
+from stepdiag_ros.compensate.largest import largest_of_all
 from stepdiag_ros.estimate.contributions import contribution_words
-from stepdiag_ros.estimate.prediction import largest_deviation
 from stepdiag_ros.estimate.solution import Solution
 from stepdiag_ros.estimate.traceability import WORDS
 from stepdiag_ros.model.description import Description
@@ -44,8 +44,8 @@ def _head(solution: Solution, description: Description, name: str) -> str:
         badge = ('warn', 'log and model agree roughly')
     else:
         badge = ('bad', 'log and model disagree: see `stepdiag gap` before using this')
-    size, sigma, place = largest_deviation(solution, description.machine)
-    sentence = (f'The machine misses by up to {quantity(size, "m", 2.0 * sigma)} (k = 2) in its volume of '
+    size, spread, place = largest_of_all(solution, description.machine)
+    sentence = (f'The machine misses by up to {quantity(size, "m", spread)} (95 %) in its volume of '
                 + ' × '.join(plain(v * 1e3) for v in description.machine.volume) + ' mm.')
     said = '' if chi2 is None else (f'<p class="lead">Reduced χ² {plain(chi2)} over {solution.dof} degrees of '
                                     'freedom; 1 is what noise alone gives.</p>')

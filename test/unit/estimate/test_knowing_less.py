@@ -7,7 +7,7 @@ import pytest
 
 from stepdiag_ros.compensate.compensation import compensation
 from stepdiag_ros.compensate.controls import CONTROLS
-from stepdiag_ros.compensate.largest import largest
+from stepdiag_ros.compensate.largest import largest, largest_of_all
 from stepdiag_ros.estimate.evaluate import budget_of, evaluate, evaluate_in_full
 from stepdiag_ros.estimate.gauge import to_reference_lines
 from stepdiag_ros.estimate.methods import run_all, run_method
@@ -188,7 +188,7 @@ def headlines(log, solution=None):
     points = np.stack(np.meshgrid(*(np.linspace(0.0, v, 4) for v in machine.volume), indexing='ij'), -1).reshape(-1, 3)
     field = predict(solution, machine, points)
     found = compensation(solution, machine, CONTROLS['sinumerik'], np.zeros(3))
-    return {'report': largest_deviation(solution, machine)[1], 'map': float(np.median(field.sigma_m)),
+    return {'report': largest_of_all(solution, machine)[1], 'map': float(np.median(field.sigma_m)),
             'compensate before': found.worst_before[1], 'compensate after': found.worst_after[1],
             'compensate as measured': found.worst(found.as_measured)[1],
             'verify': largest(solution, machine, np.asarray(machine.tool), field)[1]}

@@ -171,8 +171,11 @@ def test_the_diagnosis_gets_lengths_and_keeps_the_drift():
 
 def test_scales_near_20_degrees_need_no_material():
     """Half a kelvin of any material counts where no sensor shows the scales; less where one shows them near 20 °C."""
-    log = describing(log_of(cell(('scale_temperature: [22.0, 22.5, 23.0]', 'scale_temperature: [20.02, 22.5, 20.0]'))),
-                     scales={})
+    stated = log_of(cell(('scale_temperature: [22.0, 22.5, 23.0]', 'scale_temperature: [20.02, 22.5, 20.0]'),
+                         ('x: {expansion: 1.15e-5', 'x: {expansion: 2.3e-5')))
+    log = describing(stated, scales={})
+    # A scale that is stated to be of aluminium is no worse known than one of which nothing is stated.
+    assert evaluate(stated).curve('EXX')[2][-1] < evaluate(log).curve('EXX')[2][-1]
     shown, unknown = evaluate(log), evaluate(without_topics(log, *(f'scale_temperature/{axis}' for axis in 'xyz')))
     assert shown.curve('EXX')[2][-1] < 0.5 * unknown.curve('EXX')[2][-1]
     assert shown.curve('EYY')[2][-1] == pytest.approx(unknown.curve('EYY')[2][-1], rel=1e-2)

@@ -79,6 +79,9 @@ def test_a_compensated_machine_is_evaluated_with_the_compensation_put_back(cell,
     assert second.reduced_chi2 < 1.4
     found = outcome(change, first, {}, second, under)
     assert found.as_predicted and found.better and found.factor > 10.0
+    shown = found.to_json_dict()
+    assert shown['before']['largest_m'] == pytest.approx(found.factor * shown['after']['largest_m'])
+    assert shown['after']['coverage'] == 0.95 and 1e-7 < shown['after']['U_m'] < found.off_bound_m
     points = change.made.before.points
     joints = points - off(points)
     truth = without_rigid_motion(points, deviation(cell.geometry, machine, joints) + joints - points)
