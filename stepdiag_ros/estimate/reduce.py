@@ -139,12 +139,26 @@ def reduce_log(log: CalibrationLog, cut: bool = False) -> StopTable:
         move_ns, dwell_ns, done_ns,
         lengths.mean, lengths.scatter, lengths.count, lengths.rows,
         spots.mean, spots.scatter, spots.count, spots.rows,
-        spots.health, lengths.refractive_index, tuple(warnings),
+        spots.health, _index_everywhere(lengths, events.run[first]), tuple(warnings),
         displacement_parts=lengths.parts, spot_parts=spots.parts)
     if not np.isfinite(table.displacement).any() and not np.isfinite(table.spot).any():
         raise StepdiagError(f'{log.source}: no dwell of sequencer/step holds a sample of '
                             'interferometer/displacement or psd/spot; check the stamps of both')
     return table
+
+
+def _index_everywhere(lengths: '_Averages', run: np.ndarray) -> np.ndarray:
+    """The index of air that was divided out (n,); a stop without a sample has that of its run, else that of the log.
+
+    Such a stop is no vacuum length: one would make those of the whole log be taken for some.
+    """
+    index, seen = lengths.refractive_index.copy(), lengths.count > 0
+    for number in np.unique(run[~seen]):
+        known = seen & (run == number) if (seen & (run == number)).any() else seen
+        if known.any():
+            # The median is one of them where they are alike, to the last bit.
+            index[~seen & (run == number)] = np.median(index[known])
+    return index
 
 
 def dwell_means(samples: Samples, table: StopTable, setup: str) -> np.ndarray:

@@ -10,7 +10,7 @@ from stepdiag_ros.estimate.gauge import to_reference_lines
 from stepdiag_ros.estimate.metres import divided_by, in_metres, with_one_index
 from stepdiag_ros.estimate.reduce import reduce_log
 from stepdiag_ros.model.air import refractive_index
-from stepdiag_ros.model.log import ScalarSeries
+from stepdiag_ros.model.log import DWELL, ScalarSeries
 from stepdiag_ros.model.machine import Curve, GeometricErrors
 from stepdiag_ros.model.path import setup_direction, start_corner
 
@@ -118,6 +118,16 @@ def test_a_constant_that_nothing_checks_is_uncertain():
     assert known.traceability.air == 'topics'
     assert unknown.traceability.air == 'instrument constant'
     assert unknown.traceability.index_sigma > 5.0 * known.traceability.index_sigma
+    # A stop without a reading is no vacuum length: with topics or without, the others are what they were.
+    stop = np.flatnonzero(log.steps.phase == DWELL)[4]
+    begin, end = log.steps.time_ns[stop:stop + 2]
+    dark = (log.displacement.time_ns >= begin) & (log.displacement.time_ns < end)
+    lost = replace(log, displacement=replace(log.displacement, health=np.where(dark, 0, log.displacement.health)))
+    table = reduce_log(lost)
+    assert np.sum(table.displacement_count == 0) == 1
+    assert np.array_equal(table.refractive_index, reduce_log(log).refractive_index)
+    assert in_metres(lost).air == 'topics'
+    assert in_metres(describing(without_topics(lost), air=None)).air == 'instrument constant'
 
 
 def test_a_topic_in_hectopascal_is_left_out_and_said(vacuum):
