@@ -2,7 +2,7 @@
 # PYTHON=/path/to/python3.12 names a Python, VENV=/path another place for the environment.
 
 VENV ?= .venv
-WORKERS ?= 3
+WORKERS ?= 2
 BIN := $(VENV)/bin
 HASHES ?=
 SETUP = python=$$(PYTHON="$(PYTHON)" sh tools/find_python.sh) && "$$python" tools/setup_env.py --venv "$(VENV)" $(if $(HASHES),--hashes)
