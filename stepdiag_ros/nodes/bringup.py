@@ -280,13 +280,18 @@ class Bringup(BroughtUp):
     def _activate(self, child: _Child) -> None:
         """Configure and activate one node."""
         from stepdiag_ros.nodes.operator import ACTIVE
+        operator, end = self.operator_of(child.namespace), time.monotonic() + START_TIMEOUT_S
+        # A node that ends as it starts has a reason, which nobody should wait for.
+        while child.process.poll() is None and time.monotonic() < end and not operator.answers(child.node, 2.0):
+            pass
         try:
-            self.operator_of(child.namespace).bring(child.node, ACTIVE, START_TIMEOUT_S)
-        except StepdiagError as error:
-            if child.process.poll() is not None:
-                raise StepdiagError(f'{child.name} ended while it was being started: '
-                                    f'{self._last_words(child.name)}') from None
-            raise error
+            if child.process.poll() is None:
+                operator.bring(child.node, ACTIVE, START_TIMEOUT_S)
+        except StepdiagError:
+            if child.process.poll() is None:
+                raise
+        if child.process.poll() is not None:
+            raise StepdiagError(f'{child.name} ended while it was being started: {self._last_words(child.name)}')
 
     # -- watch -------------------------------------------------------------------
 

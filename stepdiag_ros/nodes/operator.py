@@ -165,6 +165,14 @@ class Operator:
         return self._call_until_answered(GetState, f'{node}/get_state', GetState.Request(),
                                          timeout_s).current_state.label
 
+    def answers(self, node: str, timeout_s: float) -> bool:
+        """Whether the node tells its lifecycle state in time."""
+        try:
+            self.state(node, timeout_s)
+        except StepdiagError:
+            return False
+        return True
+
     def transition(self, node: str, name: str, timeout_s: float = 60.0) -> bool:
         """Ask for a transition; whether the node made it."""
         request = ChangeState.Request(transition=Transition(id=TRANSITIONS[name]))
