@@ -74,6 +74,7 @@ def test_time_is_up_when_the_next_run_is_longer(cell, bag):
     assert bags(bag) == ['plan']
 
 
+@pytest.mark.long
 def test_what_hands_alone_could_do_is_left_to_them(cell, bag, restart_sequencer):
     # The control mounts by code what the plan has measured: once more as it stands that tells nothing new.
     restart_sequencer(cell, '-p', "setup_codes:=['ppp=M101','lin_x=M105']")

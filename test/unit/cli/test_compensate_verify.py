@@ -116,6 +116,7 @@ def test_tables_that_are_not_those_of_the_prediction_are_not_put_back(place, tmp
     assert 'y.csv: is not the file' in one_line(capsys)
 
 
+@pytest.mark.long
 def test_tables_that_were_not_loaded_are_found_and_undecided_is_reported(place, capsys):
     bag = str(place / 'before')
     prediction = str(place / 'heidenhain' / 'prediction.json')
@@ -300,6 +301,7 @@ def warm(effects: dict | None = None) -> Cell:
     return parse_cell(yaml.safe_dump(text, sort_keys=False), str(DEMO))
 
 
+@pytest.mark.long
 def test_a_cause_taken_out_leaves_metres_20_degrees_and_the_whole_budget(tmp_path):
     """Lost motion beside all that: the tables are those of the machine without it, its two directions apart."""
     plain, lost = (simulate_log(warm(effects)) for effects in (None, {'backlash': {'B': [4e-6, 0.0, 0.0]}}))

@@ -216,6 +216,7 @@ def every_method(log):
     return found
 
 
+@pytest.mark.long
 def test_every_method_of_compare_grows_or_stays(full):
     """What is known about the log taken away bit by bit, by all methods of the literature too."""
     log, before = full, every_method(full)

@@ -24,9 +24,9 @@ CASES = {'backlash': {'B': [4e-6, 3e-6, 5e-6]},
 SLOW = {'structural_thermal_drift': 2.0}
 """Seconds at a stop for what needs time to show."""
 FLOOR = 1.15
-SHORT_AND_LONG = [pytest.param(name, marks=pytest.mark.long) if name in ('mirror_curvature', 'structural_thermal_drift')
-                  else name for name in CASES]
 """Reduced χ² of log minus noise-free simulation: 1 is the log's own noise."""
+LONG = ('ambient_light', 'mirror_curvature', 'structural_thermal_drift')
+SHORT_AND_LONG = [pytest.param(name, marks=pytest.mark.long) if name in LONG else name for name in CASES]
 
 
 def adopted(diagnosis: Diagnosis, **without: None) -> tuple[Cell, dict, tuple[str, ...]]:
