@@ -103,7 +103,7 @@ def test_a_run_is_seen_as_it_is_measured(live, tmp_path):
         fits(browser, 'desk', tmp_path / 'desk_done.png')
         fits(browser, 'telephone', tmp_path / 'telephone_done.png')
         browser.open(browser.value("document.querySelector('#reports a').href"))
-        browser.until("document.querySelector('h1')?.textContent.includes('(k = 2)') && "
+        browser.until("document.querySelector('h1')?.textContent.includes('(95 %)') && "
                       "document.title.includes('today')", 300.0)
         assert browser.value("document.querySelectorAll('svg').length") >= 1
         assert browser.complaints == []
