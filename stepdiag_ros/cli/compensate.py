@@ -51,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
     from stepdiag_ros.bag.reader import read_log
     from stepdiag_ros.cli.known import known_errors
     from stepdiag_ros.cli.tables import PICTURE, README, write_tables
-    from stepdiag_ros.compensate.applied import remaining, taken_off, without_applied
+    from stepdiag_ros.compensate.applied import bare, remaining
     from stepdiag_ros.compensate.compensation import compensation, place_of
     from stepdiag_ros.compensate.controls import CONTROLS
     from stepdiag_ros.compensate.document import NAME as PREDICTION
@@ -74,9 +74,8 @@ def run(args: argparse.Namespace) -> int:
     point = _point(machine, origin, tool, line, workpiece)
     # Rotations whose effect is taken off are still there: found are the machine's own errors, and then what remains.
     held = control.read(present, place) if present and control.whole_model else {}
-    known = known_errors(without_applied(log, taken_off(held, machine)) if held else log, args.bag)
-    solution = remaining(known.solution, held) if held else known.solution
-    found = compensation(solution, machine, control, origin, point, present, args.partial,
+    known = known_errors(bare(log, held), args.bag)
+    found = compensation(remaining(known.solution, held), machine, control, origin, point, present, args.partial,
                          args.exact, not_metres(known.solution, log), args.volume, known.reversal)
     if args.json:
         print(to_json(document(found, args.bag)))

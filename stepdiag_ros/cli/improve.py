@@ -104,6 +104,7 @@ def _improve(loop: _Loop, cell: Any, folder: Path) -> int:
     from stepdiag_ros.cli.evaluate import tied_lines
     from stepdiag_ros.cli.known import known_errors
     from stepdiag_ros.cli.tables import write_tables
+    from stepdiag_ros.compensate.applied import bare
     from stepdiag_ros.compensate.fit_to_act import not_metres, unfit
     from stepdiag_ros.improve import backup, levels
     from stepdiag_ros.improve.outcome import outcome
@@ -115,7 +116,7 @@ def _improve(loop: _Loop, cell: Any, folder: Path) -> int:
     present = levels.held(folder)
     log = _calibrated(loop, args.cell, 'before')
     applied = present.model(machine)
-    measured = levels.measured_bare(log, applied)
+    measured = bare(log, applied)
     known = known_errors(measured, str(loop.out / 'before'))
     first = known.solution
     wanted = levels.change(args.level, first, machine, present, partial=args.partial, air=not_metres(first, log),
@@ -136,7 +137,7 @@ def _improve(loop: _Loop, cell: Any, folder: Path) -> int:
     if args.hardware:
         _restarted()
     again = _calibrated(loop, args.cell if args.hardware else _fresh_noise(args.cell, cell, loop.out), 'after')
-    under = levels.measured_bare(again, wanted.applied)
+    under = bare(again, wanted.applied)
     then = known_errors(under, str(loop.out / 'after'))
     found, wrong = outcome(wanted, first, applied, then.solution, under), unfit(then.solution)
     for note in (*wrong, *then.notes):

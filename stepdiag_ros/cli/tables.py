@@ -3,8 +3,6 @@
 import hashlib
 from pathlib import Path
 
-import numpy as np
-
 from stepdiag_ros.compensate.compensation import BEFORE, Compensation
 from stepdiag_ros.compensate.control import Place
 from stepdiag_ros.compensate.controls import CONTROLS
@@ -59,8 +57,3 @@ def in_force(prediction: Path, predicted: Predicted, machine: Machine) -> tuple[
 
 def _text(path: Path) -> str:
     return read_text(path, limits.TEXT_BYTES, 'table beside the prediction')
-
-
-def nothing(taken: Taken) -> bool:
-    """Whether nothing is taken off."""
-    return not any(np.any(trim.forward) or np.any(trim.reverse) for trim in taken.values())

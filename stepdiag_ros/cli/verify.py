@@ -44,11 +44,12 @@ def run(args: argparse.Namespace) -> int:
     from stepdiag_ros.bag.reader import read_log
     from stepdiag_ros.cli.evaluate import tied_lines
     from stepdiag_ros.cli.known import known_errors
-    from stepdiag_ros.cli.tables import in_force, nothing
-    from stepdiag_ros.compensate.applied import remaining, taken_off, without_applied
+    from stepdiag_ros.cli.tables import in_force
+    from stepdiag_ros.compensate.applied import bare, remaining
     from stepdiag_ros.compensate.document import predicted_of
     from stepdiag_ros.compensate.fit_to_act import not_metres, unfit
     from stepdiag_ros.compensate.open_directions import openness, without
+    from stepdiag_ros.compensate.taken import nothing
     from stepdiag_ros.compensate.verified import CONFORMS, FAILS, verified
     from stepdiag_ros.report.verify_page import agreement_words, verify_page
 
@@ -63,7 +64,7 @@ def run(args: argparse.Namespace) -> int:
     solutions, notes = [], []
     force = ({}, {}) if predicted is None else in_force(args.prediction, predicted, machine)
     for bag, log, taken in zip((args.before, args.after), logs, force, strict=True):
-        known = known_errors(log if nothing(taken) else without_applied(log, taken_off(taken, machine)), bag)
+        known = known_errors(bare(log, taken), bag)
         if reason := not_metres(known.solution, log):
             raise StepdiagError(f'{bag}: {reason}; nothing is verified')
         if wrong := unfit(known.solution):
@@ -72,8 +73,7 @@ def run(args: argparse.Namespace) -> int:
         if left.open:
             raise StepdiagError(f'{bag}: the log leaves {", ".join(left.open)} open ({"; ".join(left.runs)}); '
                                 'nothing is verified')
-        found = without(known.solution, left.unmeasured)
-        solutions.append(found if nothing(taken) else remaining(found, taken))
+        solutions.append(remaining(without(known.solution, left.unmeasured), taken))
         if not nothing(taken):
             notes.append(f'{Path(bag).name}: measured under the volumetric compensation of {predicted.control}; of '
                          'each error is shown what acts on the tool point')

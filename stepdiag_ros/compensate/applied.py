@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from stepdiag_ros.compensate.taken import Taken, as_measured, errors_of, left_of
+from stepdiag_ros.compensate.taken import Taken, as_measured, errors_of, left_of, nothing
 from stepdiag_ros.estimate.prediction import compensated_command
 from stepdiag_ros.estimate.solution import Solution
 from stepdiag_ros.model.description import Machine
@@ -28,6 +28,11 @@ def taken_off(taken: Taken, machine: Machine) -> TakenOff:
     """What a control that computes the whole model takes off, axes less joints, for the machine's own tool."""
     errors = errors_of(taken)
     return lambda axes: np.atleast_2d(axes) - compensated_command(errors, machine, axes)
+
+
+def bare(log: CalibrationLog, taken: Taken) -> CalibrationLog:
+    """The log as without a compensation of the whole model that takes ``taken`` off; itself where that is nothing."""
+    return log if nothing(taken) else without_applied(log, taken_off(taken, log.description.machine))
 
 
 def without_applied(log: CalibrationLog, off: TakenOff) -> CalibrationLog:
@@ -55,10 +60,13 @@ def without_applied(log: CalibrationLog, off: TakenOff) -> CalibrationLog:
 
 
 def remaining(solution: Solution, taken: Taken) -> Solution:
-    """What the tool point keeps of the machine's own errors under a compensation, from its own reference lines.
+    """What the tool point keeps of the machine's own errors under a compensation, from its own reference lines; the
+    solution itself where nothing is taken off.
 
     The covariance is that of the errors: the compensation is known exactly.
     """
+    if nothing(taken):
+        return solution
     left = as_measured(left_of(solution.errors, {name: trim for name, trim in taken.items() if solution.has(name)}),
                        solution.positions)
     value = np.array([left.square[name] if knot < 0 else float(left.curves[name].value[knot])

@@ -47,6 +47,11 @@ Taken = Mapping[str, Trim]
 """What a control takes off, by the names of ISO 230-1 (``EXX`` … ``ECZ``)."""
 
 
+def nothing(taken: Taken) -> bool:
+    """Whether nothing is taken off."""
+    return not any(np.any(trim.forward) or np.any(trim.reverse) for trim in taken.values())
+
+
 def places(*sets: Iterable[float]) -> np.ndarray:
     """All positions [m] of several curves in rising order, each once."""
     merged = np.unique(np.concatenate([np.asarray(s, float).ravel() for s in sets]))

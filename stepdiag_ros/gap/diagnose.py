@@ -100,6 +100,7 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
     groups = tuple(group for group in confused(sets, doubtful) if not untimed & set(group))
     words, run = advise(joint, competing_models(screen, effects, sets, doubtful, groups, hint is not None), groups,
                         bool(unmodelled), hint.settles if hint else None)
+    no_metres = untold(log, observation.table)
     return Diagnosis(
         log, _verdict(found, unmodelled), how_far, shares(joint, found, bool(unmodelled)), tuple(found),
         {**names, **outside, NOTHING: nothing * float(np.prod([1.0 - p for p in outside.values()]))},
@@ -107,9 +108,8 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
               for s, w in zip(sets, weights, strict=True))[:20],
         groups, observation, joint, clocks, disturbances.dwell_spectrum.displacement, unmodelled,
         log.warnings + observation.table.warnings + ((beyond_range,) if beyond_range else ()) + left_out + tuple(unlit)
-        + stated(joint, disturbances.quanta) + tuple(filter(None, [untold(log, observation.table)])),
-        sets, screen, words, run,
-        separations(sets, doubtful), hint, len(effects) + 1)
+        + stated(joint, disturbances.quanta) + ((no_metres,) if no_metres else ()), sets, screen, words, run,
+        separations(sets, doubtful), hint, len(effects) + 1, no_metres)
 
 
 def _well_timed(log: CalibrationLog) -> tuple[CalibrationLog, Observation, Mapping[str, Timing | None],

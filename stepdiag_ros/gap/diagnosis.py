@@ -8,7 +8,6 @@ import numpy as np
 
 from stepdiag_ros.estimate.conditions import NO_AIR
 from stepdiag_ros.estimate.evaluate import solution_of
-from stepdiag_ros.estimate.metres import untold
 from stepdiag_ros.estimate.solution import Solution
 from stepdiag_ros.gap.experiment_design.next_run import NextRun
 from stepdiag_ros.gap.inference.averaged import averaged_solution
@@ -60,7 +59,7 @@ class Diagnosis:
     ``verdict`` as in the contract; ``effects`` what the diagnosis would add to the simulator; ``ranking``
     probabilities of all effects, ``unknown`` and ``nothing``; ``sets`` the sets thought of with their probabilities,
     of ``causes`` possible ones; ``separation`` the log evidence by which what may stand for the likeliest falls
-    behind.
+    behind; ``untold``: that the lengths are no metres, in words, '' where somebody took the index of air into account.
     """
 
     log: CalibrationLog
@@ -84,6 +83,7 @@ class Diagnosis:
     separation: Mapping[str, float] = field(default_factory=dict)
     hint: Hint | None = None
     causes: int = 20
+    untold: str = ''
 
     def to_json_dict(self) -> dict:
         """``gap.json`` of the contract, and more beside it."""
@@ -156,11 +156,6 @@ class Diagnosis:
         if not self.joint.active:
             return None
         return volume_change(self.plain, self.solution, self.log.description.machine)
-
-    @cached_property
-    def untold(self) -> str:
-        """That the lengths are no metres, in words; '' where somebody took the index of air into account."""
-        return untold(self.log, self.nominal.table)
 
     def shown(self, solution: Solution) -> Solution:
         """``solution`` as it may be shown: where nobody tells the index of air, all lengths are uncertain alike."""

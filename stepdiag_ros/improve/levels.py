@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from stepdiag_ros.compensate.applied import remaining, taken_off, without_applied
+from stepdiag_ros.compensate.applied import remaining
 from stepdiag_ros.compensate.compensation import Compensation, compensation
 from stepdiag_ros.compensate.control import Place
 from stepdiag_ros.compensate.controls import CONTROLS
@@ -26,7 +26,6 @@ from stepdiag_ros.linuxcnc import configuration
 from stepdiag_ros.linuxcnc.ini import get
 from stepdiag_ros.linuxcnc.volume import volume_file
 from stepdiag_ros.model.description import Machine
-from stepdiag_ros.model.log import CalibrationLog
 from stepdiag_ros.model.machine import AXES, GeometricErrors
 
 CONTROL = {'tables': CONTROLS['linuxcnc'], 'matrix': CONTROLS['linuxcnc-matrix'],
@@ -103,12 +102,6 @@ def held(folder: Path) -> Present:
     return Present(ini.name, text, files)
 
 
-def measured_bare(log: CalibrationLog, applied: Taken) -> CalibrationLog:
-    """The log as without the volumetric component that takes ``applied`` off."""
-    machine = log.description.machine
-    return without_applied(log, taken_off(applied, machine)) if applied else log
-
-
 def change(level: str, solution: Solution, machine: Machine, present: Present, *, partial: bool = False,
            air: str = '', matrixkins: bool = False,
            reversal: Mapping[str, tuple[float, float]] | None = None) -> Change:
@@ -124,9 +117,8 @@ def change(level: str, solution: Solution, machine: Machine, present: Present, *
         raise StepdiagError(f'the control carries the level {present.carries}; take it back first (improve --undo) or '
                             f'keep --level {present.carries}')
     origin = np.array(machine.origin)
-    bare = remaining(solution, present.model(machine)) if VOLUME_FILE in present.files else solution
-    made = compensation(bare, machine, CONTROL[level], origin, None, present.present, partial, air=air,
-                        reversal=reversal)
+    made = compensation(remaining(solution, present.model(machine)), machine, CONTROL[level], origin, None,
+                        present.present, partial, air=air, reversal=reversal)
     if made.refusals:
         return Change(level, {}, made, {})
     files, notes = made.files, []

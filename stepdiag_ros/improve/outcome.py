@@ -90,17 +90,13 @@ def outcome(change: Change, first: Solution, first_applied: Taken, second: Solut
     volumetric compensation that was in force (``first_applied``, ``change.applied``)."""
     machine, made = log.description.machine, change.made
     points, predicted = made.before.points, made.as_measured
-    first, second = _under(first, first_applied), _under(second, change.applied)
+    first, second = remaining(first, first_applied), remaining(second, change.applied)
     after = predict(second, machine, points)
     off = np.linalg.norm(after.deviation_m - predicted.deviation_m, axis=1)
     figures = {'before': made.worst_before, 'predicted': made.worst(predicted),
                'after': largest(second, machine, made.point.tool, after)}
     return Outcome(made.before, predicted, after, float(off.max()), _largest_of_noise((first, second), machine, points),
                    _stops(first, second, log), figures)
-
-
-def _under(solution: Solution, applied: Taken) -> Solution:
-    return remaining(solution, applied) if applied else solution
 
 
 def _largest_of_noise(solutions: tuple[Solution, ...], machine: Machine, points: np.ndarray) -> float:

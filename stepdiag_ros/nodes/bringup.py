@@ -76,6 +76,11 @@ class _Child:
     node: str = ''
     deaths: list[float] = field(default_factory=list)
 
+    @property
+    def called(self) -> str:
+        """Its name in a sentence."""
+        return self.name if self.node else f'the {self.name}'
+
 
 @dataclass(frozen=True)
 class _Machine:
@@ -242,7 +247,7 @@ class Bringup(BroughtUp):
         self._spawn(_Child(CELL, [sys.executable, '-m', 'stepdiag_ros.virtual.cell_process',
                                   str(self.cell_path), '--runtime', str(self.runtime),
                                   '--truth', str(self.truth_file), *options], None))
-        self._await(file.exists, CELL)
+        self._await(file.exists, self._children[CELL])
         return yaml.safe_load(file.read_text(encoding='utf-8'))
 
     def _command(self, machine: _Machine, node: str) -> list[str]:
@@ -262,16 +267,19 @@ class Bringup(BroughtUp):
         """What a process wrote."""
         return self.runtime / f'{name.replace(" ", "_").replace("/", "_")}.log'
 
-    def _await(self, ready: Callable[[], bool], name: str) -> None:
+    def _await(self, ready: Callable[[], bool], child: _Child) -> None:
+        """Wait for a process that is being started, as long as it lives: one that ends has a reason to give."""
         end = time.monotonic() + START_TIMEOUT_S
         while not ready():
-            if self._children[name].process.poll() is not None:
-                raise StepdiagError(f'the {name} ended while it was being started: '
-                                    f'{self._last_words(name)}')
+            self._must_live(child)
             if time.monotonic() > end:
-                raise StepdiagError(f'the {name} is not up after {START_TIMEOUT_S:g} s; '
-                                    f'see {self.log_file(name)}')
+                raise StepdiagError(f'{child.called} is not up after {START_TIMEOUT_S:g} s; '
+                                    f'see {self.log_file(child.name)}')
             time.sleep(0.05)
+
+    def _must_live(self, child: _Child) -> None:
+        if child.process.poll() is not None:
+            raise StepdiagError(f'{child.called} ended while it was being started: {self._last_words(child.name)}')
 
     def _last_words(self, name: str) -> str:
         lines = self.log_file(name).read_text(encoding='utf-8', errors='replace').strip().splitlines()
@@ -280,18 +288,12 @@ class Bringup(BroughtUp):
     def _activate(self, child: _Child) -> None:
         """Configure and activate one node."""
         from stepdiag_ros.nodes.operator import ACTIVE
-        operator, end = self.operator_of(child.namespace), time.monotonic() + START_TIMEOUT_S
-        # A node that ends as it starts has a reason, which nobody should wait for.
-        while child.process.poll() is None and time.monotonic() < end and not operator.answers(child.node, 2.0):
-            pass
+        operator = self.operator_of(child.namespace)
+        self._await(lambda: operator.answers(child.node, 2.0), child)
         try:
-            if child.process.poll() is None:
-                operator.bring(child.node, ACTIVE, START_TIMEOUT_S)
-        except StepdiagError:
-            if child.process.poll() is None:
-                raise
-        if child.process.poll() is not None:
-            raise StepdiagError(f'{child.name} ended while it was being started: {self._last_words(child.name)}')
+            operator.bring(child.node, ACTIVE, START_TIMEOUT_S)
+        finally:
+            self._must_live(child)     # its last words say more than that it does not answer
 
     # -- watch -------------------------------------------------------------------
 

@@ -42,6 +42,11 @@ class Settled:
     def evidence(self) -> float:
         return total_evidence(self.joint, self.sets, self.screen)
 
+    @cached_property
+    def without_effects(self) -> float:
+        """The same of the fit without effects."""
+        return total_evidence(self.alone, [EffectSet((), 0.0)], self.screen)
+
 
 def settle_in_noise(observation: Observation, effects: Mapping[str, Effect]) -> Settled:
     """The fit of the machine alone, and what :func:`settle` finds from there, in the noise that explains more; the log
@@ -85,8 +90,8 @@ def _against(nothing: Settled, acting: Settled) -> Settled:
 def _ahead(nothing: Settled, acting: Settled) -> tuple[float, list[EffectSet]]:
     """By how much in log evidence effects are ahead of nothing, and their sets with no more than that."""
     among, sets = len({candidate.effect for candidate in nothing.screen.candidates}), acting.sets
-    plain = total_evidence(nothing.alone, [EffectSet((), 0.0)], nothing.screen)
-    ahead = acting.evidence - log_prior(sets[0], among) - plain + log_prior(EffectSet((), 0.0), among)
+    ahead = acting.evidence - log_prior(sets[0], among) - nothing.without_effects \
+        + log_prior(EffectSet((), 0.0), among)
     behind = max(sets[0].log_bayes - ahead, 0.0)
     return ahead, sorted((replace(s, log_bayes=s.log_bayes - behind) if s.members else s for s in sets),
                          key=lambda s: (bool(s.refused), -(s.log_bayes + log_prior(s, among))))

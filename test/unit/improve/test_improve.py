@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stepdiag_ros.compensate.applied import taken_off, without_applied
+from stepdiag_ros.compensate.applied import bare, taken_off, without_applied
 from stepdiag_ros.compensate.control import Place
 from stepdiag_ros.compensate.taken import left_of
 from stepdiag_ros.errors import StepdiagError
@@ -74,7 +74,7 @@ def test_a_compensated_machine_is_evaluated_with_the_compensation_put_back(cell,
     off = taken_off(change.applied, machine)
     again = compensated_log(replace(cell, seed=cell.seed + 1), off)
     assert evaluate(again).reduced_chi2 > 2.0
-    under = levels.measured_bare(again, change.applied)
+    under = bare(again, change.applied)
     second = evaluate(under)
     assert second.reduced_chi2 < 1.4
     found = outcome(change, first, {}, second, under)
