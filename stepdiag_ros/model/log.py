@@ -75,16 +75,22 @@ class Samples:
 
 @dataclass(frozen=True)
 class ScalarSeries:
-    """One environment quantity: ``time_ns`` (n,), ``value`` (n,) [°C, Pa or 0..1], ``variance`` (n,)."""
+    """One environment quantity: ``time_ns`` (n,), ``value`` (n,) [°C, Pa or 0..1], ``variance`` (n,).
+
+    ``later``: readings have come that :meth:`until` left out, so that none before them is on its way.
+    """
 
     time_ns: np.ndarray
     value: np.ndarray
     variance: np.ndarray
+    later: bool = False
 
     def until(self, end_ns: int) -> 'ScalarSeries':
         """The readings not after ``end_ns``; all of them where there is none before."""
         kept = self.time_ns <= end_ns
-        return ScalarSeries(self.time_ns[kept], self.value[kept], self.variance[kept]) if kept.any() else self
+        if not kept.any():
+            return self
+        return ScalarSeries(self.time_ns[kept], self.value[kept], self.variance[kept], self.later or not kept.all())
 
     def at(self, time_ns: np.ndarray) -> np.ndarray:
         """The quantity at ``time_ns`` (k,), smoothed over a few readings so that sensor noise stays out.

@@ -11,13 +11,13 @@ from stepdiag_ros.model.machine import CURVES, SQUARENESS
 from stepdiag_ros.nodes.stamps import stamp_of
 
 
-def errors_message(solution: Solution, time_ns: int, complete: bool = True) -> GeometricErrors:
-    """A solution as a message; ``complete``: of a calibration that has ended."""
+def errors_message(solution: Solution, last_step_ns: int, complete: bool = True) -> GeometricErrors:
+    """A solution as a message, stamped with the last step of its log; ``complete``: of a calibration that has ended."""
     squareness = [solution.squareness(name) if solution.has(name) else (math.nan, math.nan) for name in SQUARENESS]
     tied = solution.traceability
     reference = None if tied is None else tied.reference_temperature
     return GeometricErrors(
-        header=Header(stamp=stamp_of(time_ns)), complete=complete, status=solution.status,
+        header=Header(stamp=stamp_of(last_step_ns)), complete=complete, status=solution.status,
         reduced_chi2=math.nan if solution.reduced_chi2 is None else float(solution.reduced_chi2),
         dof=int(solution.dof or 0), squareness=[value for value, _ in squareness],
         squareness_sigma=[sigma for _, sigma in squareness],

@@ -7,7 +7,6 @@ a new log.
 """
 
 import sys
-import time
 import traceback
 from dataclasses import replace
 
@@ -51,14 +50,15 @@ class EvaluationSolver(ListenerNode):
             return False, f'{self.get_name()} is not active'
         with self.working():
             try:
-                solution = evaluate(self.whole_log())
+                log = self.whole_log()
+                solution = evaluate(log)
             except StepdiagError as error:
                 return self._refuse(str(error))
             except Exception as error:
                 # The solver lives on, and keeps what it receives, whatever a log does to the evaluation.
                 self.get_logger().error(traceback.format_exc())
                 return self._refuse(f'the evaluation failed: {type(error).__name__}: {error}')
-            self._publisher.publish(errors_message(solution, time.time_ns()))
+            self._publisher.publish(errors_message(solution, int(log.steps.time_ns[-1])))
             self._last, self._failed = f'{solution.status}, reduced chi2 {solution.reduced_chi2}', False
             if solution.status != GOOD:
                 self.get_logger().warning('; '.join([solution.status, *map(str, solution.sanity)]))

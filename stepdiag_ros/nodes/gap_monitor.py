@@ -109,11 +109,12 @@ class GapMonitor(ListenerNode):
                 if stop.is_set():
                     return
                 try:
-                    solution = evaluate(self.log_so_far())
+                    log = self.log_so_far()
+                    solution = evaluate(log)
                     if stop.is_set():
                         return
                     self._leaving = leaving(solution)
-                    self._so_far.publish(errors_message(solution, time.time_ns(), complete=False))
+                    self._so_far.publish(errors_message(solution, int(log.steps.time_ns[-1]), complete=False))
                 except StepdiagError:
                     continue   # not enough has been measured yet
                 except Exception as error:

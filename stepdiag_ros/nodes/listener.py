@@ -20,7 +20,7 @@ from stepdiag_ros.bag.reader import build_log
 from stepdiag_ros.bag.schemas import DESCRIPTION, STEP, TOPICS, split_topic
 from stepdiag_ros.bag.source import open_bag
 from stepdiag_ros.bag.tables import collect
-from stepdiag_ros.model.log import DONE, CalibrationLog
+from stepdiag_ros.model.log import DONE, CalibrationLog, ScalarSeries
 from stepdiag_ros.nodes.assembler import LogAssembler
 from stepdiag_ros.nodes.base import OK, WARN, Health, StepdiagNode, reliable
 from stepdiag_ros.nodes.idle import IdleFilter
@@ -32,20 +32,24 @@ from stepdiag_ros.nodes.subscription import RECEIVED_TOPICS, RawSubscription, Re
 RECORDER = 'recorder/status'
 #: Longest wait for the recorder's first word: it speaks five times a second, but has to be found first.
 WORD_S = 10.0
-#: Longest wait for samples that are still on their way.
-SETTLE_S = 3.0
-#: How much of its usual interval after the one before a reading of the environment may come.
-EARLIEST = 0.9
+#: Longest wait for what is still on its way.
+SETTLE_S = 5.0
 
 
 def _on_their_way(log: CalibrationLog) -> bool:
-    """Whether what was read before the last step's end is still to come: samples without a pause, of an environment
-    that is read now and then the reading that was due."""
+    """Whether what was read before the last step's end may still be to come: a topic keeps its order, so that only what
+    was read after that end says that nothing is.  For an environment that is read more seldom than one waits, only the
+    reading that is due is waited for."""
     last = log.steps.time_ns[-1]
     samples = [s.time_ns for s in (log.displacement, log.spot, log.beam_angle) if len(s)]
-    readings = [s.time_ns for s in log.environment.values() if len(s.time_ns) > 1]
-    return (any(times[-1] < last for times in samples)
-            or any(times[-1] + EARLIEST * np.median(np.diff(times)) < last for times in readings))
+    return any(times[-1] < last for times in samples) or any(_is_due(s, last) for s in log.environment.values())
+
+
+def _is_due(readings: ScalarSeries, last_ns: int) -> bool:
+    if readings.later or len(readings.time_ns) < 2:
+        return False
+    interval_ns = np.median(np.diff(readings.time_ns))
+    return bool(interval_ns < SETTLE_S * 1e9 or readings.time_ns[-1] + interval_ns < last_ns)
 
 
 class ListenerNode(StepdiagNode):

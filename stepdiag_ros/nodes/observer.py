@@ -180,8 +180,10 @@ def _keep_spot(seen: Seen, message: SpotMean) -> None:
 
 
 def _keep_errors(seen: Seen, message: GeometricErrors) -> None:
-    """The newest count, whichever topic they come on."""
-    if seen.errors is None or ns_of(message.header.stamp) >= ns_of(seen.errors.header.stamp):
+    """What rests on the latest step, on whichever topic and however late; of the same step, what is complete."""
+    def rank(errors: GeometricErrors) -> tuple[int, bool]:
+        return ns_of(errors.header.stamp), errors.complete
+    if seen.errors is None or rank(message) >= rank(seen.errors):
         seen.errors = message
 
 

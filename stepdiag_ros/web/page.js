@@ -141,6 +141,7 @@ function camera(d) {
 }
 
 function drawScene() {
+  if (!scene) return;    // another machine was chosen since this picture was asked for
   const [u, v, d] = scene.triad, target = now && now.setup === scene.setup ? now.point : scene.path[0];
   if (!shown) shown = target.slice();
   const off = plus(target, shown, -1);

@@ -19,7 +19,8 @@ class Story:
         self._observer, self._name = observer, '/' + machine.strip('/')
         self._setup = ''
         self._number = 0
-        self._errors_ns = self._gap_ns = -1
+        self._errors: GeometricErrors | None = None
+        self._gap_ns = -1
 
     def next(self, reports: list[dict[str, Any]]) -> dict[str, Any]:
         """The next message; ``reports``: what was finished."""
@@ -52,8 +53,8 @@ class Story:
                 told['now'] = {'run': step.run_id, 'setup': step.setup, 'stop': step.index, 'stops': len(view.path),
                                'phase': int(step.phase), 'doing': DOING.get(step.phase, ''),
                                'point': view.tool + position, 'position': position}
-        if seen.errors is not None and ns_of(seen.errors.header.stamp) != self._errors_ns:
-            self._errors_ns = ns_of(seen.errors.header.stamp)
+        if seen.errors is not None and seen.errors is not self._errors:
+            self._errors = seen.errors
             told['errors'] = errors_of(seen.errors)
         if seen.gap is not None and ns_of(seen.gap.header.stamp) != self._gap_ns:
             self._gap_ns = ns_of(seen.gap.header.stamp)
