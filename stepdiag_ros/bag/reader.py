@@ -143,8 +143,8 @@ def build_log(source: BagSource, tables: Tables, namespace: str | None = None,
     for relative, table in mine.items():
         if table is not None and TOPICS[relative] in SCALAR_FIELD:
             series, notes = _scalars(relative, table)
-            # A recorder goes on after the last stop: what it gets then must not change an evaluation made at the end.
-            environment |= {key: one.until(int(steps.time_ns[-1])) for key, one in series.items()}
+            environment |= {key: one.during(int(steps.time_ns[0]), int(steps.time_ns[-1]))
+                            for key, one in series.items()}
             warnings += notes
     for table in mine.values():
         if table is not None and (lost := lost_messages(table)):

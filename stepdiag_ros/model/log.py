@@ -14,6 +14,8 @@ from stepdiag_ros.model.description import Description
 MOVE, DWELL, DONE, NONE = 0, 1, 2, 255
 STOOD = 254
 """Axis of a stop that only goes on standing where the one before it stood: nothing moved."""
+STEADY_S = 5.0
+"""Air, scales and workpiece stay as they are for so long."""
 
 
 @dataclass(frozen=True)
@@ -77,20 +79,28 @@ class Samples:
 class ScalarSeries:
     """One environment quantity: ``time_ns`` (n,), ``value`` (n,) [°C, Pa or 0..1], ``variance`` (n,).
 
-    ``later``: readings have come that :meth:`until` left out, so that none before them is on its way.
+    ``later``: readings have come that :meth:`during` left out, so that none before them is on its way.
     """
 
     time_ns: np.ndarray
     value: np.ndarray
     variance: np.ndarray
-    later: bool = False
+    later: bool = field(default=False, compare=False)
 
-    def until(self, end_ns: int) -> 'ScalarSeries':
-        """The readings not after ``end_ns``; all of them where there is none before."""
-        kept = self.time_ns <= end_ns
-        if not kept.any():
+    def during(self, begin_ns: int, end_ns: int) -> 'ScalarSeries':
+        """The readings from ``begin_ns`` to ``end_ns``, and the one before where the next is more than STEADY_S off.
+
+        Whoever listens was there from the beginning to the end; how long before and after is chance, and must not
+        change what is evaluated.  All readings where none came before ``end_ns``.
+        """
+        first, last = np.searchsorted(self.time_ns, (begin_ns, end_ns + 1))
+        if not last:
             return self
-        return ScalarSeries(self.time_ns[kept], self.value[kept], self.variance[kept], self.later or not kept.all())
+        if first and (first == last or self.time_ns[first] > begin_ns + 1e9 * STEADY_S):
+            first -= 1
+        kept = slice(first, last)
+        return ScalarSeries(self.time_ns[kept], self.value[kept], self.variance[kept],
+                            self.later or last < len(self.time_ns))
 
     def at(self, time_ns: np.ndarray) -> np.ndarray:
         """The quantity at ``time_ns`` (k,), smoothed over a few readings so that sensor noise stays out.

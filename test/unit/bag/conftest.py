@@ -72,7 +72,7 @@ def differences(a: CalibrationLog, b: CalibrationLog) -> list[str]:
     else:
         pairs += [(key, a.environment[key], b.environment[key]) for key in a.environment]
     for name, left, right in pairs:
-        for field in fields(left):
+        for field in (one for one in fields(left) if one.compare):
             x, y = getattr(left, field.name), getattr(right, field.name)
             same = x.dtype == y.dtype and x.shape == y.shape and x.tobytes() == y.tobytes() \
                 if isinstance(x, np.ndarray) else x == y

@@ -26,7 +26,7 @@ def _log(phase: int = DONE, period: float = 1.0, **late: float) -> SimpleNamespa
     def times(name: str, interval: float) -> np.ndarray:
         return np.int64(1e9 * (ENDS - late.get(name, -1.0) - interval * np.arange(20.0)[::-1]))
     samples = {name: Stamped(time_ns=times(name, 0.1)) for name in ('displacement', 'spot', 'beam_angle')}
-    air = ScalarSeries(times('air', period), np.full(20, 20.0), np.zeros(20)).until(int(1e9 * ENDS))
+    air = ScalarSeries(times('air', period), np.full(20, 20.0), np.zeros(20)).during(0, int(1e9 * ENDS))
     return SimpleNamespace(steps=SimpleNamespace(phase=[phase], time_ns=[int(1e9 * ENDS)]),
                            environment={'air_temperature': air}, **samples)
 
