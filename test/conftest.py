@@ -21,6 +21,8 @@ os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'SYSTEM_DEFAULT'
 os.environ['FASTRTPS_DEFAULT_PROFILES_FILE'] = str(ROOT / 'test' / 'fastdds_loopback.xml')
 os.environ.pop('ROS_STATIC_PEERS', None)
 os.environ['MPLBACKEND'] = 'Agg'
+# One thread for each worker, as the package has it; a test that imports numpy first would have as many as processors.
+os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
 
 # Every process that a test starts inherits this mark, however far down it is started.
 MARK_NAME = 'STEPDIAG_TEST_MARK'
