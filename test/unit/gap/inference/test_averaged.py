@@ -32,6 +32,7 @@ def test_the_form_that_was_chosen_is_among_the_compositions(found):
     assert any({m.candidate for m in c.members} == chosen for c in compositions(found.screen, found.raw[0]))
 
 
+@pytest.mark.long
 def test_a_form_that_explains_part_of_two_effects_does_not_drive_out_the_set(case):
     """Forms are exchanged beside the others, not gathered from none: alone a free profile may explain more."""
     both = case.diagnose(effect_class('non_rigid_coupling')(motion='EYY', by='Z', amp=8e-5),

@@ -98,7 +98,7 @@ def test_untidy_noise_is_no_cause(case, law, seed):
     assert 0.8 < found.cross_validation.after < 1.25
 
 
-@pytest.mark.parametrize('law, arrival', [('{}', 20), (T3, 25)])
+@pytest.mark.parametrize(('law', 'arrival'), [('{}', 20), pytest.param(T3, 25, marks=pytest.mark.long)])
 def test_a_slip_is_no_tail(case, law, arrival):
     """A step that stays makes tails where noise may have them; it is found all the same, in tidy noise and untidy."""
     slip = effect_class('count_slip')(jump=19 * 316.4e-9, arrival=arrival)
@@ -106,6 +106,7 @@ def test_a_slip_is_no_tail(case, law, arrival):
     assert [e.name for e in found.effects] == ['count_slip'] and not found.unmodelled, found.unmodelled
 
 
+@pytest.mark.long
 def test_nothing_is_claimed_of_a_slip_that_is_an_outlier_as_well(case):
     """Three stops before the end of a run a slip is one arrival of one axis that is far off; heavy tails have these."""
     slip = effect_class('count_slip')(jump=19 * 316.4e-9, arrival=20)

@@ -15,7 +15,7 @@ from stepdiag_ros.gap.summary.where import shares
 
 @pytest.mark.parametrize(('name', 'values'), [
     ('backlash', {'B': [4e-6, 0.0, 3e-6]}),
-    ('psd_rotation', {'angle': 0.05}),
+    pytest.param('psd_rotation', {'angle': 0.05}, marks=pytest.mark.long),
 ])
 def test_shares_are_those_of_the_difference_without_noise(case, name, values):
     effect = effect_class(name)(**values)
@@ -28,6 +28,7 @@ def test_shares_are_those_of_the_difference_without_noise(case, name, values):
         assert said.get(key, 0.0) == pytest.approx(true.get(key, 0.0), abs=0.05), key
 
 
+@pytest.mark.long
 def test_shares_are_those_that_a_fit_leaves_where_the_model_bends():
     """The cosine of a beam takes a change of scale in a linear run: by the Jacobian half of the gap would lie there."""
     made = make(Order('sealed', 20261131, 531, 'single', ('scale_thermal_expansion',)))
