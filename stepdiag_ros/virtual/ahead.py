@@ -1,8 +1,9 @@
 """What a sensor will see in the next milliseconds, worked out in one go and looked up request by request.
 
 Tracing rays for one sample costs as much as for a hundred.  A server that did so for each request at 1 kHz would need
-more than half a processor, and on a busy computer answer late.  The history tells the moves some milliseconds before
-they begin, so what is to come is known; a new move ends what was worked out.
+more than half a processor, and on a busy computer answer late.  The history of a virtual control tells the moves some
+milliseconds before they begin, so what is to come is known; a new move ends what was worked out.  Of a control that
+was only watched nothing is known ahead.
 """
 
 import numpy as np
@@ -53,7 +54,8 @@ class Ahead:
             self._commands = commands
 
     def _look(self, first: int, last: int, setup: str) -> None:
-        self._time = np.arange(first, last + WINDOW_NS + STEP_NS, STEP_NS)
-        self._end, self._setup = int(self._time[-1]), setup
+        ahead = min(last + WINDOW_NS, max(last, self._world.history.foretold_ns + self._late_ns))
+        self._time = np.arange(first, ahead + STEP_NS, STEP_NS).astype(np.int64)
+        self._end, self._setup = int(ahead), setup
         seen = self._world.read(self._time - self._late_ns, setup)
         self._table = np.vstack([seen.length.T, seen.spot.T, seen.quality, seen.intensity, seen.index])

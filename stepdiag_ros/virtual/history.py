@@ -45,6 +45,11 @@ class History:
         """The segments so far, a view (m,) of :data:`SEGMENT`."""
         return self._records[:self._count]
 
+    @property
+    def foretold_ns(self) -> float:
+        """Until when what was not announced by now does not happen [ns]."""
+        return np.inf
+
     def append(self, start_ns: int, origin: np.ndarray, target: np.ndarray, profile: Profile,
                setup: int, lag: np.ndarray | None = None,
                direction: np.ndarray | None = None) -> np.void:

@@ -53,6 +53,11 @@ class SampledHistory(History):
             self._split(count)
         return len(self)
 
+    @property
+    def foretold_ns(self) -> float:
+        """The newest look: where the control goes next it tells nobody."""
+        return float(self._header[1])
+
     def _split(self, count: int) -> None:
         """Moves that begin in the records from those known up to ``count``."""
         # One record back tells what the first new one changed, two whether the machine stood before.

@@ -3,6 +3,7 @@
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,8 +11,12 @@ import pytest
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.linuxcnc.follow import Track
 from stepdiag_ros.virtual import sampled
+from stepdiag_ros.virtual.ahead import Ahead
+from stepdiag_ros.virtual.cell import load_cell
 from stepdiag_ros.virtual.history import now_ns
+from stepdiag_ros.virtual.world import World
 
+CELLS = Path(__file__).resolve().parents[3] / 'cells'
 MS = 1_000_000
 
 
@@ -124,3 +129,29 @@ def test_a_late_look_keeps_no_machine_moving_that_stands(tmp_path, monkeypatch, 
     # While it moves, straight lines between looks are all that is known: the track never runs backwards.
     _, under_way, _, _ = history.locate(begin + np.arange(-40, 104, 1) * MS, 0.0)
     assert np.all(np.diff(under_way[:, 0]) >= 0.0)
+
+
+def test_a_sensor_sees_no_further_than_the_newest_look(tmp_path, monkeypatch):
+    """What will be seen is worked out 20 ms ahead only of a control that says what it will do: a watched one was shown
+    standing meanwhile, and by microns beside the place where it had long said that it stood."""
+    cell = load_cell(CELLS / 'demo.yaml')
+    setup = next(iter(cell.description.setups))
+    track, begin, clock = Track(str(tmp_path / 'track.bin')), now_ns(), [0]
+    monkeypatch.setattr(sampled, 'now_ns', lambda: clock[0])
+    for ms in range(0, 50, 2):
+        track.look(begin + ms * MS, 0, (0.0, 0.0, 0.0))
+    clock[0] = begin + 48 * MS
+    history = sampled.SampledHistory(tmp_path / 'track.bin')
+    history.follow()
+    world = World(cell, history, begin, [])
+    ahead, times, seen = Ahead(world, 0), [], []
+    for ms in range(50, 150):
+        braking = min(ms - 50, 60)
+        track.look(begin + ms * MS, 0, (1e-3 * (braking - braking**2 / 120.0), 0.0, 0.0))
+        clock[0] = begin + ms * MS
+        if ms % 5 == 0:
+            times.append(clock[0])
+            seen.append(ahead.read(np.array([clock[0]]), setup).length[0])
+    whole = world.read(np.array(times), setup).length
+    assert np.ptp(whole) > 0.01
+    np.testing.assert_allclose(seen, whole, rtol=0.0, atol=1e-6)    # but for the error of an arrival
