@@ -22,6 +22,7 @@ NETWORK_SAID = environment.prepare()
 
 import rclpy  # noqa: E402 - the environment has to be set before
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue  # noqa: E402
+from lifecycle_msgs.srv import ChangeState  # noqa: E402
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor  # noqa: E402
 from rclpy.clock import Clock, ClockType  # noqa: E402
 from rclpy.exceptions import InvalidParameterValueException  # noqa: E402
@@ -110,6 +111,9 @@ class StepdiagNode(LifecycleNode):
         super().__init__(name, **kwargs)
         self.state = 'unconfigured'
         self._fault, self._own_start = '', False
+        for service in self.services:
+            if service.srv_type is ChangeState:
+                service.callback = self._refusing(service.callback)
         autostart = self.text('autostart', False, 'configure and activate without being asked')
         self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
         self._diagnostics_timer = self.every(1.0, self.publish_diagnostics)
@@ -220,6 +224,21 @@ class StepdiagNode(LifecycleNode):
         self._fault = ''
         self.state = target
         return TransitionCallbackReturn.SUCCESS
+
+    def _refusing(self, change: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+        """``change`` of the state as in C++: a transition that does not leave the present state is refused.
+
+        rclpy raises there, and whoever asks for one, were it twice for the same, would end the node.
+        """
+        def answer(request: ChangeState.Request, response: ChangeState.Response) -> ChangeState.Response:
+            try:
+                return change(request, response)
+            except RuntimeError as error:
+                self.get_logger().warning(f'no transition {request.transition.label or request.transition.id} from '
+                                          f'{self.state}: {error}')
+                response.success = False
+                return response
+        return answer
 
     def _start_by_itself(self) -> None:
         if self.state == 'unconfigured':

@@ -52,6 +52,8 @@ ASK_AGAIN_S = 2.0
 #: So long one question whether it is back may take.
 ANSWER_S = 8.0
 UNCONFIGURED, INACTIVE, ACTIVE = 'unconfigured', 'inactive', 'active'
+#: Where each transition ends.
+ENDS = {'configure': INACTIVE, 'activate': ACTIVE, 'deactivate': INACTIVE, 'cleanup': UNCONFIGURED}
 #: From a state to another: the next transition on the way.
 WAYS = {(UNCONFIGURED, ACTIVE): 'configure', (UNCONFIGURED, INACTIVE): 'configure', (INACTIVE, ACTIVE): 'activate',
         (INACTIVE, UNCONFIGURED): 'cleanup', (ACTIVE, INACTIVE): 'deactivate', (ACTIVE, UNCONFIGURED): 'deactivate'}
@@ -174,9 +176,17 @@ class Operator:
         return True
 
     def transition(self, node: str, name: str, timeout_s: float = 60.0) -> bool:
-        """Ask for a transition; whether the node made it."""
+        """Ask for a transition; whether the node made it.
+
+        A node that has just been started may not know this client yet: its answer is lost then, and its state tells.
+        """
         request = ChangeState.Request(transition=Transition(id=TRANSITIONS[name]))
-        return self._call(ChangeState, f'{node}/change_state', request, timeout_s).success
+        before, end = self.state(node, timeout_s), time.monotonic() + timeout_s
+
+        def told() -> ChangeState.Response | None:
+            state = self.state(node, max(end - time.monotonic(), ANSWER_S))
+            return None if state == before else ChangeState.Response(success=state == ENDS[name])
+        return self._call_until_answered(ChangeState, f'{node}/change_state', request, timeout_s, told).success
 
     def bring(self, node: str, target: str, timeout_s: float = 60.0) -> None:
         """Take a node to ``target`` on the shortest way; :class:`StepdiagError` if it refuses.
@@ -420,19 +430,23 @@ class Operator:
         return self.wait(client.call_async(request), timeout_s,
                          f'{self.namespace}/{name} does not answer')
 
-    def _call_until_answered(self, kind: type, name: str, request: Any, timeout_s: float) -> Any:
+    def _call_until_answered(self, kind: type, name: str, request: Any, timeout_s: float,
+                             told: Callable[[], Any] = lambda: None) -> Any:
         """The answer to a request that may be sent more than once.
 
         The service of a node that was killed is still known for a while, and what is sent to it alone is lost: so
         the request is sent again every other second.  Whichever is answered first counts: on a busy computer each
-        may take longer than that.
+        may take longer than that.  ``told`` looks before each further request whether the answer is known otherwise.
         """
         client, asked = self._client(kind, name), []
         end, again_s = time.monotonic() + timeout_s, 0.0
         while (now := time.monotonic()) < end:
             if now >= again_s and client.service_is_ready():
-                asked.append(client.call_async(request))
-                again_s = now + ASK_AGAIN_S
+                if asked and (answer := told()) is not None:
+                    return answer
+                if not any(future.done() for future in asked):
+                    asked.append(client.call_async(request))
+                again_s = time.monotonic() + ASK_AGAIN_S
             if answered := [future for future in asked if future.done()]:
                 return answered[0].result()
             time.sleep(0.01)

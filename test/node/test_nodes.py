@@ -193,6 +193,14 @@ def test_drivers_deliver_at_their_rate(cell, eventually):
         assert eventually(lambda rate=rate: rate() > 100.0)
 
 
+@pytest.mark.parametrize('name', ['configure', 'activate', 'cleanup'])
+def test_a_transition_that_does_not_leave_the_state_is_refused_and_ends_no_node(cell, name):
+    """It may be asked for twice, by an operator and a node that starts by itself, or by anybody who tries."""
+    for node in NODES:
+        assert not cell.operator.transition(node, name)
+        assert cell.operator.state(node) == 'active'
+
+
 def test_configuring_without_an_instrument_says_so_in_one_line(cell, eventually):
     operator = cell.operator
     operator.bring('psd_driver', 'unconfigured')
