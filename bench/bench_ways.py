@@ -6,7 +6,7 @@ back of a cell without noise.
     python bench/bench_ways.py --plans 'parallel lines' --draws 200
 
 Each draw is another machine with other misalignments and noise.  Counted are the values of all errors that the evaluation
-does not name as open, but those that are zero by definition.  Writes docs/bench/ways.md and prints it, plan by plan.
+does not name as open, but those that are zero by definition.  Its rows go into docs/bench/ways.md, plan by plan.
 """
 
 import os
@@ -176,27 +176,27 @@ def main() -> None:
         shown, metres, radians = without_noise(PLANS[title])
         free.append(f'| {title} | {len(shown)} | {1e9 * metres:.2g} nm | {1e9 * radians:.2g} nrad |')
         print(free[-1], flush=True)
-    rows: list[str] = []
+    put_in(free, 'nm |')
     for title in asked.plans:
         drawn = [hits(PLANS[title], 1000 + seed) for seed in range(asked.draws)]
         whole, repeats = (np.concatenate([d[k] for d in drawn]) for k in range(2))
         fine = sum(status == 'ok' for *_, status in drawn)
         share = [f'{100 * part.mean():.1f} %' if len(part) else '–' for part in (repeats, whole)]
-        rows.append(f'| {title} | {len(drawn)} | {len(whole)} | {share[0]} | {share[1]} | {fine} of {len(drawn)} |')
-        print(rows[-1], flush=True)
-        PAGE.write_text('\n'.join(page(free, rows)) + '\n', encoding='utf-8')
+        row = f'| {title} | {len(drawn)} | {len(whole)} | {share[0]} | {share[1]} | {fine} of {len(drawn)} |'
+        print(row, flush=True)
+        put_in([row], ' of ')
 
 
-def page(free: list[str], rows: list[str]) -> list[str]:
-    """The lines of the page."""
-    return ['# Coverage by kind of setup', '', 'By `python bench/bench_ways.py`.', '', '## Without noise', '',
-            'One cell each. Counted are errors that an evaluation of the usual noise does not name as open and knows to '
-            f'{1e6 * KNOWN:g} µm or µrad at least; the largest deviation of their values from the truth.', '',
-            '| plan | errors shown | lengths | angles |', '|---|---|---|---|', *free, '', '## With noise', '',
-            'Share of values within U (k = 2) of the truth over so many drawn cells each; 95.4 % is what a normal '
-            'error has. The whole budget holds what these cells do not draw (air, flatness, tool), and so covers more.',
-            '', '| plan | draws | values | by repeats | by the whole budget | evaluations that were ok |', '|---|---|---|---|---|---|',
-            *rows]
+def put_in(rows: list[str], mark: str) -> None:
+    """Rows into the page, in the place of those of the same plans; ``mark``: what tells the table's rows.  What other plans
+    gave, and what the page says, stays."""
+    lines = PAGE.read_text(encoding='utf-8').splitlines()
+    for row in rows:
+        title = row.split(' | ')[0]
+        of_table = [i for i, line in enumerate(lines) if line.startswith('| ') and mark in line]
+        same = [i for i in of_table if lines[i].startswith(f'{title} | ')]
+        lines[same[0] if same else of_table[-1] + 1:same[0] + 1 if same else of_table[-1] + 1] = [row]
+    PAGE.write_text('\n'.join(lines) + '\n', encoding='utf-8')
 
 
 if __name__ == '__main__':
