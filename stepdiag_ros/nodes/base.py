@@ -10,6 +10,7 @@ import os
 import signal
 import sys
 import threading
+import time
 import traceback
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -50,6 +51,8 @@ DEPTH = 2000
 #: How long the executor waits at a time.  The one in the wheel spins idly and deaf when
 #: it is told to wait for ever (decision 0031); a finite wait is what it does well.
 SPIN_S = 0.2
+#: So long diagnostics say that a callback has failed.
+FAILED_S = 10.0
 
 
 def reliable(depth: int = DEPTH, latched: bool = False) -> QoSProfile:
@@ -111,6 +114,7 @@ class StepdiagNode(LifecycleNode):
         super().__init__(name, **kwargs)
         self.state = 'unconfigured'
         self._fault, self._own_start = '', False
+        self._not_understood, self._not_understood_s = '', -FAILED_S
         for service in self.services:
             if service.srv_type is ChangeState:
                 service.callback = self._refusing(service.callback)
@@ -240,6 +244,12 @@ class StepdiagNode(LifecycleNode):
                 return response
         return answer
 
+    def callback_failed(self, error: Exception) -> None:
+        """Somebody has sent what no callback was made for: it is said, and nothing else suffers."""
+        self._not_understood = f'a message was not understood: {type(error).__name__}: {error}'
+        self._not_understood_s = time.monotonic()
+        self.get_logger().error(''.join(traceback.format_exception(error)), throttle_duration_sec=FAILED_S)
+
     def _start_by_itself(self) -> None:
         if self.state == 'unconfigured':
             self._own_start = True
@@ -266,6 +276,8 @@ class StepdiagNode(LifecycleNode):
         level, message = health.level, health.message
         if self._fault:
             level, message = ERROR, self._fault
+        elif level == OK and time.monotonic() < self._not_understood_s + FAILED_S:
+            level, message = WARN, self._not_understood
         status = DiagnosticStatus(
             level=level, name=f'{self.get_namespace().strip("/")}/{self.get_name()}'.lstrip('/'),
             message=message, hardware_id=str(health.values.get('device', '')),
@@ -280,11 +292,17 @@ def _short(value: Any) -> str:
     return f'{value:.6g}' if isinstance(value, float) else str(value)
 
 
-def spin(executor, until: Callable[[], bool]) -> None:
-    """Serve callbacks until ``until()`` is true, which is asked at least five times a second."""
+def spin(executor, until: Callable[[], bool], failed: Callable[[Exception], None] | None = None) -> None:
+    """Serve callbacks until ``until()`` is true, which is asked at least five times a second; ``failed`` is told what a
+    callback raises, which else ends this."""
     never = Future(executor=executor)
     while not until():
-        executor.spin_until_future_complete(never, timeout_sec=SPIN_S)
+        try:
+            executor.spin_until_future_complete(never, timeout_sec=SPIN_S)
+        except Exception as error:
+            if failed is None:
+                raise
+            failed(error)
 
 
 def run_node(make: Callable[[], StepdiagNode]) -> int:
@@ -314,7 +332,7 @@ def _run(make: Callable[[], StepdiagNode]) -> int:
             node.get_logger().warning(NETWORK_SAID)
         executor = EventsExecutor()
         executor.add_node(node)
-        spin(executor, lambda: bool(asked))
+        spin(executor, lambda: bool(asked), node.callback_failed)
         return 0
     except StepdiagError as error:
         print(escaped(f'stepdiag: {error}'), file=sys.stderr)

@@ -109,6 +109,13 @@ class ListenerNode(StepdiagNode):
         self._subscription = None
 
     def _keep(self, received: Received) -> None:
+        try:
+            self._take(received)
+        except Exception as error:
+            # Anybody on this computer may send anything: what is none of the topic's messages ends no log.
+            self.callback_failed(error)
+
+    def _take(self, received: Received) -> None:
         if received.topic == RECORDER:
             self._on_recorder(deserialize_message(received.cdr, RecorderStatus))
             return

@@ -8,11 +8,13 @@ import time
 from pathlib import Path
 
 import pytest
-from diagnostic_msgs.msg import DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rcl_interfaces.msg import ParameterType
 from rcl_interfaces.srv import DescribeParameters, ListParameters
 
+from stepdiag_msgs.msg import RecorderStatus, Step
 from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.nodes.base import reliable
 from stepdiag_ros.virtual import faults
 
 NODES = ('recorder', 'evaluation_solver', 'gap_monitor', 'interferometer_driver', 'psd_driver', 'step_sequencer')
@@ -199,6 +201,25 @@ def test_a_transition_that_does_not_leave_the_state_is_refused_and_ends_no_node(
     for node in NODES:
         assert not cell.operator.transition(node, name)
         assert cell.operator.state(node) == 'active'
+
+
+def test_messages_that_nobody_understands_end_no_node_and_blind_none(cell, eventually):
+    """Anybody on the computer may publish: arrays of unlike length, bytes that are no message."""
+    before, own = cell.pids(), cell.operator.node
+    steps = own.create_publisher(Step, 'sequencer/step', reliable())
+    recorders = own.create_publisher(RecorderStatus, 'recorder/status', reliable(10))
+    said = own.create_publisher(DiagnosticArray, '/diagnostics', 50)
+    assert eventually(lambda: min(p.get_subscription_count() for p in (steps, recorders, said)) >= 2)
+    for raw in (b'\x00\x01\x00\x00', b'\x00\x01\x00\x00' + b'\xff' * 64, b'\x07' * 9):
+        for one in (steps, recorders, said):
+            one.publish(raw)
+    for _ in range(3):
+        recorders.publish(RecorderStatus(topics=['/tiny/sequencer/step'], received=[]))
+    assert eventually(lambda: 'not understood' in cell.operator.health('step_sequencer').message)
+    assert eventually(lambda: 'not understood' not in cell.operator.health('step_sequencer').message)    # it passes
+    assert cell.pids() == before and all(cell.operator.state(node) == 'active' for node in NODES)
+    for node in ('evaluation_solver', 'gap_monitor'):
+        assert 'receives nothing more' not in cell.operator.health(node).message
 
 
 def test_configuring_without_an_instrument_says_so_in_one_line(cell, eventually):
