@@ -195,7 +195,8 @@ def put_in(rows: list[str], mark: str) -> None:
         title = row.split(' | ')[0]
         of_table = [i for i, line in enumerate(lines) if line.startswith('| ') and mark in line]
         same = [i for i in of_table if lines[i].startswith(f'{title} | ')]
-        lines[same[0] if same else of_table[-1] + 1:same[0] + 1 if same else of_table[-1] + 1] = [row]
+        place = same[0] if same else of_table[-1] + 1
+        lines[place:place + len(same)] = [row]
     PAGE.write_text('\n'.join(lines) + '\n', encoding='utf-8')
 
 

@@ -54,8 +54,7 @@ class Ahead:
             self._commands = commands
 
     def _look(self, first: int, last: int, setup: str) -> None:
-        ahead = min(last + WINDOW_NS, max(last, self._world.history.foretold_ns + self._late_ns))
-        self._time = np.arange(first, ahead + STEP_NS, STEP_NS).astype(np.int64)
-        self._end, self._setup = int(ahead), setup
+        self._end = min(last + WINDOW_NS, max(last, self._world.history.foretold_ns + self._late_ns))
+        self._time, self._setup = np.arange(first, self._end + STEP_NS, STEP_NS), setup
         seen = self._world.read(self._time - self._late_ns, setup)
         self._table = np.vstack([seen.length.T, seen.spot.T, seen.quality, seen.intensity, seen.index])

@@ -22,6 +22,7 @@ unit vector, phases [s, m/s³], speed and acceleration at the start, and the ser
 following error [m] that it inherited."""
 
 CAPACITY = 200_000
+FOR_EVER_NS = 2**62
 
 
 def now_ns() -> int:
@@ -46,9 +47,9 @@ class History:
         return self._records[:self._count]
 
     @property
-    def foretold_ns(self) -> float:
+    def foretold_ns(self) -> int:
         """Until when what was not announced by now does not happen [ns]."""
-        return np.inf
+        return FOR_EVER_NS
 
     def append(self, start_ns: int, origin: np.ndarray, target: np.ndarray, profile: Profile,
                setup: int, lag: np.ndarray | None = None,

@@ -54,9 +54,9 @@ class SampledHistory(History):
         return len(self)
 
     @property
-    def foretold_ns(self) -> float:
+    def foretold_ns(self) -> int:
         """The newest look: where the control goes next it tells nobody."""
-        return float(self._header[1])
+        return int(self._header[1])
 
     def _split(self, count: int) -> None:
         """Moves that begin in the records from those known up to ``count``."""

@@ -12,12 +12,12 @@ def _read(*times_s: float) -> ScalarSeries:
     return ScalarSeries(np.int64(1e9 * np.array(times_s)), np.array(times_s), np.zeros(len(times_s)))
 
 
-@pytest.mark.parametrize(('every_s', 'before_s'), [(1.0, (10.0, 0.3)), (4.0, (60.0, 3.0)), (10.0, (100.0, 9.0))])
+@pytest.mark.parametrize(('every_s', 'before_s'), [(1.0, (10.0, 0.3)), (4.0, (60.0, 3.0)), (10.0, (100.0, 12.0))])
 def test_how_long_before_and_after_somebody_listened_leaves_no_trace(every_s, before_s):
     """As long as an idle listener has heard the reading before the first step where readings are rare."""
     times = np.arange(0.0, 300.0, every_s) + 0.9
     logs = [_read(*times[(times > BEGIN - before) & (times < END + after)]).during(int(1e9 * BEGIN), int(1e9 * END))
-            for before in (*before_s, 50.0) for after in (0.0, 70.0) if before >= min(every_s, 10.0) or every_s < 5.0]
+            for before in (*before_s, 50.0) for after in (0.0, 70.0)]
     at = np.int64(1e9 * np.linspace(BEGIN, END, 50))
     for one in logs[1:]:
         np.testing.assert_array_equal(one.at(at), logs[0].at(at))
