@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stepdiag_ros.bag.cdr import alike
+from stepdiag_ros.bag.schemas import OF_SEVERAL, split_topic
 from stepdiag_ros.bag.tables import TopicTable
 from stepdiag_ros.model.description import Description
 from stepdiag_ros.model.log import DONE, DWELL, Samples, StepEvents
@@ -16,14 +17,25 @@ def lost_messages(table: TopicTable) -> int | None:
     """Messages missing between the first and the last, by sequence number.
 
     ``None`` where the writer set no numbers (all alike).  A fall is a publisher
-    that began anew, not a loss; a number seen twice is not one either.
+    that began anew, not a loss; a number seen twice is not one either.  Several publishers are told apart by their
+    ``frame_id``.
     """
     if not table.sequences:
         return None
     sequence = np.concatenate(table.sequences).astype(np.int64)
     if len(sequence) < 2 or (sequence == sequence[0]).all():
         return None
-    return int(np.maximum(np.diff(sequence) - 1, 0).sum())
+    return sum(int(np.maximum(np.diff(own) - 1, 0).sum()) for own in _by_publisher(table, sequence))
+
+
+def _by_publisher(table: TopicTable, sequence: np.ndarray) -> list[np.ndarray]:
+    """The numbers that each publisher gave, in the order of the log."""
+    if (split_topic(table.topic) or ('', ''))[1] not in OF_SEVERAL or not table.groups:
+        return [sequence]
+    number, sequence, names = (np.concatenate(parts) for parts in zip(*(
+        (group.number, group.sequence, group.values['header.frame_id']) for group in table.groups), strict=True))
+    order = np.argsort(number)
+    return [sequence[order][names[order] == name] for name in np.unique(names)]
 
 
 def planned_stops(description: Description, setup: str) -> int:

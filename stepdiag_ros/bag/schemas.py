@@ -50,6 +50,8 @@ STEP_TIMING = 'sequencer/timing'
 BEAM_ANGLE = 'psd/beam_angle'
 CLOCK_STEP = 'clock_step'
 CLOCK_OFFSET = 'clock_offset'
+#: Topics that several nodes publish, each counting its own messages: every node says that its clock was set.
+OF_SEVERAL = (CLOCK_STEP,)
 #: Topics that most logs lack and do not miss.
 OCCASIONAL = (CLOCK_STEP, CLOCK_OFFSET, BEAM_ANGLE)
 

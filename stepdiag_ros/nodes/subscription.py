@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import rclpy
 from rclpy.node import Node
 
+from stepdiag_ros.bag.schemas import OF_SEVERAL
 from stepdiag_ros.nodes.base import DEPTH, overridable, reliable
 
 PERIOD_S = 0.005
@@ -131,8 +132,8 @@ class RawSubscription:
         with self._lock:
             expected = self._next.get(topic, sequence)
             # A publisher that was started anew counts from 1: what it sent before its first
-            # message was received is no loss.
-            if sequence > expected:
+            # message was received is no loss.  Where several publish, a bag's reader knows them apart.
+            if sequence > expected and topic not in OF_SEVERAL:
                 self._lost[topic] += sequence - expected
             self._next[topic] = sequence + 1
             self._received[topic] += 1

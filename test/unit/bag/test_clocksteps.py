@@ -2,7 +2,10 @@
 
 import numpy as np
 
+from stepdiag_ros.bag.check import lost_messages
 from stepdiag_ros.bag.clocksteps import ClockStep, shift_ns
+from stepdiag_ros.bag.schemas import TOPICS
+from stepdiag_ros.bag.tables import Group, TopicTable
 
 SECOND = 1_000_000_000
 
@@ -36,3 +39,18 @@ def test_a_publisher_that_began_anew_is_told_by_the_time():
 def test_without_steps_nothing_is_touched():
     stamp = np.array([3, 1, 2], np.int64)
     assert not shift_ns(stamp, np.arange(3), np.arange(3), []).any()
+
+
+def _announced(*messages: tuple[str, int]) -> TopicTable:
+    """A table of `clock_step` with these nodes' messages, each with the node's own count, in the order of the log."""
+    nodes, counts = zip(*messages, strict=True)
+    sequence = np.array(counts)
+    return TopicTable('/m/clock_step', TOPICS['clock_step'], count=len(messages), sequences=[sequence], groups=[
+        Group({'header.frame_id': np.array(nodes, 'S')}, np.arange(len(messages)), sequence)])
+
+
+def test_nodes_that_announce_at_the_same_time_lose_nothing_of_each_other():
+    """Each announces for every topic that it publishes, and counts these messages itself."""
+    assert lost_messages(_announced(('psd', 1), ('laser', 1), ('laser', 2), ('laser', 3), ('psd', 2), ('laser', 4),
+                                    ('psd', 3), ('laser', 5))) == 0
+    assert lost_messages(_announced(('psd', 1), ('laser', 1), ('laser', 4), ('psd', 2))) == 2
