@@ -25,7 +25,10 @@ while eq. 1 of the same paper keeps a sum, and neither agrees with the exact mod
 
 ``slopes='removed'`` is the evaluation that practice falls back on: a straight line
 in the steps of each axis and setup is ascribed to the mirror, and only the diagonal's
-total is kept and spread over the axes with the smallest correction.
+total is kept and spread over the axes with the smallest correction.  Of the six slopes
+the totals tell as many combinations as there are diagonals: four diagonals tell the
+squareness errors, three do not.  What they leave open stays as it is taken (zero), with
+the uncertainty of not knowing it.
 
 Assumes: no mirror and laser misalignment (or slopes removed), no angular motions (or
 angles given).  Cannot see: angles.  A mirror at μ mixes the axes' positioning
@@ -47,6 +50,11 @@ BLIND = (Unidentifiable(('EAX', 'EBX', 'ECX', 'EAY', 'EBY', 'ECY', 'EAZ', 'EBZ',
          Unidentifiable(('EXX slope', 'EYY slope', 'EZZ slope', 'mirror', 'laser'),
                         'a constant misalignment of a mirror looks like slopes of the '
                         'positioning errors'))
+
+OPEN_SLOPE = 1e-3
+"""Standard deviation [m/m, rad] of a slope that nothing tells: wider than any machine's, as in the full model."""
+_PLACES = ((0, 0), (1, 1), (2, 2), (1, 0), (2, 0), (2, 1))
+"""The six slopes, (axis, component): EXX, EYY, EZZ, EXY, EXZ, EYZ."""
 
 
 def angular_effect(cell: CellReadings, name: str, angles: GeometricErrors) -> np.ndarray:
@@ -105,6 +113,7 @@ def evaluate(cell: CellReadings, angles: GeometricErrors | None = None,
     steps[..., 0] -= nominal_steps(cell, directions)
     if slopes == 'removed':
         steps = _without_slopes(directions, steps, np.array(cell.machine.volume))
+        variance.append(np.full(len(_PLACES), OPEN_SLOPE**2))
     curves = accumulate(vector_steps(directions, steps))
     positions, values, sensitivity = {}, {}, {}
     for axis, place in enumerate(knots(cell.machine, cell.steps)):
@@ -121,18 +130,25 @@ def _without_slopes(directions: np.ndarray, steps: np.ndarray, volume: np.ndarra
 
     Unknown are the slopes of EXX, EYY, EZZ and the three squareness errors (the mean of Δt with
     the frame's X along the X line, Y in the XY plane); a mirror moves reading between the axes
-    of one setup but leaves the sum of a whole XYZ step.
+    of one setup but leaves the sum of a whole XYZ step.  Six columns are appended: what slopes of
+    one that the totals do not tell would add to the steps.
     """
-    mean = steps.mean(axis=2)
+    mean, step = steps.mean(axis=2), volume / steps.shape[2]
     signs = np.sign(directions)
     total = np.einsum('sa,sa...->s...', signs, mean)
-    # Slopes (per metre) of (EXX, EYY, EZZ) and of EXY, EXZ, EYZ → diagonal's total a step.
-    places = [(0, 0), (1, 1), (2, 2), (1, 0), (2, 0), (2, 1)]
-    step = volume / steps.shape[2]
-    matrix = np.stack([signs[:, axis] * directions[:, part] * step[axis]
-                       for axis, part in places], axis=1)
-    slope = np.tensordot(np.linalg.pinv(matrix), total, axes=(1, 0))
-    model = np.zeros_like(mean)
-    for (axis, part), value in zip(places, slope, strict=True):
+    # Slopes (per metre) → diagonal's total a step.
+    matrix = np.stack([signs[:, axis] * directions[:, part] * step[axis] for axis, part in _PLACES], axis=1)
+    inverse = np.linalg.pinv(matrix)
+    told = np.tensordot(inverse, total, axes=(1, 0))
+    model = _steps_of(directions, step, told) - mean
+    left_open = _steps_of(directions, step, np.eye(len(_PLACES)) - inverse @ matrix)
+    return np.concatenate([steps + model[:, :, None],
+                           np.broadcast_to(left_open[:, :, None], (*steps.shape[:3], len(_PLACES)))], axis=-1)
+
+
+def _steps_of(directions: np.ndarray, step: np.ndarray, slopes: np.ndarray) -> np.ndarray:
+    """Readings of the mean steps (setups, axes, columns) [m] by the six slopes (6, columns)."""
+    model = np.zeros((*directions.shape, slopes.shape[1]))
+    for (axis, part), value in zip(_PLACES, slopes, strict=True):
         model[:, axis] += np.multiply.outer(directions[:, part], step[axis] * value)
-    return steps - (mean - model)[:, :, None]
+    return model

@@ -1,5 +1,7 @@
 """The vector method: exact on its own assumptions, and how it fails off them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -88,6 +90,23 @@ def test_machine_c_is_spread_over_three_axes(cell_sights):
     assert evaluate(cell).curve('EZZ')[1][-1] == pytest.approx(100e-6, rel=1e-6)
 
 
+def test_slopes_that_totals_do_not_tell_are_as_uncertain_as_unknown(cell_sights):
+    """Four diagonals tell the squareness errors and one sum of the scales; with three only combinations are told.
+    The answer is off by what was put in and covered by U, and no U shrinks by a diagonal less."""
+    place = np.array([0.0, 1.0])
+    errors = GeometricErrors({'EZZ': Curve(place, 300e-6 * place)}, {'EA0Z': 200e-6, 'EC0Y': -100e-6})
+    cell = simulate(CUBE, 10, cell_sights(CUBE, 10, DIAGONALS), errors, sigma_m=1e-7)
+    four = evaluate(cell, slopes='removed')
+    assert four.curve('EZZ')[2][-1] > 5e-4 and four.squareness('EA0Z')[1] < 1e-6
+    assert four.squareness('EA0Z')[0] == pytest.approx(200e-6, abs=1e-6)
+    for name in DIAGONALS:
+        three = evaluate(replace(cell, setups={n: s for n, s in cell.setups.items() if n != name}), slopes='removed')
+        assert np.all(three.sigma >= (1.0 - 1e-9) * four.sigma), name
+        for square, true in (('EA0Z', 200e-6), ('EC0Y', -100e-6), ('EB0Z', 0.0)):
+            value, sigma = three.squareness(square)
+            assert sigma > 1e-4 and abs(value - true) < 2.0 * sigma, (name, square)
+
+
 def test_printed_angular_terms_cancel_but_the_true_ones_do_not(cell_sights):
     """Eqs. 5–7 take back in Z what X brought in; the exact model keeps x (c·EBX − b·ECX)/r."""
     place = np.linspace(0.0, 1.0, 11)
@@ -103,7 +122,6 @@ def test_propagation_against_draws(machine, cell_sights):
     sights = cell_sights(machine, 4, DIAGONALS)
     cell = simulate(machine, 4, sights, GeometricErrors.zero(), sigma_m=1e-6)
     found = evaluate(cell)
-    from dataclasses import replace
     values = []
     for _ in range(400):
         noisy = {n: replace(s, displacement_m=s.displacement_m + rng.normal(0, 1e-6, s.displacement_m.shape))
