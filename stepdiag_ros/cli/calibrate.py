@@ -18,7 +18,7 @@ long looks, repeats.  It ends when the answer is sure (status 0), or when no suc
 import argparse
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -26,6 +26,7 @@ from typing import Any
 from stepdiag_ros.cli.progress import Bar
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate.traceability import WORDS
+from stepdiag_ros.guard import limits
 from stepdiag_ros.guard.jsontext import to_json
 
 NAME = 'calibrate'
@@ -39,9 +40,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help='calibrate every running machine, as those of a hall, side by side')
     parser.add_argument('--setups', nargs='+', default=[], metavar='NAME',
                         help="setups in the order of measuring (default: all of the cell's)")
-    parser.add_argument('--steps', type=_count, default=0, metavar='N',
+    parser.add_argument('--steps', type=_up_to(limits.STEPS), default=0, metavar='N',
                         help="steps of each axis along a diagonal (default: the plan's)")
-    parser.add_argument('--repeats', type=_count, default=0, metavar='N',
+    parser.add_argument('--repeats', type=_up_to(limits.REPEATS), default=0, metavar='N',
                         help="forward and backward runs of each setup (default: the plan's)")
     parser.add_argument('--dwell', type=float, default=0.0, metavar='S',
                         help="measuring time at a stop [s] (default: the cell's)")
@@ -65,11 +66,13 @@ def _seconds(text: str) -> float:
     return value
 
 
-def _count(text: str) -> int:
-    value = int(text)
-    if not 0 <= value <= 10_000:
-        raise argparse.ArgumentTypeError(f'{value} is not between 0 and 10000')
-    return value
+def _up_to(most: int) -> Callable[[str], int]:
+    def whole_number(text: str) -> int:
+        value = int(text)
+        if not 0 <= value <= most:
+            raise argparse.ArgumentTypeError(f'{value} is not between 0 and {most}')
+        return value
+    return whole_number
 
 
 def run(args: argparse.Namespace) -> int:

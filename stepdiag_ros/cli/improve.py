@@ -139,7 +139,7 @@ def _improve(loop: _Loop, cell: Any, folder: Path) -> int:
     again = _calibrated(loop, args.cell if args.hardware else _fresh_noise(args.cell, cell, loop.out), 'after')
     under = bare(again, wanted.applied)
     then = known_errors(under, str(loop.out / 'after'))
-    found, wrong = outcome(wanted, first, applied, then.solution, under), unfit(then.solution)
+    found, wrong = outcome(wanted, first, applied, then.solution, under, then.reversal), unfit(then.solution)
     for note in (*wrong, *then.notes):
         loop.say(f'after: {note}')
     document = {'level': args.level, 'configuration': str(folder), 'backup': str(kept),

@@ -61,7 +61,7 @@ def run(args: argparse.Namespace) -> int:
     logs = [read_log(bag, args.namespace) for bag in (args.before, args.after)]
     machine = logs[1].description.machine
     _same_machine(logs[0].description.machine, machine, args)
-    solutions, notes = [], []
+    solutions, reversals, notes = [], [], []
     force = ({}, {}) if predicted is None else in_force(args.prediction, predicted, machine)
     for bag, log, taken in zip((args.before, args.after), logs, force, strict=True):
         known = known_errors(bare(log, taken), bag)
@@ -77,10 +77,18 @@ def run(args: argparse.Namespace) -> int:
         if not nothing(taken):
             notes.append(f'{Path(bag).name}: measured under the volumetric compensation of {predicted.control}; of '
                          'each error is shown what acts on the tool point')
+        reversals.append({axis: (value, spread) for axis, (value, spread) in known.reversal.items()
+                          if abs(value) > spread})
+        if reversals[-1]:
+            lost = ', '.join(f'{axis} {1e6 * value:.2f} µm, U = {1e6 * spread:.2g} µm (k = 2)'
+                             for axis, (value, spread) in reversals[-1].items())
+            notes.append(f'{Path(bag).name}: lost motion {lost}; the volumetric error counts each place from the worse '
+                         'side, the 21 errors are the mean of both')
         notes += [f'{Path(bag).name}: {line}' for line in tied_lines(known.solution)]
         notes += [f'{Path(bag).name}: {note}' for note in known.notes]
     notes += apart_words(*solutions)
-    found = verified(*solutions, machine, tolerances, tuple(map(_diagonals, logs)), predicted)
+    found = verified(*solutions, machine, tolerances, tuple(map(_diagonals, logs)), predicted,
+                     tuple(reversals))
     tied = {when: solution.traceability.to_json_dict() if solution.traceability else None
             for when, solution in zip(('before', 'after'), solutions, strict=True)}
     document = found.to_json_dict() | {'before': args.before, 'after': args.after, 'notes': notes, 'traceability': tied}
@@ -120,9 +128,11 @@ def apart_words(before, after) -> list[str]:
     one, other = before.traceability, after.traceability
     if one is None or other is None:
         return []
-    unlike = one.reference_temperature != other.reference_temperature
-    if one.reference_temperature is None and other.reference_temperature is None:
-        both = one.measured_at.keys() & other.measured_at.keys()
+    unlike = one.reference_temperature != other.reference_temperature \
+        or one.correction_m.keys() != other.correction_m.keys()
+    if not unlike and one.reference_temperature is None:
+        both = [axis for axis in one.measured_at.keys() & other.measured_at.keys()
+                if f'E{axis.upper() * 2}' not in one.correction_m]
         unlike = any(abs(one.measured_at[axis] - other.measured_at[axis]) > UNLIKE_K for axis in both)
     return ['before and after hold at unlike temperatures; their positioning errors differ by their scales too: '
             'give material.scales and the temperatures of the scales for both'] if unlike else []

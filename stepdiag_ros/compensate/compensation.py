@@ -13,6 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
+from stepdiag_ros.compensate.approach import NONE, Reversal, sides, sizes
 from stepdiag_ros.compensate.control import Control, Place
 from stepdiag_ros.compensate.fit_to_act import unfit
 from stepdiag_ros.compensate.functional import FunctionalPoint, functional_point, tables_of_line
@@ -73,8 +74,8 @@ class Compensation:
     left_out: tuple[str, ...]
     unmeasured: tuple[str, ...]
     whole_volume: bool
-    reversal: Mapping[str, tuple[float, float]]
-    reversal_left: Mapping[str, tuple[float, float]]
+    reversal: Reversal
+    reversal_left: Reversal
     with_open: Solution
     refusals: tuple[str, ...] = ()
 
@@ -89,8 +90,15 @@ class Compensation:
         return self.worst(self.after)
 
     def worst(self, field: Prediction) -> tuple[float, float, np.ndarray]:
-        """The same of any field at these points."""
-        return largest(self.with_open, self.place.machine, self.point.tool, field)
+        """The same of any field at these points: from the worst side, with the lost motion that ``before`` has, or that
+        is left of it, what is taken off being as uncertain as it was."""
+        return largest(self.with_open, self.place.machine, self.point.tool, field,
+                       {**self.reversal, **self.reversal_left} if field is self.before else self.reversal_after)
+
+    @property
+    def reversal_after(self) -> Reversal:
+        """Lost motion with the tables in force."""
+        return {axis: (0.0, spread) for axis, (_, spread) in self.reversal.items()} | dict(self.reversal_left)
 
     def worse_alone(self) -> tuple[float, float]:
         """Share of the places that the tables of the line alone make worse beyond the U of their repeats, and by how
@@ -99,8 +107,9 @@ class Compensation:
             return 0.0, 0.0
         repeated = predict(_repeats(self.solution), self.place.machine, self.before.points, self.point.tool)
         alone = replace(self.line_alone, covariance_m2=repeated.covariance_m2)
-        return (float(np.mean(worsened(repeated, alone) > 0.0)),
-                float((self.line_alone.size_m - self.before.size_m).max()))
+        stays = self.reversal_left
+        more = sizes(alone.deviation_m, stays) - sizes(repeated.deviation_m, stays)
+        return float(np.mean(worsened(repeated, alone, stays, stays) > 0.0)), float(more.max())
 
     @property
     def as_measured(self) -> Prediction:
@@ -124,9 +133,11 @@ def worst(prediction: Prediction) -> tuple[float, float, np.ndarray]:
     return float(prediction.size_m[row]), K * float(prediction.size_sigma_m[row]), prediction.points[row]
 
 
-def worsened(before: Prediction, after: Prediction) -> np.ndarray:
-    """By how much each place becomes worse beyond its U (n,) [m]; negative or zero: it does not."""
-    return after.size_m - before.size_m - K * np.maximum(before.size_sigma_m, after.size_sigma_m)
+def worsened(before: Prediction, after: Prediction, now: Reversal = NONE, then: Reversal = NONE) -> np.ndarray:
+    """By how much each place becomes worse beyond its U (n,) [m], reached from the worst side with the lost motion
+    ``now`` and ``then``; negative or zero: it does not."""
+    return (sizes(after.deviation_m, then) - sizes(before.deviation_m, now)
+            - K * np.maximum(before.size_sigma_m, after.size_sigma_m))
 
 
 def place_of(machine: Machine, origin: np.ndarray | None) -> Place:
@@ -141,7 +152,7 @@ def place_of(machine: Machine, origin: np.ndarray | None) -> Place:
 def compensation(solution: Solution, machine: Machine, control: Control, origin: np.ndarray | None = None,
                  point: FunctionalPoint | None = None, present: Mapping[str, str] | None = None,
                  partial: bool = False, exact: bool = False, air: str = '', volume: bool = False,
-                 reversal: Mapping[str, tuple[float, float]] | None = None) -> Compensation:
+                 reversal: Reversal = NONE) -> Compensation:
     """Tables for ``control`` from ``solution``, or in ``refusals`` why there are none.
 
     ``origin`` (3,) [m]: machine coordinates of the volume's corner (default: the machine's own; without any
@@ -168,8 +179,7 @@ def compensation(solution: Solution, machine: Machine, control: Control, origin:
     point = _point(machine, point, whole)
     place = place.of_tool(point.tool)
     held = control.read(present, place) if present else {}
-    found = {axis: (value, spread) for axis, (value, spread) in (reversal or {}).items() if abs(value) > spread}
-    lost, stays = (found, {}) if control.reverses else ({}, found)
+    found = {axis: (value, spread) for axis, (value, spread) in reversal.items() if abs(value) > spread}
 
     if not any(kept.has(name) for name in control.carries):
         refusals.append('nothing that this kind of table carries is known')
@@ -183,15 +193,19 @@ def compensation(solution: Solution, machine: Machine, control: Control, origin:
         line = bent | best_of_volume({name: line[name] for name in line if name in control.straight}, points, rest)
     if volume and not control.whole_model:
         line = best_of_volume(line, points, before.deviation_m)
+    lost = {axis: known_ for axis, known_ in found.items() if control.reverses and f'E{axis}{axis}' in line}
+    stays = {axis: known_ for axis, known_ in found.items() if axis not in lost}
+    # Taking lost motion off is no leave to make a place worse in the mean of both directions: only what stays counts.
     # Judged by what repeats leave open: a scale or a tool that is off is off before and after alike.
     repeated = predict(_repeats(kept), machine, points, point.tool)
     plain, alone = line, _after(before, errors, machine, point, line)
-    if not control.whole_model and not exact and _harms(repeated, _after(repeated, errors, machine, point, line)):
-        plain = _harmless(line, _repeats(kept), machine, point, measured, whole)
+    if not control.whole_model and not exact and _harms(
+            repeated, _after(repeated, errors, machine, point, line), stays):
+        plain = _harmless(line, _repeats(kept), machine, point, measured, whole, stays)
     wanted = _with_reversal(plain, lost)
-    files, change = _written(control, place, wanted, held, measured)
+    files, change = _written(control, place, wanted, held, measured, present or {})
     after = _after(before, errors, machine, point, change)
-    refusals += _harm(before, repeated, _after(repeated, errors, machine, point, change), files, exact)
+    refusals += _harm(before, repeated, _after(repeated, errors, machine, point, change), files, exact, found, stays)
     undo = _undo(control, place, wanted, files, present or {})
     rest = _not_carried(kept, machine, point, control, points)
     return Compensation(
@@ -269,14 +283,18 @@ def _slope(solution: Solution, name: str) -> float:
 
 
 def _harmless(line: dict[str, Trim], solution: Solution, machine: Machine, point: FunctionalPoint,
-              measured: list[int], whole: bool) -> dict[str, Trim]:
-    """The tables of the line, held back where places would become worse, at positions where places are judged."""
+              measured: list[int], whole: bool, stays: Reversal) -> dict[str, Trim]:
+    """The tables of the line, held back where places would become worse, at positions where places are judged: from no
+    side that lost motion leaves may a place be worse than it is now from its worst."""
     points = _places(solution, machine, point, measured, whole, MOST_KNOTS)
     before = predict(solution, machine, points, point.tool)
     judged = {axis: np.unique(points[:, axis]) for axis in range(3)}
     line = {name: trim if len(trim.position) <= MOST_KNOTS else trim.at(judged[AXES.index(name[2])])
             for name, trim in line.items()}
-    return held_back(line, points, before.deviation_m, ROOM * K * before.size_sigma_m)
+    each = sides(stays)
+    reached = (before.deviation_m + each[:, None]).reshape(-1, 3)
+    room = np.tile(sizes(before.deviation_m, stays) + ROOM * K * before.size_sigma_m, len(each))
+    return held_back(line, np.tile(points, (len(each), 1)), reached, room - np.linalg.norm(reached, axis=1))
 
 
 def _with_reversal(taken: Mapping[str, Trim], lost: Mapping[str, tuple[float, float]]) -> dict[str, Trim]:
@@ -290,15 +308,19 @@ def _with_reversal(taken: Mapping[str, Trim], lost: Mapping[str, tuple[float, fl
     return result
 
 
-def _written(control: Control, place: Place, wanted: Taken, held: Taken, measured: list[int]
-             ) -> tuple[dict[str, str], dict[str, Trim]]:
+def _written(control: Control, place: Place, wanted: Taken, held: Taken, measured: list[int],
+             present: Mapping[str, str]) -> tuple[dict[str, str], dict[str, Trim]]:
     """Files with the sum of ``wanted`` and what is ``held``, and by how much more they take off, read from them."""
     total = added(held, wanted)
     axes = {AXES[axis] for axis in measured}
-    total = {name: trim for name, trim in total.items() if name[2] in axes or name in control.joined}
+    # What an axis does by direction shares the file of the joined tables.
+    total = {name: trim for name, trim in total.items() if name[2] in axes or name in control.joined
+             or (control.clear and np.any(trim.forward != trim.reverse))}
     files = control.write(total, place)
     if not files:
         return {}, {}
+    if control.clear:
+        files |= control.clear(files, present, False)
     again = control.read(files, place)
     return files, difference(again, {name: trim for name, trim in held.items() if name in total})
 
@@ -306,10 +328,13 @@ def _written(control: Control, place: Place, wanted: Taken, held: Taken, measure
 def _undo(control: Control, place: Place, wanted: Taken, files: Mapping[str, str], present: Mapping[str, str]
           ) -> dict[str, str]:
     """What puts the control back: the files that it holds, and tables of zeros for those that it does not."""
+    held_files = {name.split('/')[-1]: text for name, text in present.items()}
+    if control.clear:
+        return {BEFORE + name: text for name, text in (held_files | control.clear(held_files, files, True)).items()}
     nothing = {name: Trim(t.position, 0.0 * t.forward, 0.0 * t.reverse) for name, t in wanted.items()}
     zeros = control.write(nothing, place)
-    held = {name.split('/')[-1].lower() for name in present}
-    undo = {BEFORE + name.split('/')[-1]: text for name, text in present.items()}
+    held = {name.lower() for name in held_files}
+    undo = {BEFORE + name: text for name, text in held_files.items()}
     undo |= {BEFORE + name: text for name, text in zeros.items() if name in files and name.lower() not in held}
     return undo
 
@@ -320,9 +345,10 @@ def _after(before: Prediction, errors: GeometricErrors, machine: Machine, point:
     return Prediction(before.points, deviation(left, machine, before.points, point.tool), before.covariance_m2)
 
 
-def _harms(before: Prediction, after: Prediction) -> bool:
+def _harms(before: Prediction, after: Prediction, stays: Reversal) -> bool:
     """Whether any place becomes worse beyond its U, or the largest deviation grows."""
-    return bool(np.any(worsened(before, after) > 0.0) or after.size_m.max() > before.size_m.max() + LEAST_GROWTH_M)
+    grown = sizes(after.deviation_m, stays).max() - sizes(before.deviation_m, stays).max()
+    return bool(np.any(worsened(before, after, stays, stays) > 0.0) or grown > LEAST_GROWTH_M)
 
 
 def _repeats(solution: Solution) -> Solution:
@@ -330,31 +356,34 @@ def _repeats(solution: Solution) -> Solution:
     return solution if solution.repeatability is None else replace(solution, covariance=solution.repeatability)
 
 
-def _harm(whole: Prediction, before: Prediction, after: Prediction, files: Mapping[str, str], exact: bool
-          ) -> list[str]:
-    """Reasons in the numbers themselves not to write tables; ``whole``: before, with the uncertainty of the budget."""
+def _harm(whole: Prediction, before: Prediction, after: Prediction, files: Mapping[str, str], exact: bool,
+          lost: Reversal, left: Reversal) -> list[str]:
+    """Reasons in the numbers themselves not to write tables; ``whole``: before, with the uncertainty of the budget;
+    lost motion ``lost`` before and ``left`` after."""
     if not files:
         return []
-    more = worsened(before, after)
+    more = worsened(before, after, lost, left)
+    now, then = sizes(whole.deviation_m, lost), sizes(after.deviation_m, left)
     row = int(np.argmax(more))
     if more[row] > 0.0:
         at = ', '.join(f'{1e3 * c:.0f}' for c in before.points[row])
         spread = K * max(before.size_sigma_m[row], after.size_sigma_m[row])
         return [f'the place ({at}) mm of the volume would become worse beyond its U, from '
-                f'{1e6 * before.size_m[row]:.1f} to {1e6 * after.size_m[row]:.1f} µm '
+                f'{1e6 * now[row]:.1f} to {1e6 * then[row]:.1f} µm '
                 f'(U = {1e6 * spread:.1f} µm, k = 2, of the repeats), and {100.0 * np.mean(more > 0.0):.0f} % of '
                 'all places with it' + ('; without --exact the tables are held back' if exact else '')]
-    size, spread, _ = worst(whole)
-    if after.size_m.max() > size + LEAST_GROWTH_M:
-        return [f'the largest deviation would grow, from {1e6 * size:.1f} to {1e6 * after.size_m.max():.1f} µm'
+    most = int(np.argmax(now))
+    size, spread = float(now[most]), K * float(whole.size_sigma_m[most])
+    if then.max() > size + LEAST_GROWTH_M:
+        return [f'the largest deviation would grow, from {1e6 * size:.1f} to {1e6 * then.max():.1f} µm'
                 + ('; without --exact the tables are held back' if exact else '')]
     if spread > size:
-        own = K * float(before.size_sigma_m[int(np.argmax(whole.size_m))])
+        own = K * float(before.size_sigma_m[most])
         return [f'the largest deviation, {1e6 * size:.1f} µm, is known to U = {1e6 * spread:.1f} µm (k = 2) only; '
                 + ('measure with more repeats' if own > 0.5 * spread else
                    f'of it U = {1e6 * own:.1f} µm by repeats, the rest by what is not known: `stepdiag uncertainty` '
                    'names it')]
-    if np.mean(after.size_m**2) > (1.0 - LEAST_GAIN) * np.mean(before.size_m**2):
+    if np.mean(then**2) > (1.0 - LEAST_GAIN) * np.mean(now**2):
         return ['no table of this kind makes this machine better without making some place worse beyond its U']
     return []
 

@@ -45,8 +45,9 @@ class Control:
     its signs and units follow; ``open_question`` what no manual that we know of confirms, or ''.  ``most_rows`` of a
     table; ``reverses``: whether a table can tell the directions of approach apart; ``joined``: error motions that
     share one file, so that loading it replaces them all.  ``straight``: error motions that it takes off as straight
-    lines only, from one end of the volume to the other.  ``load``: how the tables are put
-    in force, ``undo``: how they are taken back.
+    lines only, from one end of the volume to the other.  ``clear(files, there, every)``, where loading files takes
+    nothing away: zeros for what ``there`` assigns and ``files`` does not, as files beside these; of tables that share a
+    file, or of ``every`` one.  ``load``: how the tables are put in force, ``undo``: how they are taken back.
     """
 
     name: str
@@ -62,6 +63,7 @@ class Control:
     reverses: bool = True
     joined: tuple[str, ...] = ()
     straight: tuple[str, ...] = ()
+    clear: Callable[[Mapping[str, str], Mapping[str, str], bool], dict[str, str]] | None = None
 
     @property
     def whole_model(self) -> bool:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from stepdiag_ros.compensate.approach import Reversal
 from stepdiag_ros.compensate.compensation import Compensation, K
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate.prediction import Prediction
@@ -61,7 +62,7 @@ def _list(values: np.ndarray) -> list[float]:
 @dataclass(frozen=True)
 class Predicted:
     """What is read back of a ``prediction.json``: the errors after, their σ, and the volumetric figure with its U; the
-    volume's place (3,) [m]; by name the check sums of the tables."""
+    volume's place (3,) [m]; by name the check sums of the tables; lost motion that they leave."""
 
     control: str
     tool: np.ndarray
@@ -72,6 +73,7 @@ class Predicted:
     whole_volume: bool
     origin: np.ndarray
     files: Mapping[str, str]
+    reversal: Reversal
 
 
 def predicted_of(text: str, source: str) -> Predicted:
@@ -89,8 +91,11 @@ def predicted_of(text: str, source: str) -> Predicted:
         sigma = {n: np.atleast_1d(np.array(listed[n]['sigma'], float)) for n in listed}
         tool, origin = np.array(data['tool_m'], float), np.array(data['origin_m'], float)
         files = {str(name): str(check) for name, check in data['files'].items()}
+        reversal = {axis: (float(one['value']), float(one['U']))
+                    for axis, one in data.get('reversal_left_m', {}).items()}
         numbers = [*(v for c in curves.values() for v in (c.position, c.value)), *sigma.values(), tool, origin,
-                   np.array([*square.values(), data['after_as_measured']['largest_m']], float)]
+                   np.array([*square.values(), *(v for one in reversal.values() for v in one),
+                             data['after_as_measured']['largest_m']], float)]
         lengths = [len(c.position) == len(c.value) == len(sigma[n]) > 0 and c.position.ndim == 1
                    for n, c in curves.items()]
         if not all(lengths) or tool.shape != (3,) or origin.shape != (3,) \
@@ -98,7 +103,8 @@ def predicted_of(text: str, source: str) -> Predicted:
             raise ValueError('a number is missing or not finite')
         return Predicted(str(data['format']), tool, GeometricErrors(curves, square), sigma,
                          float(data['after_as_measured']['largest_m']),
-                         float(data['after_as_measured']['U_m']), bool(data['whole_volume']), origin, files)
+                         float(data['after_as_measured']['U_m']), bool(data['whole_volume']), origin, files,
+                         reversal)
     except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
         raise StepdiagError(f'{source}: is not a {NAME} as `stepdiag compensate` writes it '
                             f'({type(error).__name__}: {str(error)[:60]})') from None

@@ -8,6 +8,7 @@ taken (GUM Supplement 1); U covers 95 % of them around the stated value.
 
 import numpy as np
 
+from stepdiag_ros.compensate.approach import NONE, Reversal, half_drawn, sizes
 from stepdiag_ros.estimate.prediction import Prediction, largest_deviation, predict, sensitivities
 from stepdiag_ros.estimate.solution import Solution
 from stepdiag_ros.model.description import Machine
@@ -19,24 +20,28 @@ BLOCK = 128
 """Points whose draws are formed together: 128 × 39 × 400 numbers, 16 MB."""
 
 
-def largest(solution: Solution, machine: Machine, tool: np.ndarray, field: Prediction
-            ) -> tuple[float, float, np.ndarray]:
+def largest(solution: Solution, machine: Machine, tool: np.ndarray, field: Prediction,
+            reversal: Reversal = NONE) -> tuple[float, float, np.ndarray]:
     """Largest deviation of ``field``, its U (95 %) and its place, all [m].
 
-    ``field`` has the covariance of ``solution`` for ``tool`` (3,) [m].
+    ``field`` has the covariance of ``solution`` for ``tool`` (3,) [m]; ``reversal``: lost motion that the errors of
+    ``solution`` do not hold, counted from the worst side.
     """
     columns, weights = sensitivities(solution, machine, field.points, np.asarray(tool, float))
     values, vectors = np.linalg.eigh(solution.covariance)
-    normals = np.random.default_rng(SEED).standard_normal((len(values), DRAWS))
+    random = np.random.default_rng(SEED)
+    normals = random.standard_normal((len(values), DRAWS))
+    beside = half_drawn(reversal, random.standard_normal((3, DRAWS)))
     # The symmetric root: a covariance that hardly changes gives draws that hardly change, and so does U.
     drawn = vectors @ (np.sqrt(np.maximum(values, 0.0))[:, None] * (vectors.T @ normals))
     found = np.zeros(DRAWS)
     for start in range(0, len(field.points), BLOCK):
         rows = slice(start, start + BLOCK)
         moved = field.deviation_m[rows, :, None] + weights[rows] @ drawn[columns[rows]]
-        found = np.maximum(found, np.linalg.norm(moved, axis=1).max(axis=0))
-    row = int(np.argmax(field.size_m))
-    size = float(field.size_m[row])
+        found = np.maximum(found, np.linalg.norm(np.abs(moved) + beside, axis=1).max(axis=0))
+    stated = sizes(field.deviation_m, reversal)
+    row = int(np.argmax(stated))
+    size = float(stated[row])
     return size, float(np.quantile(np.abs(found - size), COVERED)), field.points[row]
 
 

@@ -61,6 +61,49 @@ def write(taken: Taken, place: Place) -> dict[str, str]:
     return files
 
 
+def clear(files: Mapping[str, str], there: Mapping[str, str], every: bool) -> dict[str, str]:
+    """Files of zeros for the tables that ``there`` assigns and ``files`` does not.
+
+    Loading assigns what a file names and leaves the rest of the control's memory as it is: a table of a number that is
+    not named goes on acting.  Without ``every`` the leadscrew tables of axes that ``files`` leaves alone stay.
+    """
+    own, other = ([_assignments(text, name) for name, text in some.items()] for some in (files, there))
+    zeros: dict[str, str] = {}
+    for leadscrew, _ in other if every else ():
+        for axis, entries in leadscrew.items():
+            if not any(axis in mine for mine, _ in own):
+                zeros[_free(f'{axis[0].lower()}_eec.mpf', files)] = '\n'.join([
+                    f'; zeros: no leadscrew error compensation of {axis}', f'%_N_{axis}_EEC_INI', 'CHANDATA(1)',
+                    *_zeroed('AA', '0,', f',{axis}', entries), 'M17']) + '\n'
+    rest: dict[int, dict] = {}
+    for _, sag in other:
+        rest |= {table: entries for table, entries in sag.items() if not any(table in mine for _, mine in own)}
+    if rest:
+        zeros[_free(CEC_FILE, files)] = '\n'.join([
+            '; zeros: tables that are no longer used', '%_N_NC_CEC_INI', 'CHANDATA(1)',
+            *(line for table, entries in sorted(rest.items()) for line in _zeroed('AN', f'{table},', '', entries)),
+            'M17']) + '\n'
+    return zeros
+
+
+def _free(name: str, files: Mapping[str, str]) -> str:
+    while name in files:
+        name = f'zero_{name}'
+    return name
+
+
+def _zeroed(area: str, table: str, axis: str, entries: Mapping) -> list[str]:
+    """The assignments of one table with every value zero."""
+    lines = []
+    for key, value in entries.items():
+        if isinstance(key, tuple):
+            lines.append(f'${area}_{key[0]}[{table}{key[1]}{axis}]={number(0.0)}')
+        else:
+            index = f'{table}{axis[1:]}' if axis else table.rstrip(',')
+            lines.append(f'${area}_{key}[{index}]={value}')
+    return lines
+
+
 def _leadscrew(axis: int, grid: np.ndarray, value: np.ndarray, place: Place) -> str:
     name, position = f'{AXES[axis]}1', (grid + place.origin[axis]) * MILLI
     lines = [f'; leadscrew error compensation of {AXES[axis]}, mm; machine {place.machine.name}, by stepdiag',
@@ -149,4 +192,4 @@ CONTROL = Control(
     'switch both on again, NCK reset, reference the axes. Let the value at the reference point be zero where a jump on '
     'referencing would matter.',
     'MD32700 = 0 and MD32710 = 0, load the files of before/, switch on again, NCK reset, reference.',
-    most_rows=MOST_POINTS, joined=tuple(name for name in TRANSLATIONS if name not in OWN))
+    most_rows=MOST_POINTS, joined=tuple(name for name in TRANSLATIONS if name not in OWN), clear=clear)

@@ -5,12 +5,13 @@ it lies outside by more than its U, and is undecided between.  U is of k = 2, of
 half width that covers 95 %.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from stepdiag_ros.compensate.approach import NONE, Reversal, sizes
 from stepdiag_ros.compensate.compensation import K
 from stepdiag_ros.compensate.document import Predicted
 from stepdiag_ros.compensate.largest import largest
@@ -40,11 +41,21 @@ class Figure:
     after: float
     after_spread: float
     tolerance: float | None = None
+    along: tuple[tuple[float, float], ...] = ()
+    """Of a curve: size and U at each of its positions, each of which is decided."""
 
     @property
     def decision(self) -> str:
         """One of :data:`CONFORMS`, :data:`FAILS`, :data:`UNDECIDED`; '' without a tolerance."""
-        return '' if self.tolerance is None else decided(self.after, self.after_spread, self.tolerance)
+        if self.tolerance is None:
+            return ''
+        return worst_of(decided(*one, self.tolerance) for one in self.along or ((self.after, self.after_spread),))
+
+
+def worst_of(decisions: Iterable[str]) -> str:
+    """One that does not conform, else one undecided, else conforms."""
+    said = set(decisions)
+    return next(word for word in (FAILS, UNDECIDED, CONFORMS) if word in said)
 
 
 def decided(value: float, spread: float, tolerance: float) -> str:
@@ -86,8 +97,7 @@ class Verified:
     @property
     def decision(self) -> str:
         """The worst of all decisions: one that does not conform, else one undecided, else conforms."""
-        said = {figure.decision for figure in self.figures if figure.decision}
-        return next(word for word in (FAILS, UNDECIDED, CONFORMS) if word in said)
+        return worst_of(figure.decision for figure in self.figures if figure.decision)
 
     def to_json_dict(self) -> dict[str, Any]:
         agreement = None if self.agreement is None else {
@@ -104,24 +114,26 @@ class Verified:
 
 def verified(before: Solution, after: Solution, machine: Machine, tolerances: Mapping[str, float],
              diagonals: tuple[DiagonalTest | None, DiagonalTest | None] = (None, None),
-             predicted: Predicted | None = None) -> Verified:
+             predicted: Predicted | None = None, reversals: tuple[Reversal, Reversal] = (NONE, NONE)) -> Verified:
     """Compare two evaluations of ``machine``.
 
     ``tolerances`` by figure: ``volumetric``, ``E``, ``B`` [m], or an error's name [m or rad].  ``diagonals``: ISO 230-6
-    before and after, with the uncertainty of the whole budget.  :class:`StepdiagError` for a tolerance of a figure that
-    the logs do not give.
+    before and after, with the uncertainty of the whole budget.  ``reversals``: lost motion of the axes before and
+    after, which the volumetric error counts from the worst side.  :class:`StepdiagError` for a tolerance of a figure
+    that the logs do not give.
     """
     tool = np.asarray(machine.tool) if predicted is None else predicted.tool
     points = _points(after, machine)
     fields = [predict(solution, machine, points, tool) for solution in (before, after)]
-    whole = [largest(solution, machine, tool, field) for solution, field in zip((before, after), fields, strict=True)]
+    whole = [largest(solution, machine, tool, field, lost)
+             for solution, field, lost in zip((before, after), fields, reversals, strict=True)]
     rows = [(VOLUMETRIC, 'm', *whole[0][:2], *whole[1][:2])]
     rows += _diagonal_rows(diagonals)
     for name in (*CURVES, *SQUARENESS):
         if after.has(name):
             known = _size(before, name) if before.has(name) else (None, None)
             rows.append((name, 'm' if name[1] in AXES else 'rad', *known, *_size(after, name)))
-    figures = tuple(Figure(*row, tolerances.get(row[0])) for row in rows)
+    figures = tuple(Figure(*row, tolerances.get(row[0]), _along(after, row[0])) for row in rows)
     missing = [name for name in tolerances if name not in {figure.name for figure in figures}]
     if missing:
         raise StepdiagError(f'--tolerance {missing[0]}: the log after does not give it; it gives '
@@ -150,6 +162,14 @@ def _size(solution: Solution, name: str) -> tuple[float, float]:
     return float(abs(value[row])), K * float(sigma[row] or sigma.max())
 
 
+def _along(solution: Solution, name: str) -> tuple[tuple[float, float], ...]:
+    """Size and U of a curve at each of its positions; nothing of what is none."""
+    if name not in CURVES:
+        return ()
+    _, value, sigma = solution.curve(name)
+    return tuple((float(abs(v)), K * float(s)) for v, s in zip(value, sigma, strict=True))
+
+
 def _diagonal_rows(tests: tuple[DiagonalTest | None, DiagonalTest | None]) -> list[tuple]:
     """E and B of ISO 230-6 before and after, with U of the whole budget."""
     first, second = tests
@@ -169,7 +189,7 @@ def _agreement(after: Solution, field: Prediction, figure: tuple[float, float, n
     """Measured against predicted: the largest deviation at the same places, and every error at its positions."""
     expected = deviation(predicted.errors, machine, field.points, predicted.tool)
     size, spread, _ = figure
-    difference = size - float(np.max(np.linalg.norm(expected, axis=1)))
+    difference = size - float(np.max(sizes(expected, predicted.reversal)))
     off = {}
     for name, sigma in predicted.sigma.items():
         if not after.has(name):

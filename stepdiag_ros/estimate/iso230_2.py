@@ -133,7 +133,8 @@ class LinearTest:
     """ISO 230-2 of every axis that a log holds a linear run of.
 
     ``sigma_m``: standard uncertainty [m] of each of :meth:`figures` by the whole budget, empty where not computed.
-    ``wanted``: the figures of each axis, attributes of :class:`AxisResult`.
+    ``wanted``: the figures of each axis, attributes of :class:`AxisResult`.  ``cautions``: what they rest on, a
+    sentence each.
     """
 
     axes: dict[str, AxisResult]
@@ -141,11 +142,13 @@ class LinearTest:
     sigma_m: Mapping[str, float] = field(default_factory=dict)
     traceability: Traceability | None = None
     wanted: tuple[str, ...] = ('A', 'E', 'R', 'B', 'M')
+    cautions: tuple[str, ...] = ()
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What the test falls short of, a sentence each."""
-        return tuple(text for name, axis in self.axes.items() for text in shortfalls(name, axis.target_m, axis.runs))
+        """What the test falls short of, and its cautions, a sentence each."""
+        return (*(text for name, axis in self.axes.items() for text in shortfalls(name, axis.target_m, axis.runs)),
+                *self.cautions)
 
     def letter(self, name: str) -> str:
         """X, Y or Z: what the line ``name`` measures."""

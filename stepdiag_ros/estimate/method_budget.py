@@ -35,12 +35,13 @@ def with_cell_budget(run: Run, evaluation: Evaluation) -> Any:
     cell = readings_of_stops(description, table)
     own = run(cell)
     stopwise = _with_stopwise(cell, evaluation)
+    declared = (f'{evaluation.source}: {DECLARED}',) if all(s.declared for s in cell.setups.values()) else ()
 
     def moved(column: np.ndarray) -> Any:
         return run(readings_of_stops(description, filled(table, evaluation.setting.readings
                                                          + column.reshape(evaluation.setting.readings.shape))))
     if not isinstance(own, Solution):
-        return _figures(own, stopwise, evaluation, moved)
+        return _figures(own, stopwise, evaluation, moved, declared)
     covariance = run(stopwise).covariance.copy()
     for cause in evaluation.uncertainty.causes:
         if cause.errors:
@@ -49,9 +50,7 @@ def with_cell_budget(run: Run, evaluation: Evaluation) -> Any:
         for column in _columns(cause, evaluation):
             change = moved(column).value - own.value
             covariance += np.outer(change, change)
-    declared = all(setup.declared for setup in cell.setups.values())
-    warnings = (*own.warnings, *((f'{evaluation.source}: {DECLARED}',) if declared else ()))
-    full = replace(own, covariance=covariance, repeatability=own.covariance, warnings=warnings,
+    full = replace(own, covariance=covariance, repeatability=own.covariance, warnings=(*own.warnings, *declared),
                    closure=evaluation.solution.closure)
     return tied(full, evaluation.source, evaluation.metres, evaluation.lines, evaluation.budget)
 
@@ -98,8 +97,9 @@ def _with_stopwise(cell: CellReadings, evaluation: Evaluation) -> CellReadings:
     return replace(cell, setups={name: more(setup) for name, setup in cell.setups.items()})
 
 
-def _figures(own: Any, cell: CellReadings, evaluation: Evaluation, moved: Callable[[np.ndarray], Any]) -> Any:
-    """A test's result with the standard uncertainty [m] of each of its figures."""
+def _figures(own: Any, cell: CellReadings, evaluation: Evaluation, moved: Callable[[np.ndarray], Any],
+             declared: tuple[str, ...]) -> Any:
+    """A test's result with the standard uncertainty [m] of each of its figures, and what that rests on."""
     figures = own.figures()
     variance = {name: value**2 for name, value in own.repeat_sigma(cell).items()}
     for cause in evaluation.uncertainty.causes:
@@ -109,4 +109,4 @@ def _figures(own: Any, cell: CellReadings, evaluation: Evaluation, moved: Callab
         for name, value in own.slope_sigma(cause.errors, evaluation.setting.description.machine).items():
             variance[name] += value**2
     sigma: Mapping[str, float] = {name: float(np.sqrt(value)) for name, value in variance.items()}
-    return replace(own, sigma_m=sigma, traceability=evaluation.solution.traceability)
+    return replace(own, sigma_m=sigma, traceability=evaluation.solution.traceability, cautions=declared)

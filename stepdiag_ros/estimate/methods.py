@@ -254,7 +254,7 @@ def run_method(name: str, log: CalibrationLog) -> Any:
     warned = cautions(cell, evaluation.solution) if name in CAUTIONED else ()
     if isinstance(result, Solution):
         return replace(result, warnings=(*result.warnings, *warned))
-    return replace(result, cautions=warned) if isinstance(result, body_diagonal.DiagonalTest) else result
+    return replace(result, cautions=(*result.cautions, *warned)) if warned else result
 
 
 def run_all(log: CalibrationLog) -> tuple[dict[str, Any], dict[str, str]]:

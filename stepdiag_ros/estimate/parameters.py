@@ -7,7 +7,8 @@ reset offset for every beam of every run, which is the unknown dead path where a
 
 A positioning curve (EXX, EYY, EZZ) has knots at the plan's positions and wherever
 a line of that axis stops; the others at the plan's positions only.  A stop between
-knots takes part in both neighbours.
+knots takes part in both neighbours.  Where no way of the log goes by the plan's positions, those
+that its ways do go by are the knots: between them nothing is seen.
 """
 
 from dataclasses import dataclass, field
@@ -18,7 +19,7 @@ from scipy import sparse
 from stepdiag_ros.estimate.reduce import StopTable
 from stepdiag_ros.model.description import Description
 from stepdiag_ros.model.machine import AXES, CURVES
-from stepdiag_ros.model.path import plan_positions
+from stepdiag_ros.model.path import plan_positions, stops
 
 MISALIGNMENTS = ('laser u', 'laser v', 'mirror u', 'mirror v')
 STATION = ('station X', 'station Y', 'station Z')
@@ -75,7 +76,7 @@ def parameters_of(description: Description, table: StopTable) -> Parameters:
     # A log without diagonals knows nothing between its own stops: its stops are the knots.
     only_linear = bool(linear[table.setup].all())
     for axis, letter in enumerate(AXES):
-        plan = plan_positions(description, axis)
+        plan = _base(description, table, axis)
         own = np.isin(table.setup, [i for i, s in enumerate(table.setup_names)
                                     if description.setups[s].axes == (axis,)])
         extra = np.unique(table.commanded[own, axis])
@@ -100,6 +101,21 @@ def parameters_of(description: Description, table: StopTable) -> Parameters:
                       table.displacement.shape[1], frozenset(s for s in used if description.setups[s].is_straight),
                       frozenset(s for s in used if description.setups[s].sees_tilt
                                 and not description.setups[s].is_straight), unknowns)
+
+
+def _base(description: Description, table: StopTable, axis: int) -> np.ndarray:
+    """Knots (k,) [m] of an axis's curves: the plan's positions, or those of the log's ways that go otherwise."""
+    plan = plan_positions(description, axis)
+    used = [name for i, name in enumerate(table.setup_names)
+            if np.any(table.setup == i) and not description.setups[name].is_line]
+    ways = [name for name in used if description.setups[name].way is not None]
+    if not ways or len(ways) < len(used):
+        return plan
+    gone = _merge(np.concatenate([[0.0], *(stops(description, name).positions[:, axis] for name in ways)]))
+    missed = np.abs(gone[:, None] - plan).min(axis=0) > MERGE_M
+    # Ways that go only part of the axis leave the rest to the plan.
+    whole = abs(gone[0]) <= MERGE_M and abs(gone[-1] - plan[-1]) <= MERGE_M
+    return gone if missed.any() and whole and len(gone) > 2 else plan
 
 
 def _merge(positions: np.ndarray) -> np.ndarray:

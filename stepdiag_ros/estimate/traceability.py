@@ -63,8 +63,13 @@ class Traceability:
         if self.reference_temperature is not None:
             return f'referred to {self.reference_temperature:g} °C'
         if self.measured_at:
-            places = ', '.join(f'{axis.upper()} {value:.2f} °C' for axis, value in self.measured_at.items())
-            return f'at the temperature of the scales while they were measured ({places}), not referred to 20 °C'
+            referred = [axis for axis in self.measured_at if f'E{axis.upper() * 2}' in self.correction_m]
+            places = ', '.join(f'{axis.upper()} {value:.2f} °C' for axis, value in self.measured_at.items()
+                               if axis not in referred)
+            some = ', '.join(f'E{axis.upper() * 2}' for axis in referred)
+            rest = f'at the temperature of the scales while they were measured ({places}), not referred to 20 °C' \
+                if places else 'at the temperature of the measurement, which is unknown'
+            return f'{some} referred to {REFERENCE_TEMPERATURE:g} °C; the others {rest}' if some else rest
         return 'at the temperature of the measurement, which is unknown'
 
     @property

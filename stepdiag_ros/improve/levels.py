@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from stepdiag_ros.compensate.applied import remaining
+from stepdiag_ros.compensate.approach import NONE, Reversal
 from stepdiag_ros.compensate.compensation import Compensation, compensation
 from stepdiag_ros.compensate.control import Place
 from stepdiag_ros.compensate.controls import CONTROLS
@@ -104,7 +105,7 @@ def held(folder: Path) -> Present:
 
 def change(level: str, solution: Solution, machine: Machine, present: Present, *, partial: bool = False,
            air: str = '', matrixkins: bool = False,
-           reversal: Mapping[str, tuple[float, float]] | None = None) -> Change:
+           reversal: Reversal = NONE) -> Change:
     """What to write for a ``level``; ``solution`` is of the machine without its present volumetric compensation.
 
     ``air``: why lengths are not known to be metres; ``matrixkins``: LinuxCNC has that module; ``reversal``: lost

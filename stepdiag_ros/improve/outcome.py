@@ -12,7 +12,7 @@ import numpy as np
 from scipy.stats import norm
 
 from stepdiag_ros.compensate.applied import remaining
-from stepdiag_ros.compensate.compensation import worst
+from stepdiag_ros.compensate.approach import NONE, Reversal
 from stepdiag_ros.compensate.largest import largest
 from stepdiag_ros.compensate.taken import Taken
 from stepdiag_ros.estimate.prediction import Prediction, predict, sensitivities
@@ -67,13 +67,13 @@ class Outcome:
     @property
     def better(self) -> bool:
         """Whether the largest deviation has fallen beyond what noise does, and no stop is worse beyond U."""
-        fallen = worst(self.before)[0] - worst(self.after)[0]
+        fallen = self.largest['before'][0] - self.largest['after'][0]
         return fallen > self.off_bound_m and not np.any(self.stops.worse > 0.0)
 
     @property
     def factor(self) -> float:
         """By what the largest deviation has fallen."""
-        return worst(self.before)[0] / max(worst(self.after)[0], 1e-12)
+        return self.largest['before'][0] / max(self.largest['after'][0], 1e-12)
 
     def to_json_dict(self) -> dict:
         fields = {when: {'largest_m': size, 'U_m': spread, 'coverage': 0.95, 'at_m': at.tolist()}
@@ -85,16 +85,18 @@ class Outcome:
                           'worse': int(np.sum(self.stops.worse > 0.0))}}
 
 
-def outcome(change: Change, first: Solution, first_applied: Taken, second: Solution, log: CalibrationLog) -> Outcome:
+def outcome(change: Change, first: Solution, first_applied: Taken, second: Solution, log: CalibrationLog,
+            reversal: Reversal = NONE) -> Outcome:
     """The second calibration against the change's prediction; both solutions are of the machine without the
-    volumetric compensation that was in force (``first_applied``, ``change.applied``)."""
+    volumetric compensation that was in force (``first_applied``, ``change.applied``).  ``reversal``: lost motion that
+    the second shows."""
     machine, made = log.description.machine, change.made
     points, predicted = made.before.points, made.as_measured
     first, second = remaining(first, first_applied), remaining(second, change.applied)
     after = predict(second, machine, points)
     off = np.linalg.norm(after.deviation_m - predicted.deviation_m, axis=1)
     figures = {'before': made.worst_before, 'predicted': made.worst(predicted),
-               'after': largest(second, machine, made.point.tool, after)}
+               'after': largest(second, machine, made.point.tool, after, reversal)}
     return Outcome(made.before, predicted, after, float(off.max()), _largest_of_noise((first, second), machine, points),
                    _stops(first, second, log), figures)
 

@@ -247,8 +247,11 @@ class StepdiagNode(LifecycleNode):
     def callback_failed(self, error: Exception) -> None:
         """Somebody has sent what no callback was made for: it is said, and nothing else suffers."""
         self._not_understood = f'a message was not understood: {type(error).__name__}: {error}'
+        quiet = time.monotonic() - self._not_understood_s
         self._not_understood_s = time.monotonic()
-        self.get_logger().error(''.join(traceback.format_exception(error)), throttle_duration_sec=FAILED_S)
+        # Not by rclpy's throttle: it keeps what a line of source was first called with, and raises at anything else.
+        if quiet > FAILED_S:
+            self.get_logger().error(''.join(traceback.format_exception(error)))
 
     def _start_by_itself(self) -> None:
         if self.state == 'unconfigured':

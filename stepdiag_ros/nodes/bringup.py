@@ -38,7 +38,7 @@ from stepdiag_ros.nodes.graph import (
     write_graph,
 )
 from stepdiag_ros.nodes.ownership import CELL as CELL_OWNER
-from stepdiag_ros.nodes.ownership import Ownership, machines_up
+from stepdiag_ros.nodes.ownership import Ownership, RuntimeOwnership, machines_up
 from stepdiag_ros.virtual.acting import allow_effect_files
 from stepdiag_ros.virtual.cell import Cell, load_cell
 
@@ -195,6 +195,7 @@ class Bringup(BroughtUp):
     def _own(self) -> None:
         """Take the namespaces; :class:`StepdiagError` if somebody has one."""
         self._say(f'network: {self._network}')
+        self._owned.append(RuntimeOwnership(self.runtime))
         for machine in self.machines:
             self._owned.append(Ownership(machine.namespace, CELL_OWNER if self._part is None
                                          else self._part.owner))

@@ -49,6 +49,19 @@ class ControlOwnership:
         self._socket.close()
 
 
+class RuntimeOwnership:
+    """The folder of a cell's parameters and logs, in which a restarted node reads which instruments are its own."""
+
+    def __init__(self, folder: Path):
+        status = folder.stat()
+        self._held = _hold(f'stepdiag_ros/runtime/{status.st_dev}/{status.st_ino}', str(folder),
+                           f'{folder}: another cell that is up keeps its parameters there; name another --runtime')
+
+    def release(self) -> None:
+        """Let others have it."""
+        self._held.close()
+
+
 def _hold(name: str, what: str, taken: str) -> socket.socket:
     """A socket that bears a name which nobody else has; :class:`StepdiagError` says ``taken``."""
     held = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_CLOEXEC)

@@ -37,6 +37,7 @@ from stepdiag_ros.devices.hostclock import HOST
 from stepdiag_ros.devices.linuxcnc_rsh import PORT, LinuxCncRsh
 from stepdiag_ros.devices.registry import DEFAULT, driver
 from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.guard import limits
 from stepdiag_ros.model.description import Description
 from stepdiag_ros.model.log import NONE
 from stepdiag_ros.nodes.base import ERROR, OK, Health, StepdiagNode, overridable, reliable, run_node
@@ -68,6 +69,7 @@ ACTION = 'run_step_diagonal'
 #: Here a goal's client says that it lives, by the goal's UUID.
 LEASE = f'{ACTION}/lease'
 NEXT_STOP, AT_ONCE = 'next_stop', 'at_once'
+LONGEST_DWELL_S = 600.0
 #: So long the light of a shared interferometer is held to see before a start that all deliver.
 READY_S = 2.0
 #: A run that is broken off so often has another trouble than a node that died.
@@ -88,10 +90,10 @@ class StepSequencer(StepdiagNode):
         self.number('timeout', 5.0, 'silence after which the control counts as stalled',
                     0.1, 120.0, 's')
         self.text('description_file', '', 'YAML file of the cell description', fixed=True)
-        self.count('steps', 0, "steps of each axis along a diagonal; 0: the description's", 0, 10_000)
+        self.count('steps', 0, "steps of each axis along a diagonal; 0: the description's", 0, limits.STEPS)
         self.number('feed', 0.02, 'feed of every move', 1.0e-6, 5.0, 'm/s', fixed=True)
         self.number('dwell', 0.5, 'measuring time at a stop, where the goal gives none',
-                    0.001, 600.0, 's')
+                    0.001, LONGEST_DWELL_S, 's')
         self.number('stand', 0.0, 'so much longer is the first dwell after a mounting', 0.0, 3600.0, 's')
         self.number('guard', 0.025, 'rest after a dwell before the next move: as late as a sample may '
                     'be taken after its stamp', 0.0, 10.0, 's')
@@ -323,6 +325,16 @@ class StepSequencer(StepdiagNode):
             success=how == 'succeed', message=message, run_ids=list(outcome.run_ids),
             stops=outcome.stops)))
 
+    def _measurable(self, goal: RunStepDiagonal.Goal) -> None:
+        """Refuse what no log can hold or no dwell ends, before it is spelled out."""
+        if not 0.0 <= goal.dwell <= LONGEST_DWELL_S:
+            raise StepdiagError(f'refused: a dwell of {goal.dwell:g} s; give 0 for that of {self.get_name()}, or at '
+                                f'most {LONGEST_DWELL_S:g} s')
+        once = len(planned_runs(self.description, goal.setups, 1))
+        if goal.repeats > limits.REPEATS or once * goal.repeats > limits.RUNS:
+            raise StepdiagError(f'refused: {goal.repeats} repeats of {once} runs; a log holds at most '
+                                f'{limits.REPEATS} repeats and {limits.RUNS} runs')
+
     def _calibrate(self, handle: ServerGoalHandle) -> Outcome:
         goal = handle.request
         if goal.steps not in (0, self.description.plan.steps):
@@ -330,6 +342,7 @@ class StepSequencer(StepdiagNode):
                 f'refused: {goal.steps} steps were asked for and the cell description that is being '
                 f'recorded says {self.description.plan.steps}; set the parameter steps of '
                 f'{self.get_name()} and begin a new bag (stepdiag calibrate --steps does both)')
+        self._measurable(goal)
         self._follow_clock()
         self._clock_steps = []
         asked = planned_runs(self.description, goal.setups)   # unknown setups are refused at once

@@ -47,7 +47,8 @@ def summary(found: Compensation) -> str:
         if reversal:
             lines.append('  reversal           ' + ', '.join(
                 f'{axis} {1e6 * value:.2f} µm, U = {_small(1e6 * spread)} µm (k = 2)'
-                for axis, (value, spread) in reversal.items()) + f': {what}')
+                for axis, (value, spread) in reversal.items())
+                + f': {what}; the largest deviation counts it from the worst side')
     tied = found.solution.traceability
     if tied is not None:
         lines.append(f'  errors             {WORDS[tied.air]}; {tied.temperature_words}')

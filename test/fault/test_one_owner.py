@@ -121,6 +121,16 @@ def test_a_second_up_is_refused_in_one_line(up, small, tmp_path):
     assert not (tmp_path / 'second').exists() and sorted(up.tree()) == sorted(before)
 
 
+def test_a_second_cell_in_the_same_runtime_folder_is_refused_before_it_writes(up, small, tmp_path):
+    """A restarted node reads there which instruments are its own."""
+    before = (up.runtime / 'parameters.yaml').read_bytes()
+    second = subprocess.run([*STEPDIAG, 'up', str(small), '--namespace', 'b', '--most', '9',
+                             '--runtime', str(up.runtime), '--bag', str(tmp_path / 'second')],
+                            capture_output=True, text=True, timeout=300.0)
+    assert second.returncode == 2 and 'another cell that is up keeps its parameters there' in second.stderr
+    assert (up.runtime / 'parameters.yaml').read_bytes() == before
+
+
 def test_a_second_sequencer_of_a_namespace_ends_at_once(up):
     second = subprocess.run(
         [sys.executable, '-m', 'stepdiag_ros.nodes.step_sequencer', '--ros-args', '-r', '__ns:=/demo',

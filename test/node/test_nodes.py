@@ -14,7 +14,7 @@ from rcl_interfaces.srv import DescribeParameters, ListParameters
 
 from stepdiag_msgs.msg import RecorderStatus, Step
 from stepdiag_ros.errors import StepdiagError
-from stepdiag_ros.nodes.base import reliable
+from stepdiag_ros.nodes.base import StepdiagNode, reliable
 from stepdiag_ros.virtual import faults
 
 NODES = ('recorder', 'evaluation_solver', 'gap_monitor', 'interferometer_driver', 'psd_driver', 'step_sequencer')
@@ -220,6 +220,26 @@ def test_messages_that_nobody_understands_end_no_node_and_blind_none(cell, event
     assert cell.pids() == before and all(cell.operator.state(node) == 'active' for node in NODES)
     for node in ('evaluation_solver', 'gap_monitor'):
         assert 'receives nothing more' not in cell.operator.health(node).message
+
+
+def test_what_is_not_understood_is_said_by_the_logger_that_says_all_else(cell):
+    """A throttled line of rclpy refuses every other call of the same line: a node that had logged an error ended."""
+    node = StepdiagNode('says', context=cell.operator.node.context)
+    try:
+        for _ in range(2):
+            node.get_logger().error('an error of the usual kind')
+            node.callback_failed(ValueError('no message'))
+        assert 'no message' in node._not_understood
+    finally:
+        node.destroy_node()
+
+
+def test_goals_that_no_log_can_hold_are_refused_at_once(cell):
+    """65,535 repeats were spelled out for minutes, and a dwell without an end was begun."""
+    for asked, why in (({'repeats': 65535}, 'repeats of'), ({'dwell': float('inf')}, 'a dwell of inf s'),
+                       ({'dwell': 1e300}, 'at most 600 s')):
+        refused = cell.operator.calibrate(['ppp'], asked.get('repeats', 0), asked.get('dwell', 0.0))
+        assert refused.how == 'aborted' and why in refused.message
 
 
 def test_configuring_without_an_instrument_says_so_in_one_line(cell, eventually):

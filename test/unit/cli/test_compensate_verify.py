@@ -23,6 +23,7 @@ from stepdiag_ros.compensate.taken import left_of
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate import evaluate
 from stepdiag_ros.estimate.methods import run_method
+from stepdiag_ros.estimate.prediction import deviation
 from stepdiag_ros.estimate.traceability import Traceability
 from stepdiag_ros.report.compensation_words import summary
 from stepdiag_ros.virtual.cell import Cell, parse_cell
@@ -161,7 +162,21 @@ def test_lost_motion_goes_into_the_trims(tmp_path):
     known = known_errors(read_log(bag), bag)
     found = compensation(known.solution, cell.description.machine, CONTROLS['isg'], reversal=known.reversal).checked()
     assert found.reversal == {} and found.reversal_left.keys() == {'X'}
+    # What stays is part of what is predicted and of what is verified: half of it to either side.
+    assert found.worst_after[0] == pytest.approx(2e-6, abs=2e-7)
+    assert main(['verify', bag, bag, '--tolerance', '12um', '--json', '--out', str(tmp_path / 'v')]) in (0, 1, 4)
+    told = json.loads((tmp_path / 'v' / 'verify.json').read_text())
+    measured = {f['name']: f['after'] for f in told['figures']}['volumetric']
+    assert measured == pytest.approx(found.worst_before[0], rel=0.02)
+    assert measured > known_largest(known.solution, cell.description.machine) + 1e-6
+    assert any('lost motion X' in note for note in told['notes'])
     assert 'it stays, this kind of table knows no direction' in summary(found)
+
+
+def known_largest(solution, machine):
+    """Largest deviation [m] at the corners and in the middle, lost motion left away."""
+    points = np.stack(np.meshgrid(*(np.linspace(0.0, v, 9) for v in machine.volume), indexing='ij'), -1).reshape(-1, 3)
+    return float(np.linalg.norm(deviation(solution.errors, machine, points), axis=1).max())
 
 
 def test_a_log_of_one_axis_makes_one_file(tmp_path):
@@ -385,5 +400,7 @@ def test_results_at_unlike_temperatures_are_not_compared_without_a_word():
             reference_temperature=reference, measured_at={} if x is None else {'x': x}))
     assert apart_words(at(18.0, 20.0), at(25.0, 20.0)) == apart_words(at(20.0, None), at(20.2, None)) == []
     assert apart_words(at(None, None), at(None, None)) == []
-    for before, after in ((at(18.0, None), at(25.0, None)), (at(18.0, 20.0), at(None, None))):
+    referred = SimpleNamespace(traceability=replace(at(18.0, None).traceability, correction_m={'EXX': np.zeros(2)}))
+    for before, after in ((at(18.0, None), at(25.0, None)), (at(18.0, 20.0), at(None, None)),
+                          (referred, at(18.0, None))):
         assert 'unlike temperatures' in apart_words(before, after)[0]

@@ -1,5 +1,6 @@
 """Tables applied by implementations of their own, angles and levers present: what is reported about them is true."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -161,6 +162,44 @@ def test_on_top_of_what_the_control_applies(kind):
         assert found.before_files[f'before/{name}'] == text
     back = {name.removeprefix('before/'): text for name, text in first.before_files.items()}
     assert APPLIED[kind](back, target, 1, machine=machine) == pytest.approx(target, abs=1e-12)
+
+
+def loaded(memory: dict[str, str], files) -> dict[str, str]:
+    """A Sinumerik's variables after loading files over what is there: what no file names stays."""
+    named = [re.fullmatch(r'(\$[^=]+)=(.*)', line) for text in files.values() for line in text.splitlines()]
+    return memory | {match[1]: match[2] for match in named if match}
+
+
+def acting(memory: dict[str, str]) -> dict[str, str]:
+    """The variables as the files that the independent reader of these tests takes."""
+    lines = [f'{name}={value}' for name, value in memory.items()]
+    return {'cec.mpf': '\n'.join(lines), **{f'{axis}_eec.mpf': '\n'.join(lines) for axis in 'xyz'}}
+
+
+def test_a_sinumerik_keeps_no_table_that_is_no_longer_wanted():
+    """Loading clears nothing.  A table of another number, and those of a reversal that the files before did not have,
+    are zero afterwards, and zero again or as they were on the way back; files of other names too."""
+    machine, control = machine_of(), CONTROLS['sinumerik']
+    apply = APPLIED['sinumerik']
+    ramp = np.linspace(0.0, 1.0, 9)
+    old = compensation(only(EYX=1e-5 * ramp, EXX=6e-6 * ramp), machine, control, ORIGIN).checked().files
+    old = {'all.mpf': '\n'.join(re.sub(r'(CEC\w*\[)0', r'\g<1>10', text) for text in old.values())}
+    found = compensation(made(22, sigma=2e-7), machine, control, ORIGIN, present=old,
+                         reversal={'Z': (-3e-6, 1e-8)}).checked()
+    target = found.after.points
+    held = loaded({}, old)
+    now = loaded(held, found.files)
+    for way in (1, -1):
+        alone = apply(acting(loaded({}, found.files)), target, way)
+        assert apply(acting(now), target, way) == pytest.approx(alone, abs=1e-12)
+        back = loaded(now, found.before_files)
+        assert apply(acting(back), target, way) == pytest.approx(apply(acting(held), target, way), abs=1e-12)
+    assert found.before_files['before/all.mpf'] == old['all.mpf']
+    # From a control that held nothing: nothing acts after the way back, reversal included.
+    first = compensation(made(22, sigma=2e-7), machine, control, ORIGIN, reversal={'Z': (-3e-6, 1e-8)}).checked()
+    gone = loaded(loaded({}, first.files), first.before_files)
+    for way in (1, -1):
+        assert apply(acting(gone), target, way) == pytest.approx(target, abs=1e-12)
 
 
 def test_tables_of_axes_that_were_not_measured_stay_in_force():

@@ -1,9 +1,12 @@
 """Decisions, uncertainty of the largest deviation, tables held back: each against a second way."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from stepdiag_ros.compensate.compensation import compensation
+from stepdiag_ros.compensate.approach import sides, sizes
+from stepdiag_ros.compensate.compensation import K, compensation, worsened
 from stepdiag_ros.compensate.controls import CONTROLS
 from stepdiag_ros.compensate.document import document, predicted_of
 from stepdiag_ros.compensate.harmless import held_back
@@ -11,7 +14,7 @@ from stepdiag_ros.compensate.largest import largest
 from stepdiag_ros.compensate.taken import Trim
 from stepdiag_ros.compensate.verified import CONFORMS, FAILS, UNDECIDED, decided, verified
 from stepdiag_ros.errors import StepdiagError
-from stepdiag_ros.estimate.prediction import deviation, predict
+from stepdiag_ros.estimate.prediction import Prediction, deviation, predict
 from stepdiag_ros.estimate.solution import Solution
 from stepdiag_ros.guard.jsontext import to_json
 
@@ -43,6 +46,60 @@ def test_the_largest_deviation_lies_inside_its_uncertainty():
     none = Solution('made', solution.positions, solution.names, 0.0 * solution.value, solution.covariance)
     _, floor, _ = largest(none, machine, np.asarray(machine.tool), predict(none, machine, grid(6)))
     assert floor > 2.0 * np.sqrt(predict(none, machine, grid(6)).size_sigma_m.max() * 1e-9)
+
+
+def test_a_place_is_reached_from_its_worst_side():
+    """Against all eight sides one by one; what is drawn of a lost motion that is known is the same, and of one that is
+    only known to be small it is no more than that."""
+    rng = np.random.default_rng(8)
+    off, lost = 1e-6 * rng.standard_normal((40, 3)), {'X': (4e-6, 2e-7), 'Z': (-1e-6, 1e-7)}
+    every = np.linalg.norm(off[None] + sides(lost)[:, None], axis=2)
+    assert len(every) == 4 and np.allclose(every.max(axis=0), sizes(off, lost), rtol=1e-12)
+    assert sides({}).tolist() == [[0.0, 0.0, 0.0]]
+    machine, solution = machine_of(), made(4, sigma=1e-9)
+    field = predict(solution, machine, grid(4))
+    size, spread, place = largest(solution, machine, np.asarray(machine.tool), field, lost)
+    row = np.flatnonzero((field.points == place).all(axis=1))[0]
+    assert size == sizes(field.deviation_m, lost)[row] == sizes(field.deviation_m, lost).max()
+    assert 1e-8 < spread < 2e-7 and largest(solution, machine, np.asarray(machine.tool), field)[1] < spread
+
+
+def test_no_side_becomes_worse_where_lost_motion_stays():
+    """A table that takes off along Y and adds along X would be safe, did not X lose motion: |(9, 0)| < |(0, 10)|, but
+    from the worst side (19, 0) is more than (10, 10)."""
+    points, off = np.zeros((1, 3)), np.array([[0.0, 1e-5, 0.0]])
+    after = np.array([[9e-6, 0.0, 0.0]])
+    sharp = [Prediction(points, deviation_, 1e-18 * np.eye(3)[None]) for deviation_ in (off, after)]
+    lost = {'X': (2e-5, 0.0)}
+    assert worsened(*sharp)[0] < 0.0 < worsened(*sharp, lost, lost)[0]
+    assert worsened(*sharp, lost, {})[0] < 0.0
+
+
+def test_what_lost_motion_leaves_is_held_back_too():
+    machine, solution = machine_of('YXFZ'), made(31, sigma=2e-8)
+    lost = {'X': (1.5e-5, 1e-7), 'Y': (-1e-5, 1e-7)}
+    found = compensation(solution, machine, replace(CONTROLS['sinumerik'], reverses=False), ORIGIN, reversal=lost)
+    assert found.reversal_left == lost and found.worst_before[0] > 1e-5
+    found.checked()
+    for side in sides(lost):
+        then = np.linalg.norm(found.after.deviation_m + side, axis=1)
+        allowed = sizes(found.before.deviation_m, lost) + K * found.before.size_sigma_m
+        assert np.all(then <= allowed + 1e-9)
+
+
+def test_a_curve_is_decided_at_each_of_its_positions():
+    """The largest value is known well, a smaller one poorly: one place inside by U does not speak for the others."""
+    machine, solution = machine_of(), made(4, sigma=1e-7)
+    rows = [i for i, (name, _) in enumerate(solution.names) if name == 'EXX']
+    value, spread = solution.value.copy(), np.diag(solution.covariance).copy()
+    value[rows], spread[rows] = 1e-6, 1e-14
+    value[rows[2]], spread[rows[-1]] = 8e-6, (9e-6)**2
+    bent = Solution(solution.method, solution.positions, solution.names, value, np.diag(spread))
+    found = verified(bent, bent, machine, {'EXX': 15e-6})
+    shown = next(f for f in found.figures if f.name == 'EXX')
+    assert shown.after == 8e-6 and shown.after + shown.after_spread < 15e-6
+    assert shown.decision == found.decision == UNDECIDED
+    assert verified(bent, bent, machine, {'EXX': 20e-6}).decision == CONFORMS
 
 
 def test_held_back_tables_hold_at_all_places():

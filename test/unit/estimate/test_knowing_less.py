@@ -137,6 +137,7 @@ def test_no_method_is_certain_without_repeats(full):
     for method, result in results.items():
         if not isinstance(result, Solution):
             assert min(result.sigma_m.values()) > 1e-8, method
+            assert any('noise that the cell declares' in remark for remark in result.remarks), method
             continue
         for name in {n for n, _ in result.names}:
             assert result.sigma[[i for i, (n, _) in enumerate(result.names) if n == name]].max() > 1e-8, (method, name)

@@ -166,6 +166,15 @@ def test_the_correction_to_20_degrees_is_shown(vacuum):
     assert next(both) > next(both) > 0.0
 
 
+def test_one_axis_that_is_referred_to_20_degrees_is_told_from_the_others(vacuum):
+    _, log = vacuum
+    tied = evaluate(describing(log, scales={'x': log.description.scales['x']})).traceability
+    assert tied.reference_temperature is None and tied.correction_m.keys() == {'EXX'}
+    words = tied.temperature_words
+    assert words.startswith('EXX referred to 20 °C; the others at the temperature of the scales')
+    assert 'X 2' not in words and 'Y 2' in words and 'Z 2' in words
+
+
 def test_the_diagnosis_gets_lengths_and_keeps_the_drift():
     """One index for the whole log: as an instrument that divides by a constant would have recorded it."""
     log = log_of(cell(DRIFT))

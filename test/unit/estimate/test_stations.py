@@ -121,6 +121,21 @@ def test_errors_stations_and_dead_paths_come_back(plan):
         assert place['dead_path_m'] == pytest.approx(float(np.linalg.norm(start - true)), abs=2e-5)
 
 
+@pytest.mark.parametrize('steps', [2, 4, 5])
+def test_ways_that_go_otherwise_than_the_plan_have_knots_of_their_own(steps):
+    """No stop lies at the plan's thirds of the axes: with knots there every error was open, at status ok."""
+    cell = cell_of({name: f'{body}, steps: {steps}' for name, body in FOUR.items()})
+    solution = evaluate(believed(simulate_log(cell)))
+    assert solution.status == 'ok'
+    assert not {name.split()[0] for entry in solution.unidentifiable for name in entry.names} & ALL
+    place, value, sigma = solution.curve('EXX')
+    np.testing.assert_allclose(place, np.linspace(0.0, X, steps + 1), atol=1e-12)
+    true = cell.geometry.curves['EXX']
+    assert np.abs(value - true(place)).max() < 2e-7 and sigma.max() < 2e-5
+    plain = evaluate(believed(simulate_log(cell_of(FOUR | {name: f'{body}, steps: 6' for name, body in FOUR.items()}))))
+    assert len(plain.curve('EXX')[0]) == 4    # the plan's own, where they are gone by
+
+
 def test_the_arrays_of_the_literature_agree_with_the_joint_estimate(plan):
     """A second way to the same errors: distances on arrays, kinematics to first order, another solver."""
     cell, log, shown = plan
