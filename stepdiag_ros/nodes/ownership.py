@@ -24,7 +24,7 @@ class Ownership:
     """
 
     def __init__(self, namespace: str, what: str):
-        self.namespace, self.domain = '/' + namespace.strip('/'), os.environ.get('ROS_DOMAIN_ID') or '0'
+        self.namespace, self.domain = '/' + namespace.strip('/'), ros_domain()
         self._socket = _hold(
             f'{self.domain}{self.namespace}/{what}', self.namespace,
             f'{self.namespace} is up already in ROS domain {self.domain} on this computer; calibrate it with '
@@ -84,9 +84,18 @@ def _address(host: str, port: int) -> str:
         return host.lower()[:60]
 
 
+def ros_domain() -> str:
+    """The present ROS domain as one word: rcl reads C's number, so that 77, 0x4d and 0115 are the same."""
+    text = os.environ.get('ROS_DOMAIN_ID', '').strip() or '0'
+    try:
+        return str(int(text, 8) if text.isdigit() and text.startswith('0') else int(text, 0))
+    except ValueError:
+        return text     # ROS will say what is wrong with it
+
+
 def machines_up() -> list[str]:
     """Namespaces of the machines that are up in the present ROS domain on this computer."""
-    mark = f'@stepdiag_ros/{os.environ.get("ROS_DOMAIN_ID") or "0"}/'
+    mark = f'@stepdiag_ros/{ros_domain()}/'
     names = (line.split()[-1] for line in Path('/proc/net/unix').read_text(encoding='ascii').splitlines())
     return sorted('/' + name.removeprefix(mark).removesuffix(f'/{CELL}') for name in names
                   if name.startswith(mark) and name.endswith(f'/{CELL}'))

@@ -14,7 +14,7 @@ import pytest
 
 from stepdiag_ros.bag.reader import read_log
 from stepdiag_ros.errors import StepdiagError
-from stepdiag_ros.nodes.ownership import CELL, ControlOwnership, Ownership
+from stepdiag_ros.nodes.ownership import CELL, ControlOwnership, Ownership, ros_domain
 
 #: With a fifth of the samples: how they are taken is tried elsewhere.
 DEMO = re.sub(r'(interferometer|psd): 1000\.0', r'\1: 200.0',
@@ -107,7 +107,9 @@ def test_a_second_owner_is_refused_and_the_kernel_frees_what_a_killed_one_held(m
     finally:
         holder.kill()
         holder.communicate()
-    monkeypatch.setenv('ROS_DOMAIN_ID', '77')
+    for same in ('77', '0x4d', '0115'):
+        monkeypatch.setenv('ROS_DOMAIN_ID', same)
+        assert ros_domain() == '77'
     Ownership('/owned', CELL).release()
     ControlOwnership('127.0.0.1', 5998).release()
 
