@@ -18,6 +18,8 @@ from stepdiag_ros.nodes.clocks import answer_clock
 from stepdiag_ros.nodes.marked import Marked
 from stepdiag_ros.nodes.stamps import clock_name, stamp_of
 
+LONGEST_BLOCK_S = 1.0
+
 
 class DriverNode(StepdiagNode):
     """A sensor's node.  Configure connects, activate samples and publishes."""
@@ -33,7 +35,7 @@ class DriverNode(StepdiagNode):
         self.number('timeout', 5.0, 'silence after which the instrument counts as stalled',
                     0.1, 120.0, 's')
         self.number('sample_rate', 1000.0, 'samples a second', 1.0, 1.0e6, 'Hz')
-        self.count('block_samples', 50, 'samples in one message', 1, 100_000)
+        self.count('block_samples', 50, 'samples in one message, of at most one second', 1, 100_000)
         self.text('setup', '', 'the setup that is mounted at the start, e.g. ppp')
         self.marked = Marked(self)
         self.instrument: Any = None
@@ -73,8 +75,8 @@ class DriverNode(StepdiagNode):
         return self.instrument.read_block(self.samples(), 1.0 / self.value('sample_rate'))
 
     def samples(self) -> int:
-        """Samples of the next block."""
-        return self.value('block_samples')
+        """Samples of the next block, at most those of :data:`LONGEST_BLOCK_S`: the one in hand is waited for."""
+        return min(self.value('block_samples'), max(1, int(LONGEST_BLOCK_S * self.value('sample_rate'))))
 
     def lost(self) -> None:
         """The connection broke (in the acquisition's thread)."""

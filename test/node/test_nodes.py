@@ -242,6 +242,17 @@ def test_goals_that_no_log_can_hold_are_refused_at_once(cell):
         assert refused.how == 'aborted' and why in refused.message
 
 
+def test_a_driver_ends_its_block_whatever_its_length_is_set_to(cell):
+    """A block of 100,000 samples at 1 Hz lasted a day, and deactivating waited for it."""
+    operator = cell.operator
+    before = {name: operator.parameters('psd_driver', [name])[0] for name in ('sample_rate', 'block_samples')}
+    operator.set_parameters('psd_driver', {'sample_rate': 1.0, 'block_samples': 100_000})
+    time.sleep(1.0)
+    operator.set_parameters('psd_driver', before)
+    assert operator.transition('psd_driver', 'deactivate') and operator.state('psd_driver') == 'inactive'
+    operator.bring('psd_driver', 'active')
+
+
 def test_configuring_without_an_instrument_says_so_in_one_line(cell, eventually):
     operator = cell.operator
     operator.bring('psd_driver', 'unconfigured')
