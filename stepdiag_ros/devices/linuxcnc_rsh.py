@@ -25,6 +25,9 @@ STOP_S = 10.0
 STOP_ANSWER_S = 1.0
 """A connection that says nothing for so long while the machine must stop is given up for a fresh one."""
 STOP_PAUSE_S = 0.05
+ASKED = 3
+"""So often a position is asked for that comes garbled: of two clients that ask at once the control may answer one with
+what the other asked for (one axis instead of all)."""
 MOST_LINE = 1 << 16
 """Bytes without an end of line that are no answer of a control."""
 
@@ -158,14 +161,15 @@ class LinuxCncRsh:
         return bool(idle and same and arrived)
 
     def position(self) -> np.ndarray:
-        words = self._get('abs_act_pos').split()
-        try:
-            place = np.array([float(word) for word in words[:3]])
-        except ValueError:
-            place = np.zeros(0)
-        if place.shape != (3,) or not np.all(np.isfinite(place)):
-            raise self._link.fail(f'answers nonsense ({" ".join(words)[:60]!r} for a position)')
-        return place * self._unit_m - self._origin
+        for _ in range(ASKED):
+            words = self._get('abs_act_pos').split()
+            try:
+                place = np.array([float(word) for word in words[:3]])
+            except ValueError:
+                place = np.zeros(0)
+            if place.shape == (3,) and np.all(np.isfinite(place)):
+                return place * self._unit_m - self._origin
+        raise self._link.fail(f'answers nonsense ({" ".join(words)[:60]!r} for a position)')
 
     def stop(self) -> None:
         """Abort the motion; returns when the machine stands still.
