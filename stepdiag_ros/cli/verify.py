@@ -46,11 +46,13 @@ def run(args: argparse.Namespace) -> int:
     from stepdiag_ros.cli.known import known_errors
     from stepdiag_ros.cli.tables import in_force
     from stepdiag_ros.compensate.applied import bare, remaining
+    from stepdiag_ros.compensate.approach import standing_out
     from stepdiag_ros.compensate.document import predicted_of
     from stepdiag_ros.compensate.fit_to_act import not_metres, unfit
     from stepdiag_ros.compensate.open_directions import openness, without
     from stepdiag_ros.compensate.taken import nothing
     from stepdiag_ros.compensate.verified import CONFORMS, FAILS, verified
+    from stepdiag_ros.report.compensation_words import reversal_words
     from stepdiag_ros.report.verify_page import agreement_words, verify_page
 
     tolerances = _tolerances(args.tolerance)
@@ -77,13 +79,10 @@ def run(args: argparse.Namespace) -> int:
         if not nothing(taken):
             notes.append(f'{Path(bag).name}: measured under the volumetric compensation of {predicted.control}; of '
                          'each error is shown what acts on the tool point')
-        reversals.append({axis: (value, spread) for axis, (value, spread) in known.reversal.items()
-                          if abs(value) > spread})
+        reversals.append(standing_out(known.reversal))
         if reversals[-1]:
-            lost = ', '.join(f'{axis} {1e6 * value:.2f} µm, U = {1e6 * spread:.2g} µm (k = 2)'
-                             for axis, (value, spread) in reversals[-1].items())
-            notes.append(f'{Path(bag).name}: lost motion {lost}; the volumetric error counts each place from the worse '
-                         'side, the 21 errors are the mean of both')
+            notes.append(f'{Path(bag).name}: lost motion {reversal_words(reversals[-1])}; the volumetric error counts '
+                         'each place from the worse side, the 21 errors are the mean of both')
         notes += [f'{Path(bag).name}: {line}' for line in tied_lines(known.solution)]
         notes += [f'{Path(bag).name}: {note}' for note in known.notes]
     notes += apart_words(*solutions)

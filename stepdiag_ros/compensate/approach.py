@@ -17,6 +17,11 @@ Reversal = Mapping[str, tuple[float, float]]
 NONE: Reversal = {}
 
 
+def standing_out(reversal: Reversal) -> Reversal:
+    """Those that are larger than their U."""
+    return {axis: (value, spread) for axis, (value, spread) in reversal.items() if abs(value) > spread}
+
+
 def half(reversal: Reversal) -> np.ndarray:
     """Half the lost motion of X, Y, Z (3,) [m], never negative."""
     return np.array([0.5 * abs(reversal.get(letter, (0.0, 0.0))[0]) for letter in AXES])

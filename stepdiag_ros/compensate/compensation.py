@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from stepdiag_ros.compensate.approach import NONE, Reversal, sides, sizes
+from stepdiag_ros.compensate.approach import NONE, Reversal, sides, sizes, standing_out
 from stepdiag_ros.compensate.control import Control, Place
 from stepdiag_ros.compensate.fit_to_act import unfit
 from stepdiag_ros.compensate.functional import FunctionalPoint, functional_point, tables_of_line
@@ -179,7 +179,7 @@ def compensation(solution: Solution, machine: Machine, control: Control, origin:
     point = _point(machine, point, whole)
     place = place.of_tool(point.tool)
     held = control.read(present, place) if present else {}
-    found = {axis: (value, spread) for axis, (value, spread) in reversal.items() if abs(value) > spread}
+    found = standing_out(reversal)
 
     if not any(kept.has(name) for name in control.carries):
         refusals.append('nothing that this kind of table carries is known')

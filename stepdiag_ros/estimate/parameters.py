@@ -75,8 +75,12 @@ def parameters_of(description: Description, table: StopTable) -> Parameters:
     linear = np.array([description.setups[s].is_line for s in table.setup_names])
     # A log without diagonals knows nothing between its own stops: its stops are the knots.
     only_linear = bool(linear[table.setup].all())
+    used = [s for i, s in enumerate(table.setup_names) if np.any(table.setup == i)]
+    ways = _own_ways(description, used)
     for axis, letter in enumerate(AXES):
-        plan = _base(description, table, axis)
+        plan = plan_positions(description, axis)
+        if ways is not None:
+            plan = _base(plan, ways[:, axis])
         own = np.isin(table.setup, [i for i, s in enumerate(table.setup_names)
                                     if description.setups[s].axes == (axis,)])
         extra = np.unique(table.commanded[own, axis])
@@ -91,7 +95,6 @@ def parameters_of(description: Description, table: StopTable) -> Parameters:
     for name in CURVES:
         first[name] = column
         column += len(knots[name]) - 1
-    used = [s for i, s in enumerate(table.setup_names) if np.any(table.setup == i)]
     setup_first = {}
     unknowns = {setup: STATION if description.setups[setup].follows else MISALIGNMENTS for setup in used}
     for setup in used:
@@ -103,15 +106,17 @@ def parameters_of(description: Description, table: StopTable) -> Parameters:
                                 and not description.setups[s].is_straight), unknowns)
 
 
-def _base(description: Description, table: StopTable, axis: int) -> np.ndarray:
-    """Knots (k,) [m] of an axis's curves: the plan's positions, or those of the log's ways that go otherwise."""
-    plan = plan_positions(description, axis)
-    used = [name for i, name in enumerate(table.setup_names)
-            if np.any(table.setup == i) and not description.setups[name].is_line]
-    ways = [name for name in used if description.setups[name].way is not None]
-    if not ways or len(ways) < len(used):
-        return plan
-    gone = _merge(np.concatenate([[0.0], *(stops(description, name).positions[:, axis] for name in ways)]))
+def _own_ways(description: Description, used: list[str]) -> np.ndarray | None:
+    """Where the log's ways stop (n, 3) [m], its lines left away; None where one of them goes by the plan."""
+    names = [name for name in used if not description.setups[name].is_line]
+    if not names or any(description.setups[name].way is None for name in names):
+        return None
+    return np.concatenate([np.zeros((1, 3)), *(stops(description, name).positions for name in names)])
+
+
+def _base(plan: np.ndarray, gone: np.ndarray) -> np.ndarray:
+    """Knots (k,) [m] of an axis's curves where the log stops at ``gone``: the plan's, or, gone by otherwise, these."""
+    gone = _merge(gone)
     missed = np.abs(gone[:, None] - plan).min(axis=0) > MERGE_M
     # Ways that go only part of the axis leave the rest to the plan.
     whole = abs(gone[0]) <= MERGE_M and abs(gone[-1] - plan[-1]) <= MERGE_M

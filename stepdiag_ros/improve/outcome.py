@@ -12,7 +12,7 @@ import numpy as np
 from scipy.stats import norm
 
 from stepdiag_ros.compensate.applied import remaining
-from stepdiag_ros.compensate.approach import NONE, Reversal
+from stepdiag_ros.compensate.approach import NONE, Reversal, standing_out
 from stepdiag_ros.compensate.largest import largest
 from stepdiag_ros.compensate.taken import Taken
 from stepdiag_ros.estimate.prediction import Prediction, predict, sensitivities
@@ -96,7 +96,7 @@ def outcome(change: Change, first: Solution, first_applied: Taken, second: Solut
     after = predict(second, machine, points)
     off = np.linalg.norm(after.deviation_m - predicted.deviation_m, axis=1)
     figures = {'before': made.worst_before, 'predicted': made.worst(predicted),
-               'after': largest(second, machine, made.point.tool, after, reversal)}
+               'after': largest(second, machine, made.point.tool, after, standing_out(reversal))}
     return Outcome(made.before, predicted, after, float(off.max()), _largest_of_noise((first, second), machine, points),
                    _stops(first, second, log), figures)
 

@@ -38,7 +38,7 @@ from stepdiag_ros.nodes.graph import (
     write_graph,
 )
 from stepdiag_ros.nodes.ownership import CELL as CELL_OWNER
-from stepdiag_ros.nodes.ownership import Ownership, RuntimeOwnership, machines_up
+from stepdiag_ros.nodes.ownership import Held, Ownership, RuntimeOwnership, machines_up
 from stepdiag_ros.virtual.acting import allow_effect_files
 from stepdiag_ros.virtual.cell import Cell, load_cell
 
@@ -142,7 +142,7 @@ class Bringup(BroughtUp):
                 self.runtime / name, None if bag is None else bag.with_name(f'{bag.name}_{name}')))
         self._say = say
         self._network = cell.network
-        self._owned: list[Ownership] = []
+        self._owned: list[Held] = []
         self._children: dict[str, _Child] = {}
         self.restarts = 0
         network = environment.prepare(cell.network)

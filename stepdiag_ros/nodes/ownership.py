@@ -17,7 +17,17 @@ from stepdiag_ros.errors import StepdiagError
 CELL, SOURCE, SEQUENCER = 'cell', 'source', 'step_sequencer'
 
 
-class Ownership:
+class Held:
+    """Something on this computer that only one may have, until :meth:`release` or the process's end."""
+
+    _socket: socket.socket
+
+    def release(self) -> None:
+        """Somebody else may have it."""
+        self._socket.close()
+
+
+class Ownership(Held):
     """Holds ``what`` of a namespace in the present ROS domain until :meth:`release` or the process's end.
 
     Raises :class:`StepdiagError` where somebody else does.
@@ -30,12 +40,8 @@ class Ownership:
             f'{self.namespace} is up already in ROS domain {self.domain} on this computer; calibrate it with '
             f'stepdiag calibrate {self.namespace}, or end it, or choose another ROS_DOMAIN_ID')
 
-    def release(self) -> None:
-        """Somebody else may have it."""
-        self._socket.close()
 
-
-class ControlOwnership:
+class ControlOwnership(Held):
     """Holds the machine control at an address until :meth:`release` or the process's end, whatever the sequencer's
     namespace and ROS domain.  Raises :class:`StepdiagError` where another sequencer of this computer does."""
 
@@ -44,22 +50,14 @@ class ControlOwnership:
         self._socket = _hold(f'control/{_address(host, port)}:{port}', where,
                              f'{where}: another sequencer on this computer commands it; end that one first')
 
-    def release(self) -> None:
-        """Somebody else may have it."""
-        self._socket.close()
 
-
-class RuntimeOwnership:
+class RuntimeOwnership(Held):
     """The folder of a cell's parameters and logs, in which a restarted node reads which instruments are its own."""
 
     def __init__(self, folder: Path):
         status = folder.stat()
-        self._held = _hold(f'stepdiag_ros/runtime/{status.st_dev}/{status.st_ino}', str(folder),
-                           f'{folder}: another cell that is up keeps its parameters there; name another --runtime')
-
-    def release(self) -> None:
-        """Let others have it."""
-        self._held.close()
+        self._socket = _hold(f'runtime/{status.st_dev}/{status.st_ino}', str(folder),
+                             f'{folder}: another cell that is up keeps its parameters there; name another --runtime')
 
 
 def _hold(name: str, what: str, taken: str) -> socket.socket:

@@ -1,5 +1,6 @@
 """What tables do, in words: the lines of the command and the README beside the tables."""
 
+from stepdiag_ros.compensate.approach import Reversal
 from stepdiag_ros.compensate.compensation import Compensation
 from stepdiag_ros.estimate.prediction import Prediction
 from stepdiag_ros.estimate.traceability import WORDS
@@ -17,6 +18,12 @@ def _figure(found: Compensation, prediction: Prediction) -> str:
 def _small(value: float) -> str:
     """Two digits behind the point, or two that are not zero."""
     return f'{value:.2f}' if value >= 0.1 else f'{value:.2g}'
+
+
+def reversal_words(reversal: Reversal) -> str:
+    """Lost motion of the axes with its U."""
+    return ', '.join(f'{axis} {1e6 * value:.2f} µm, U = {_small(1e6 * spread)} µm (k = 2)'
+                     for axis, (value, spread) in reversal.items())
 
 
 def summary(found: Compensation) -> str:
@@ -45,10 +52,8 @@ def summary(found: Compensation) -> str:
                            (found.reversal_left, 'it stays, this kind of table knows no direction; give it to the '
                                                  "control's own backlash compensation")):
         if reversal:
-            lines.append('  reversal           ' + ', '.join(
-                f'{axis} {1e6 * value:.2f} µm, U = {_small(1e6 * spread)} µm (k = 2)'
-                for axis, (value, spread) in reversal.items())
-                + f': {what}; the largest deviation counts it from the worst side')
+            lines.append(f'  reversal           {reversal_words(reversal)}: {what}; the largest deviation counts it '
+                         'from the worst side')
     tied = found.solution.traceability
     if tied is not None:
         lines.append(f'  errors             {WORDS[tied.air]}; {tied.temperature_words}')
