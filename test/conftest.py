@@ -3,6 +3,7 @@
 import fcntl
 import os
 import signal
+import sys
 import time
 import uuid
 from collections.abc import Iterator
@@ -13,6 +14,10 @@ from typing import IO
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+
+from standstill import Standstills  # noqa: E402
+
 DOMAINS = range(1, 101)  # above, Fast DDS's ports run into those that the kernel hands out
 LOCKS = Path('/tmp') / f'stepdiag-ros-domains-{os.getuid()}'
 
@@ -61,6 +66,10 @@ def ros_domain(tmp_path: Path) -> Iterator[int]:
 
 
 _turn: IO[str] | None = None
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    config.pluginmanager.register(Standstills(), 'standstills')
 
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)

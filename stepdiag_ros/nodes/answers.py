@@ -1,14 +1,17 @@
 """What the graph finds out, as messages: the errors, and the diagnosis of the gap."""
 
 import math
+from typing import TYPE_CHECKING
 
 from std_msgs.msg import Header
 
 from stepdiag_msgs.msg import ErrorCurve, GapEffect, GapPlace, GapReport, GeometricErrors
 from stepdiag_ros.estimate import Solution
-from stepdiag_ros.gap.diagnosis import Diagnosis
 from stepdiag_ros.model.machine import CURVES, SQUARENESS
 from stepdiag_ros.nodes.stamps import stamp_of
+
+if TYPE_CHECKING:     # the solver answers too, and needs no diagnosis
+    from stepdiag_ros.gap.diagnosis import Diagnosis
 
 
 def errors_message(solution: Solution, last_step_ns: int, complete: bool = True) -> GeometricErrors:
@@ -33,7 +36,7 @@ def _curve(solution: Solution, name: str) -> ErrorCurve:
                       sigma=_list(sigma), sigma_repeatability=_list(solution.curve_repeatability(name)))
 
 
-def report_message(diagnosis: Diagnosis, time_ns: int) -> GapReport:
+def report_message(diagnosis: 'Diagnosis', time_ns: int) -> GapReport:
     """A diagnosis as a message."""
     gap = diagnosis.cross_validation
     return GapReport(

@@ -6,6 +6,7 @@ A node declares its parameters, says how it is (``health``), and does its work i
 second, the lifecycle's return codes, signals, spinning.
 """
 
+import faulthandler
 import os
 import signal
 import sys
@@ -28,6 +29,7 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rclpy.clock import Clock, ClockType  # noqa: E402
 from rclpy.exceptions import InvalidParameterValueException  # noqa: E402
 from rclpy.experimental.events_executor import EventsExecutor  # noqa: E402
+from rclpy.impl.implementation_singleton import rclpy_implementation  # noqa: E402
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn  # noqa: E402
 from rclpy.qos import (  # noqa: E402
     DurabilityPolicy,
@@ -53,6 +55,8 @@ DEPTH = 2000
 SPIN_S = 0.2
 #: So long diagnostics say that a callback has failed.
 FAILED_S = 10.0
+#: A node that was told to end has ended after so long, whatever still holds it.
+ENDS_S = 15.0
 
 
 def reliable(depth: int = DEPTH, latched: bool = False) -> QoSProfile:
@@ -175,6 +179,15 @@ class StepdiagNode(LifecycleNode):
     def value(self, name: str) -> Any:
         """The parameter as it stands now."""
         return self.get_parameter(name).value
+
+    def stated(self, name: str) -> Any:
+        """A parameter that nobody can guess; :class:`StepdiagError` where it was not given."""
+        value = self.value(name)
+        if not value:
+            raise StepdiagError(f'{self.get_name()}: parameter {name} is not given; start the node with '
+                                '--ros-args --params-file FILE (stepdiag up and ros2 launch write one), or with '
+                                f'-p {name}:=…')
+        return value
 
     # -- lifecycle ---------------------------------------------------------------
 
@@ -312,7 +325,8 @@ def run_node(make: Callable[[], StepdiagNode]) -> int:
     """The ``main`` of a node: make it, spin until SIGINT or SIGTERM, wind down.
 
     rclpy's own signal handlers would close the context at once, before a recorder has
-    drained and an axis has stopped; so the node takes the signals itself.
+    drained and an axis has stopped; so the node takes the signals itself.  What the middleware
+    holds for ever on the way out ends with the process, which then says where it stood.
     """
     status = _run(make)
     if threading.active_count() > 1:
@@ -325,22 +339,30 @@ def run_node(make: Callable[[], StepdiagNode]) -> int:
 
 def _run(make: Callable[[], StepdiagNode]) -> int:
     asked: list[int] = []
+
+    def ask(number: int, _frame: Any) -> None:
+        asked.append(number)
+        faulthandler.dump_traceback_later(ENDS_S, exit=True)
+
     for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda got, _frame: asked.append(got))
-    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+        signal.signal(number, ask)
     node = None
     try:
+        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         node = make()
         if NETWORK_SAID:
             node.get_logger().warning(NETWORK_SAID)
         executor = EventsExecutor()
         executor.add_node(node)
         spin(executor, lambda: bool(asked), node.callback_failed)
+        # Before what it listens to is destroyed: a message that comes meanwhile has nobody to wake.
+        executor.remove_node(node)
         return 0
     except StepdiagError as error:
         print(escaped(f'stepdiag: {error}'), file=sys.stderr)
         return 2
-    except InvalidParameterValueException as error:
+    except (InvalidParameterValueException, rclpy_implementation.RCLError) as error:
+        # Of arguments: a file of parameters that is not there or no YAML, a value out of its range.
         print(escaped(f'stepdiag: {error}'.replace('\n', ' ')), file=sys.stderr)
         return 2
     finally:

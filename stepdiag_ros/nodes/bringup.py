@@ -39,13 +39,19 @@ from stepdiag_ros.nodes.graph import (
 )
 from stepdiag_ros.nodes.ownership import CELL as CELL_OWNER
 from stepdiag_ros.nodes.ownership import Held, Ownership, RuntimeOwnership, machines_up
+from stepdiag_ros.nodes.patience import Patience
 from stepdiag_ros.virtual.acting import allow_effect_files
 from stepdiag_ros.virtual.cell import Cell, load_cell
 
 CELL = 'virtual cell'
 #: Whatever lives is waited for so long: what ends is noticed at once, and a computer that is busy takes its time.
 START_TIMEOUT_S = 300.0
-GRACE_S = 15.0
+#: Parameters that belong to one process: who starts it again gives it its own.
+OF_ONE_LIFE = ('bag', 'go_on')
+#: So long one question whether a node is up may take.
+ANSWER_S = 2.0
+#: A node ends itself before (ENDS_S in nodes/base.py); this is for what is stuck where it hears no signal.
+GRACE_S = 20.0
 #: So long the graph is looked at for nodes of the same name before any is started.
 LOOK_AROUND_S = 1.5
 #: A node that dies this often within a minute is left alone.
@@ -270,13 +276,9 @@ class Bringup(BroughtUp):
 
     def _await(self, ready: Callable[[], bool], child: _Child) -> None:
         """Wait for a process that is being started, as long as it lives: one that ends has a reason to give."""
-        end = time.monotonic() + START_TIMEOUT_S
-        while not ready():
-            self._must_live(child)
-            if time.monotonic() > end:
-                raise StepdiagError(f'{child.called} is not up after {START_TIMEOUT_S:g} s; '
-                                    f'see {self.log_file(child.name)}')
-            time.sleep(0.05)
+        if not Patience(START_TIMEOUT_S, ANSWER_S).until(ready, lambda: self._must_live(child)):
+            raise StepdiagError(f'{child.called} is not up after {START_TIMEOUT_S:g} s; '
+                                f'see {self.log_file(child.name)}')
 
     def _must_live(self, child: _Child) -> None:
         if child.process.poll() is not None:
@@ -287,11 +289,12 @@ class Bringup(BroughtUp):
         return lines[-1].removeprefix('stepdiag: ') if lines else 'without a word'
 
     def _activate(self, child: _Child) -> None:
-        """Configure and activate one node."""
+        """Configure and activate one node, with the parameters that its predecessor was given while it lived."""
         from stepdiag_ros.nodes.operator import ACTIVE
         operator = self.operator_of(child.namespace)
-        self._await(lambda: operator.answers(child.node, 2.0), child)
+        self._await(lambda: operator.answers(child.node, ANSWER_S), child)
         try:
+            operator.restore_parameters(child.node, START_TIMEOUT_S, but=OF_ONE_LIFE)
             operator.bring(child.node, ACTIVE, START_TIMEOUT_S)
         finally:
             self._must_live(child)     # its last words say more than that it does not answer
@@ -317,7 +320,6 @@ class Bringup(BroughtUp):
             if child.node == 'recorder':
                 self._keep_bag(child)
             self._spawn(child)
-            self.operator_of(child.namespace).restore_parameters(child.node, but=('bag', 'go_on'))
             self._activate(child)
             self.restarts += 1
             self._say(f'{child.name} is active again')
@@ -358,14 +360,14 @@ class Bringup(BroughtUp):
     def _end(self, children: list[_Child]) -> None:
         for child in children:
             child.process.terminate()
-        end = time.monotonic() + GRACE_S
+        patience = Patience(GRACE_S)
         for child in children:
-            try:
-                child.process.wait(max(0.05, end - time.monotonic()))
-            except subprocess.TimeoutExpired:
-                self._say(f'{child.name} does not end; killing it')
-                child.process.kill()
-                child.process.wait()
+            while child.process.poll() is None:
+                if patience.over():
+                    self._say(f'{child.name} does not end; killing it')
+                    child.process.kill()
+                    child.process.wait()
+                time.sleep(0.05)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

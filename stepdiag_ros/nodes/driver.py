@@ -29,7 +29,7 @@ class DriverNode(StepdiagNode):
 
     def __init__(self, name: str, port: int):
         super().__init__(name)
-        self.text('host', '127.0.0.1', 'host name or address of the instrument', fixed=True)
+        self.text('host', '', 'host name or address of the instrument', fixed=True)
         self.text('driver', DEFAULT[self.sensor], 'name of the driver of the instrument', fixed=True)
         self.count('port', port, 'TCP port of the instrument', 1, 65535, fixed=True)
         self.number('timeout', 5.0, 'silence after which the instrument counts as stalled',
@@ -113,6 +113,7 @@ class DriverNode(StepdiagNode):
         return response
 
     def configure(self) -> None:
+        self.stated('host')
         self.instrument = self.build()
         try:
             self.instrument.connect()

@@ -19,6 +19,7 @@ from stepdiag_msgs.msg import Renewal
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.nodes.base import StepdiagNode, reliable
 from stepdiag_ros.nodes.futures import ended
+from stepdiag_ros.nodes.patience import Patience
 from stepdiag_ros.nodes.runner import Interrupted
 from stepdiag_ros.nodes.source_queue import Hold
 
@@ -26,7 +27,8 @@ from stepdiag_ros.nodes.source_queue import Hold
 RENEW_S = 0.5
 #: A multiplexer that answers nothing for so long is taken for dead, and is asked anew.
 SILENCE_S = 10.0
-SERVER_S = 5.0
+#: One that is being started, or was killed and is started again, is waited for: the machine stands and holds nothing.
+SERVER_S = 120.0
 
 
 class _Asked:
@@ -76,8 +78,7 @@ class Light:
 
     def _ask(self, expected_s: float, alive: Callable[[], None], tell: Callable[[str], None]) -> bool:
         """Ask and wait; False where the request was lost and is to be made anew."""
-        if not self._client.wait_for_server(timeout_sec=SERVER_S):
-            raise Interrupted(f'nobody answers at {self._name}; is the multiplexer up?')
+        self._await_server(alive, tell)
         asked = self._asked = _Asked()
         goal = UseSource.Goal(machine=self._machine, priority=self._priority, expected=expected_s)
         sent = self._in_executor(lambda: self._client.send_goal_async(
@@ -103,6 +104,17 @@ class Light:
                 tell(f'waiting for the light: place {asked.said.place}, about {asked.said.wait:.0f} s')
             time.sleep(0.01)
         return True
+
+    def _await_server(self, alive: Callable[[], None], tell: Callable[[str], None]) -> None:
+        patience, tell_s = Patience(SERVER_S), 0.0
+        while not self._client.server_is_ready():
+            if patience.over():
+                raise Interrupted(f'nobody answers at {self._name} for {SERVER_S:g} s; is the multiplexer up?')
+            if patience.waited_s >= tell_s:
+                tell_s = patience.waited_s + 1.0
+                tell(f'waiting for the multiplexer at {self._name}')
+            alive()
+            time.sleep(0.1)
 
     def _give_back(self) -> None:
         asked, self._asked = self._asked, None

@@ -49,7 +49,7 @@ class Multiplexer(StepdiagNode):
 
     def __init__(self):
         super().__init__('multiplexer')
-        self.text('host', '127.0.0.1', 'host name or address of the optical switch', fixed=True)
+        self.text('host', '', 'host name or address of the optical switch', fixed=True)
         self.count('port', PORT, 'TCP port of the optical switch', 1, 65535, fixed=True)
         self.number('timeout', 5.0, 'silence after which the switch counts as stalled', 0.1, 120.0, 's')
         served = self.text('serves', [''], 'machines behind the switch, namespace=channel, e.g. left=1', fixed=True)
@@ -72,7 +72,7 @@ class Multiplexer(StepdiagNode):
     # -- lifecycle ---------------------------------------------------------------
 
     def configure(self) -> None:
-        self._switch = OpticalSwitch(self.value('host'), self.value('port'), self._channels, self.value('timeout'))
+        self._switch = OpticalSwitch(self.stated('host'), self.value('port'), self._channels, self.value('timeout'))
         try:
             self._switch.connect()
             self._switch.selected()

@@ -34,8 +34,11 @@ from unique_identifier_msgs.msg import UUID
 
 from stepdiag_msgs.action import RunStepDiagonal
 from stepdiag_msgs.msg import RecorderStatus
+from stepdiag_msgs.srv import NameLog
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.nodes.futures import ended
+from stepdiag_ros.nodes.patience import Patience
+from stepdiag_ros.nodes.recorder import NAME_LOG
 from stepdiag_ros.nodes.sent_goal import SILENT_S, LostGoal, SentGoal, silence_words
 from stepdiag_ros.nodes.step_sequencer import ACTION, LEASE, lease_qos
 
@@ -76,8 +79,8 @@ class Calibration:
 def running_machines(wait_s: float = 5.0) -> list[str]:
     """Namespaces in which a sequencer runs; waits until one is found, and a little longer."""
     with Operator('') as anybody:
-        end, found = time.monotonic() + wait_s, set()
-        while time.monotonic() < end:
+        patience, found = Patience(wait_s, 0.5), set()
+        while not patience.over():
             seen = {space for name, space in anybody.node.get_node_names_and_namespaces()
                     if name == 'step_sequencer'}
             if seen and seen == found:
@@ -181,10 +184,10 @@ class Operator:
         A node that has just been started may not know this client yet: its answer is lost then, and its state tells.
         """
         request = ChangeState.Request(transition=Transition(id=TRANSITIONS[name]))
-        before, end = self.state(node, timeout_s), time.monotonic() + timeout_s
+        before = self.state(node, timeout_s)
 
         def told() -> ChangeState.Response | None:
-            state = self.state(node, max(end - time.monotonic(), ANSWER_S))
+            state = self.state(node, timeout_s)
             return None if state == before else ChangeState.Response(success=state == ENDS[name])
         return self._call_until_answered(ChangeState, f'{node}/change_state', request, timeout_s, told).success
 
@@ -193,8 +196,8 @@ class Operator:
 
         Somebody else may make a step of the way first (a node that starts by itself does): that is no refusal.
         """
-        end, state = time.monotonic() + timeout_s, self.state(node, timeout_s)
-        while state != target and (name := WAYS.get((state, target))) and time.monotonic() < end:
+        patience, state = Patience(timeout_s, ANSWER_S), self.state(node, timeout_s)
+        while state != target and (name := WAYS.get((state, target))) and not patience.over():
             before, asked_s = state, time.monotonic()
             made = self.transition(node, name, timeout_s)
             state = self.state(node, timeout_s)
@@ -206,8 +209,8 @@ class Operator:
 
     def _why(self, node: str, since_s: float) -> str:
         """What the node has said of itself since a moment (monotonic)."""
-        end = time.monotonic() + 3.0
-        while time.monotonic() < end:
+        patience = Patience(3.0)
+        while not patience.over():
             at, health = self._heard.get(f'{self.namespace}/{node}', (0.0, None))
             if at > since_s and health.level == DiagnosticStatus.ERROR:
                 return health.message
@@ -235,12 +238,12 @@ class Operator:
                 raise StepdiagError(f'{self.namespace}/{node}: parameter {name} cannot be '
                                     f'{value!r}: {result.reason}')
 
-    def restore_parameters(self, node: str, but: Sequence[str] = ()) -> None:
+    def restore_parameters(self, node: str, timeout_s: float, but: Sequence[str] = ()) -> None:
         """Give a node that was started again the parameters that were changed since this facade is here."""
         changed = [p for name, p in self._changed.get(f'{self.namespace}/{node}', {}).items() if name not in but]
         if changed:
             self._call_until_answered(SetParameters, f'{node}/set_parameters',
-                                      SetParameters.Request(parameters=changed), 30.0)
+                                      SetParameters.Request(parameters=changed), timeout_s)
 
     def new_log(self, bag: str = '', steps: int = 0) -> None:
         """Begin a new bag, and have those who keep a log of their own begin anew with it.
@@ -257,21 +260,23 @@ class Operator:
             listeners.append('gap_monitor')
         for node in listeners:
             self.bring(node, INACTIVE)
-        self.set_parameters('recorder', {'name': name})
+        named = self._call_until_answered(NameLog, NAME_LOG, NameLog.Request(name=name), 10.0)
+        if not named.success:
+            raise StepdiagError(named.message)
         self.set_parameters('step_sequencer', {'steps': steps})
         for node in (*listeners, 'step_sequencer'):
             self.bring(node, ACTIVE)
 
     def _require_sequencer(self) -> None:
         """:class:`StepdiagError` where no machine of this name is up."""
-        if not self._action.wait_for_server(timeout_sec=10.0):
+        if not Patience(10.0).until(self._action.server_is_ready):
             raise StepdiagError(f'no sequencer answers at {self.namespace}/{ACTION}; '
                                 'is the cell up? (stepdiag up CELL.yaml)')
 
     def _refuse_while_busy(self) -> None:
         """Somebody else's calibration must not be ended by who wants one of his own."""
-        began = time.monotonic()
-        while time.monotonic() < began + 3.0:
+        began, patience = time.monotonic(), Patience(3.0)
+        while not patience.over():
             at, health = self._heard.get(f'{self.namespace}/step_sequencer', (0.0, None))
             busy = health is not None and any(v.key == 'goal' and v.value == 'under way' for v in health.values)
             if health is not None and (not busy or at > began):
@@ -386,8 +391,8 @@ class Operator:
 
     def _await_return(self, error: LostGoal, meanwhile: Callable[[], object]) -> None:
         """Wait until the sequencer is active again; ``error`` if it does not come back."""
-        end = time.monotonic() + RETURN_S
-        while time.monotonic() < end:
+        patience = Patience(RETURN_S, ANSWER_S)
+        while not patience.over():
             meanwhile()
             if self._answers():
                 return
@@ -425,7 +430,7 @@ class Operator:
 
     def _call(self, kind: type, name: str, request: Any, timeout_s: float) -> Any:
         client = self._client(kind, name)
-        if not client.wait_for_service(timeout_sec=timeout_s):
+        if not Patience(timeout_s).until(client.service_is_ready):
             raise self._nobody(name)
         return self.wait(client.call_async(request), timeout_s,
                          f'{self.namespace}/{name} does not answer')
@@ -439,9 +444,9 @@ class Operator:
         may take longer than that.  ``told`` looks before each further request whether the answer is known otherwise.
         """
         client, asked = self._client(kind, name), []
-        end, again_s = time.monotonic() + timeout_s, 0.0
-        while (now := time.monotonic()) < end:
-            if now >= again_s and client.service_is_ready():
+        patience, again_s = Patience(timeout_s), 0.0
+        while not patience.over():
+            if time.monotonic() >= again_s and client.service_is_ready():
                 if asked and (answer := told()) is not None:
                     return answer
                 if not any(future.done() for future in asked):

@@ -13,6 +13,7 @@ from datetime import datetime
 from pathlib import Path
 
 from stepdiag_msgs.msg import RecorderStatus
+from stepdiag_msgs.srv import NameLog
 from stepdiag_ros.bag.append import go_on
 from stepdiag_ros.bag.mark import Mark
 from stepdiag_ros.bag.qos import LATCHED, RELIABLE, qos_profile, qos_yaml
@@ -25,6 +26,7 @@ from stepdiag_ros.nodes.stamps import stamp_of
 from stepdiag_ros.nodes.subscription import RECEIVED_TOPICS, RawSubscription, Received
 
 STATUS_PERIOD_S = 0.2
+NAME_LOG = 'recorder/name_log'
 RECORDED = TOPICS | SHOWN
 
 
@@ -36,15 +38,15 @@ class Recorder(StepdiagNode):
         self.text('bag', '', 'directory that is written first, which must not exist; empty: a new one in bag_folder',
                   fixed=True)
         self.text('bag_folder', '.', 'where new bags are made', fixed=True)
-        self.text('name', '', "the next bag's name in bag_folder; empty: after machine and time")
         self.text('compression', 'zstd', f'of the chunks: {", ".join(COMPRESSIONS)}')
         self._go_on = self.text('go_on', False, 'go on in the bag, which exists: its recorder has died', fixed=True)
         self.count('queue_depth', 10_000, 'messages of a topic that may wait to be written', 1, 1_000_000)
         self._status = self.create_publisher(RecorderStatus, 'recorder/status', reliable(10))
+        self.create_service(NameLog, NAME_LOG, self._on_name)
         self._timer = self.every(STATUS_PERIOD_S, self._publish_status)
         self._writer: BagWriter | None = None
         self._subscription: RawSubscription | None = None
-        self._bag = ''
+        self._bag, self._next = '', ''
         self._file = 0
         self._earlier: dict[str, int] = {}
         self._announced: set[str] = set()
@@ -99,14 +101,22 @@ class Recorder(StepdiagNode):
         if self.value('bag') and not self._bag:
             return Path(self.value('bag')).expanduser().absolute()
         folder = Path(self.value('bag_folder')).expanduser().absolute()
-        if name := self.value('name'):
-            if name == '..' or Path(name).name != name or not name.isprintable():
-                raise StepdiagError(f'recorder: parameter name is {name!r}; give a name without a folder')
-            return folder / name
+        if self._next:
+            named, self._next = folder / self._next, ''
+            return named
         name = f'{self._machine()}_{datetime.now():%Y%m%d_%H%M%S}'
         # Two bags may be begun in one second.
         candidates = [folder / name, *(folder / f'{name}_{i}' for i in range(2, 100))]
         return next(path for path in candidates if not path.exists())
+
+    def _on_name(self, request: NameLog.Request, response: NameLog.Response) -> NameLog.Response:
+        name = request.name
+        response.success = name != '..' and Path(name).name == name and name.isprintable()
+        if response.success:
+            self._next = name
+        else:
+            response.message = f'recorder: {name!r} cannot name a bag; give a name without a folder'
+        return response
 
     def _write(self, received: Received) -> None:
         """One message, in the raw subscription's thread."""

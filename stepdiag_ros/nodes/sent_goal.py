@@ -14,6 +14,7 @@ from action_msgs.msg import GoalStatus
 from rclpy.task import Future
 
 from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.nodes.patience import Patience
 
 #: One that has not spoken of the goal for so long is asked whether it knows it, and again so often.
 DOUBT_S, ASK_S = 3.0, 2.0
@@ -39,7 +40,7 @@ class SentGoal:
         self.silences: list[float] = []
         self._lock = threading.Lock()
         self._unknown = threading.Event()
-        self._spoke_s = time.monotonic()
+        self._spoke_s, self._patience = time.monotonic(), Patience(GIVE_UP_S)
         self._request()
 
     @property
@@ -53,7 +54,9 @@ class SentGoal:
             silent_s = at_s - self._spoke_s
             if silent_s > SILENT_S:
                 self.silences.append(silent_s)
-            self._spoke_s = max(self._spoke_s, at_s)
+            if silent_s > 0.0:
+                self._spoke_s = at_s
+                self._patience.begin_anew()
 
     def look(self) -> None:
         """Ask where there is doubt; :class:`LostGoal` where the goal is not known any more, :class:`StepdiagError`
@@ -62,7 +65,9 @@ class SentGoal:
             raise LostGoal(f'{self._server} has ended, and the one that runs now knows nothing of the calibration; '
                            'begin it anew')
         silent_s = self.silent_s
-        if silent_s > GIVE_UP_S:
+        with self._lock:
+            exhausted = self._patience.over()
+        if exhausted:
             raise StepdiagError(f'{self._server} has been silent for {silent_s:.0f} s: it has ended, or hangs, or '
                                 'cannot be reached; the calibration is given up')
         if silent_s > DOUBT_S and time.monotonic() - self._asked_s > ASK_S:

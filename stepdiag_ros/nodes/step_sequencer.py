@@ -83,7 +83,7 @@ class StepSequencer(StepdiagNode):
 
     def __init__(self):
         super().__init__('step_sequencer')
-        self.text('host', '127.0.0.1', 'host name or address of the machine control', fixed=True)
+        self.text('host', '', 'host name or address of the machine control', fixed=True)
         self.text('driver', DEFAULT['cnc'], 'name of the driver of the machine control', fixed=True)
         self.count('port', PORT, 'TCP port of the machine control', 1, 65535, fixed=True)
         self.count('watch_port', 0, "TCP port of the control's watchdog; 0: it has none", 0, 65535, fixed=True)
@@ -169,10 +169,8 @@ class StepSequencer(StepdiagNode):
     # -- lifecycle ---------------------------------------------------------------
 
     def configure(self) -> None:
-        path = self.value('description_file')
-        if not path:
-            raise StepdiagError('step_sequencer: parameter description_file is empty; '
-                                'name the YAML file of the cell description')
+        path = self.stated('description_file')
+        self.stated('host')
         try:
             text = Path(path).read_text(encoding='utf-8')
         except OSError as error:

@@ -10,9 +10,11 @@ import numpy as np
 
 from stepdiag_ros.virtual.world import Reading, World
 
-WINDOW_NS = 20_000_000
+WINDOW_NS = 50_000_000
 STEP_NS = 100_000
 """Time between two nodes: between them readings are straight to a ten-millionth of a metre at 8 m/s²."""
+STILL_WINDOW_NS, STILL_STEP_NS = 100_000_000, 1_000_000
+"""The same while the axes stand and nothing acts but the air: the servo's last nanometres decay in milliseconds."""
 
 
 class Ahead:
@@ -54,7 +56,10 @@ class Ahead:
             self._commands = commands
 
     def _look(self, first: int, last: int, setup: str) -> None:
-        self._end = min(last + WINDOW_NS, max(last, self._world.history.foretold_ns + self._late_ns))
-        self._time, self._setup = np.arange(first, self._end + STEP_NS, STEP_NS), setup
+        known_until = self._world.history.known_until_ns + self._late_ns
+        still = known_until > last + STILL_WINDOW_NS + STILL_STEP_NS and self._world.stands_from(first - self._late_ns)
+        window, step = (STILL_WINDOW_NS, STILL_STEP_NS) if still else (WINDOW_NS, STEP_NS)
+        self._end = min(last + window, max(last, known_until))
+        self._time, self._setup = np.arange(first, self._end + step, step), setup
         seen = self._world.read(self._time - self._late_ns, setup)
         self._table = np.vstack([seen.length.T, seen.spot.T, seen.quality, seen.intensity, seen.index])

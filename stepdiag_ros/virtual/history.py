@@ -47,7 +47,7 @@ class History:
         return self._records[:self._count]
 
     @property
-    def foretold_ns(self) -> int:
+    def known_until_ns(self) -> int:
         """Until when what was not announced by now does not happen [ns]."""
         return FOR_EVER_NS
 

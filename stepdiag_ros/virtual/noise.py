@@ -9,7 +9,6 @@ draw is addressed by sample or arrival number (:mod:`~stepdiag_ros.virtual.draw`
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import ndtr, stdtrit
 
 from stepdiag_ros.virtual.draw import normals, uniforms
 
@@ -76,6 +75,7 @@ class Numbers:
         if not np.isfinite(dof):
             return score
         # By the lower tail, where probabilities keep their digits; t has the variance ν / (ν − 2).
+        from scipy.special import ndtr, stdtrit  # slow to import; most cells' noise is normal
         return -np.sign(score) * stdtrit(dof, ndtr(-np.abs(score))) * np.sqrt((dof - 2.0) / dof)
 
     def _chain(self, first: int, count: int, columns: int) -> np.ndarray:

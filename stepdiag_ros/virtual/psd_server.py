@@ -23,7 +23,9 @@ from stepdiag_ros.virtual.world import World
 
 INPUTS = 14
 TICK_S = 0.005
-"""How often the stream looks for scans that are due."""
+"""Shortest time between two looks for scans that are due; the next is when a packet is full."""
+EARLY_S = 2e-4
+"""By so much an event loop may wake too early."""
 BACKLOG_BYTES = 1 << 22
 """What a client may leave unread before scans are skipped, as in the box's own buffer."""
 BLOCKS = ((t7.AIN0, 2 * INPUTS), (t7.STREAM_SCANRATE_HZ, 26), (t7.CORE_TIMER, 2),
@@ -141,7 +143,8 @@ class Stream:
     async def _run(self) -> None:
         skipped = 0
         while True:
-            await asyncio.sleep(TICK_S)
+            full_s = (self._done + self._scans - 1) / self._rate - (now_ns() - self.begin_ns) * 1e-9
+            await asyncio.sleep(max(TICK_S, full_s + EARLY_S))
             due = int((now_ns() - self.begin_ns) * 1e-9 * self._rate) + 1
             packets = (due - self._done) // self._scans
             if packets == 0:

@@ -54,7 +54,7 @@ class SampledHistory(History):
         return len(self)
 
     @property
-    def foretold_ns(self) -> int:
+    def known_until_ns(self) -> int:
         """The newest look: where the control goes next it tells nobody."""
         return int(self._header[1])
 

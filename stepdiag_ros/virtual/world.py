@@ -93,7 +93,7 @@ class World:
         records = self.history.records[first:]
         noise, motion = self.cell.description.noise, self.cell.motion
         draws = noise.position_repeatability * self._positions.draw(first, fresh, 3)
-        turns = noise.angle_repeatability * self._angles.draw(first, fresh, 3)
+        angle = noise.angle_repeatability * self._angles.draw(first, fresh, 3)
         sign = np.sign(records['direction'])
         error, approach = np.empty((fresh, 3)), np.empty((fresh, 3))
         moved, mounted = np.empty(fresh, int), np.empty(fresh, np.int64)
@@ -118,13 +118,19 @@ class World:
             # A move of no length disturbs nothing: the axes stand as long as they stood before.
             if first + i and not sign[i].any():
                 settled[i] = settled[i - 1] if i else self._settled_ns[-1]
+                angle[i] = angle[i - 1] if i else self._angle[-1]
         self._error = np.concatenate([self._error, error])
         self._approach = np.concatenate([self._approach, approach])
-        self._angle = np.concatenate([self._angle, turns])
+        self._angle = np.concatenate([self._angle, angle])
         self._moved = np.concatenate([self._moved, moved])
         self._settled_ns = np.concatenate([self._settled_ns, settled])
         self._mounted_ns = np.concatenate([self._mounted_ns, mounted])
         self._known = count
+
+    def stands_from(self, time_ns: int) -> bool:
+        """As long as no move is announced all axes stand from ``time_ns`` on, and no effect or steered beam acts."""
+        self._catch_up()
+        return not self.effects and self.steering is None and self._known > 0 and time_ns > self._settled_ns[-1]
 
     def moment(self, time_ns: np.ndarray, setup: str) -> tuple[Moment, np.ndarray]:
         """The machine at ``time_ns`` (n,) before any effect acts, and the tool's irreproducible

@@ -9,6 +9,8 @@ import time
 from pathlib import Path
 from typing import Any
 
+from stepdiag_ros.nodes.patience import Patience
+
 BROWSERS = ('chromium', 'chromium-browser', 'google-chrome')
 CHROMIUM = next((path for name in BROWSERS if (path := shutil.which(name))), None)
 OPTIONS = ('--headless', '--no-sandbox', '--disable-gpu', '--disable-dev-shm-usage', '--no-first-run',
@@ -96,9 +98,9 @@ class Browser:
 
     def until(self, expression: str, seconds: float = ANSWER_S) -> Any:
         """Wait until an expression is true on the page; its value."""
-        end = time.monotonic() + seconds
+        patience = Patience(seconds)
         while not (value := self.value(expression)):
-            assert time.monotonic() < end, f'{expression} did not come true: {self.value("document.body.innerText")}'
+            assert not patience.over(), f'{expression} did not come true: {self.value("document.body.innerText")}'
             time.sleep(0.1)
         return value
 

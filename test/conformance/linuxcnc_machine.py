@@ -3,7 +3,6 @@
 import os
 import shutil
 import subprocess
-import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,6 +15,7 @@ from stepdiag_ros.devices.linuxcnc_rsh import LinuxCncRsh
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.linuxcnc import configuration, install
 from stepdiag_ros.linuxcnc.running import GROUP, USER, LinuxCnc, free_port, missing
+from stepdiag_ros.nodes.patience import Patience
 
 #: LinuxCNC's own sampler keeps what some pins are in each servo cycle; its second channel only counts the cycles.
 SAMPLED_HAL, DEPTH = 'sampled.hal', 30_000
@@ -97,9 +97,9 @@ class Running:
 
     def cycles(self, count: int) -> None:
         """Wait until that many servo cycles have passed, however long the computer takes for them."""
-        end, wanted = time.monotonic() + 120.0, self._cycle() + count
+        patience, wanted = Patience(120.0), self._cycle() + count
         while self._cycle() < wanted:
-            assert time.monotonic() < end, f'{count} servo cycles do not pass'
+            assert not patience.over(), f'{count} servo cycles do not pass'
 
     def _cycle(self) -> int:
         """Nobody empties the second channel: its overruns count the cycles."""

@@ -15,6 +15,8 @@ from xml.etree import ElementTree
 import pytest
 import rclpy
 
+from stepdiag_ros.nodes.patience import Patience
+
 ROOT = Path(__file__).resolve().parents[2]
 BIN = Path(sys.executable).parent
 EXECUTABLES = {
@@ -182,10 +184,10 @@ def test_every_node_starts_and_stops(install: Path, ros_domain: int, name: str) 
         text=True,
     )
     try:
-        deadline = time.monotonic() + 60
+        patience = Patience(60)
         while (name, '/cell7') not in observer.get_node_names_and_namespaces():
             assert process.poll() is None, f'{name} ended by itself:\n{process.stdout.read()}'
-            assert time.monotonic() < deadline, f'{name} is not seen in the graph'
+            assert not patience.over(), f'{name} is not seen in the graph'
             time.sleep(0.1)
         process.send_signal(signal.SIGINT)
         output, _ = process.communicate(timeout=60)

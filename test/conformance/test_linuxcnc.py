@@ -15,6 +15,7 @@ from stepdiag_ros.devices.base import DeviceError
 from stepdiag_ros.devices.linuxcnc_rsh import LinuxCncRsh
 from stepdiag_ros.linuxcnc import configuration
 from stepdiag_ros.linuxcnc.running import LinuxCnc, missing
+from stepdiag_ros.nodes.patience import Patience
 from stepdiag_ros.virtual.cell_process import CellProcess
 
 DEMO = Path(__file__).resolve().parents[2] / 'cells' / 'demo.yaml'
@@ -46,9 +47,9 @@ def ready(client):
 
 def go(client, place) -> None:
     client.move(np.array(place), 0.1)
-    end = time.monotonic() + 60.0
+    patience = Patience(60.0)
     while not client.in_position():
-        assert time.monotonic() < end
+        assert not patience.over()
         time.sleep(0.005)
 
 

@@ -48,7 +48,8 @@ def true_deviation(cell, folder: Path) -> float:
 
 @pytest.mark.parametrize('level, factor', [
     ('tables', 4.0),
-    ('volume', 10.0)])
+    # What LinuxCNC makes of a volume is in test_linuxcnc_volume.py.
+    pytest.param('volume', 10.0, marks=pytest.mark.long)])
 def test_the_machine_becomes_as_good_as_predicted(tmp_path, level, factor):
     need_components()
     path, text = tmp_path / 'cell.yaml', CELL.read_text()

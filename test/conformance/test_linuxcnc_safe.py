@@ -11,6 +11,7 @@ from stepdiag_ros.linuxcnc import configuration, volume
 from stepdiag_ros.linuxcnc.install import installed
 from stepdiag_ros.linuxcnc.matrix import matrix, matrixkins_hal
 from stepdiag_ros.model.machine import GeometricErrors
+from stepdiag_ros.nodes.patience import Patience
 
 pytestmark = pytest.mark.linuxcnc
 CORNER = [0.2, 0.16, 0.12]
@@ -18,9 +19,9 @@ CORNER = [0.2, 0.16, 0.12]
 
 def joints_at(machine, place) -> np.ndarray:
     machine.client.move(np.array(place), 0.3)
-    end = time.monotonic() + 60.0
+    patience = Patience(60.0)
     while not machine.client.in_position():
-        assert time.monotonic() < end
+        assert not patience.over()
         time.sleep(0.01)
     time.sleep(0.05)
     return machine.joints()

@@ -10,6 +10,7 @@ from linuxcnc_machine import Running, configured, need_components, sampled
 from stepdiag_ros.devices.base import DeviceError
 from stepdiag_ros.linuxcnc import configuration, volume
 from stepdiag_ros.model.machine import tool_pose
+from stepdiag_ros.nodes.patience import Patience
 
 pytestmark = pytest.mark.linuxcnc
 ERRORS = drawn_errors()
@@ -39,9 +40,9 @@ def running(tmp_path_factory):
 
 def go(running, place, feed=0.2) -> None:
     running.client.move(np.array(place), feed)
-    end = time.monotonic() + 60.0
+    patience = Patience(60.0)
     while not running.client.in_position():
-        assert time.monotonic() < end
+        assert not patience.over()
         time.sleep(0.005)
     running.cycles(50)   # the trajectory settles a few servo cycles later
 
@@ -49,9 +50,9 @@ def go(running, place, feed=0.2) -> None:
 def settled(running) -> np.ndarray:
     """Joint positions (3,) [m] once the component has ceased to move them."""
     running.cycles(5)
-    end = time.monotonic() + 60.0
+    patience = Patience(60.0)
     while running.hal('getp', 'stepdiagkins.ramping') == 'TRUE':
-        assert time.monotonic() < end
+        assert not patience.over()
     running.cycles(50)   # the control's status follows a few servo cycles later
     return running.joints()
 

@@ -8,10 +8,11 @@ import os
 import shutil
 import signal
 import subprocess
-import time
 from pathlib import Path
 
 import pytest
+
+from stepdiag_ros.nodes.patience import Patience
 
 ROS2 = shutil.which('ros2')
 
@@ -38,8 +39,8 @@ def calibrated(launch: list[str], where: Path) -> str:
     with open(where / 'launch.log', 'wb') as log, subprocess.Popen(
             [ROS2, 'launch', 'stepdiag_ros', *launch], cwd=where, stdout=log, stderr=subprocess.STDOUT) as launched:
         try:
-            end, made = time.monotonic() + 120.0, stepdiag('calibrate', '--setups', 'lin_x', where=where)
-            while made.returncode == 2 and time.monotonic() < end:      # it is not up yet
+            patience, made = Patience(120.0, 10.0), stepdiag('calibrate', '--setups', 'lin_x', where=where)
+            while made.returncode == 2 and not patience.over():      # it is not up yet
                 made = stepdiag('calibrate', '--setups', 'lin_x', where=where)
         finally:
             launched.send_signal(signal.SIGINT)

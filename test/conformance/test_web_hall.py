@@ -55,6 +55,7 @@ def hall(ros_domain, tmp_path):
         assert web.returncode == 0 and 'Traceback' not in said, said
 
 
+@pytest.mark.long
 @pytest.mark.timeout(600)
 def test_who_has_the_laser_and_who_waits_is_seen(hall, tmp_path):
     with Browser(tmp_path) as browser:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from stepdiag_ros.nodes import environment
 
@@ -62,7 +63,7 @@ def still(module_domain, tmp_path_factory, clock_shim):
     return evaluate(read_log(folder / 'log'))
 
 
-@pytest.mark.parametrize('seconds', [-5.0, 3600.0, -3600.0])
+@pytest.mark.parametrize('seconds', [-5.0, 3600.0, pytest.param(-3600.0, marks=pytest.mark.long)])
 def test_a_step_of_the_clock_is_marked_and_the_run_goes_on(ros_domain, tmp_path, monkeypatch, clock_shim, still,
                                                            seconds):
     outcome = calibrate(tmp_path / 'stepped', monkeypatch, clock_shim, seconds)
@@ -78,7 +79,8 @@ def test_a_step_of_the_clock_is_marked_and_the_run_goes_on(ros_domain, tmp_path,
     # Every stop was measured, once.
     one, other = still, evaluate(log)
     # (But for a stop at which a busy computer polled the interferometer too late.)
-    assert abs(other.dof - one.dof) <= 2 and other.reduced_chi2 < 2.0
+    assert abs(other.dof - one.dof) <= 2
+    assert chi2.sf(other.reduced_chi2 * other.dof, other.dof) > 1e-6     # a dwell that is cut wrongly gives thousands
     for name in ('EXX', 'EYX', 'EZX'):
         a, b = (s.to_json_dict()['errors'][name] for s in (one, other))
         assert (np.abs(np.subtract(a['value'], b['value'])) < 3.0 * np.hypot(a['sigma'], b['sigma']) + 1e-9).all()

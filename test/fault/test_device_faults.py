@@ -13,6 +13,7 @@ from stepdiag_ros.devices.ids3010 import Ids3010
 from stepdiag_ros.devices.linuxcnc_rsh import LinuxCncRsh
 from stepdiag_ros.devices.modbus_psd import ModbusPsd
 from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.nodes.patience import Patience
 from stepdiag_ros.virtual import faults
 from stepdiag_ros.virtual.cell_process import CellProcess
 
@@ -47,9 +48,9 @@ def work(name: str, client) -> None:
 
 
 def wait_for(condition) -> None:
-    end = time.monotonic() + 30.0
+    patience = Patience(30.0)
     while not condition():
-        assert time.monotonic() < end
+        assert not patience.over()
 
 
 def settle(runtime: Path) -> None:

@@ -23,6 +23,8 @@ from stepdiag_ros.virtual.cell_process import CellProcess
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'fuzz'))
 from wires import Relay
 
+from stepdiag_ros.nodes.patience import Patience
+
 DEMO = Path(__file__).resolve().parents[2] / 'cells' / 'demo.yaml'
 DEEP = 100_000
 
@@ -55,9 +57,9 @@ def quick(monkeypatch):
 
 
 def wait_for(condition, why=lambda: '') -> None:
-    end = time.monotonic() + 60.0
+    patience = Patience(60.0)
     while not condition():
-        assert time.monotonic() < end, why()
+        assert not patience.over(), why()
         time.sleep(0.01)
 
 

@@ -15,6 +15,7 @@ import pytest
 from stepdiag_ros.bag.reader import read_log
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.nodes.ownership import CELL, ControlOwnership, Ownership, ros_domain
+from stepdiag_ros.nodes.patience import Patience
 
 #: With a fifth of the samples: how they are taken is tried elsewhere.
 DEMO = re.sub(r'(interferometer|psd): 1000\.0', r'\1: 200.0',
@@ -45,10 +46,14 @@ class Up:
         self._reader.start()
 
     def __enter__(self) -> 'Up':
-        end = time.monotonic() + 300.0
-        while not any('calibrate with' in line for line in self.lines):
-            assert self.process.poll() is None and time.monotonic() < end, self.lines
-            time.sleep(0.1)
+        patience = Patience(300.0)
+        try:
+            while not any('calibrate with' in line for line in self.lines):
+                assert self.process.poll() is None and not patience.over(), self.lines
+                time.sleep(0.1)
+        except BaseException:
+            self.__exit__()
+            raise
         return self
 
     def __exit__(self, *_exception) -> None:

@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 
 from stepdiag_ros.nodes import environment
+from stepdiag_ros.nodes.patience import Patience
 
 environment.prepare()
 
@@ -77,9 +78,9 @@ class Machine:
 
     def wait_mid_move(self) -> None:
         """Until X is well on its way, and far from its target."""
-        end, before = time.monotonic() + 120.0, 1.0
+        patience, before = Patience(120.0), 1.0
         while not (0.02 < (now := self.x()) < 0.06 and now > before):
-            assert time.monotonic() < end, 'X never moved'
+            assert not patience.over(), 'X never moved'
             time.sleep(0.05)
             before = now
 
@@ -292,9 +293,9 @@ def test_a_killed_bringup_stops_the_machine(ros_domain, tmp_path):
                            '--bag', str(tmp_path / 'log')], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
                           env=os.environ | {'TMPDIR': str(tmp_path)})
     try:
-        end = time.monotonic() + 60.0
+        patience = Patience(60.0)
         while not (found := list(tmp_path.glob(f'stepdiag-*/{MOTION_FILE}'))):
-            assert time.monotonic() < end and up.poll() is None
+            assert not patience.over() and up.poll() is None
             time.sleep(0.05)
         machine = Machine(found[0].parent)
         machine.wait_mid_move()
@@ -304,9 +305,9 @@ def test_a_killed_bringup_stops_the_machine(ros_domain, tmp_path):
     assert not run.exists()
     machine.stops_within(2.0)
     # The sequencer, whose control is gone too, tries to stop it over fresh connections before it ends.
-    end = time.monotonic() + 120.0
+    patience = Patience(120.0)
     while _running(tmp_path):
-        assert time.monotonic() < end, 'processes of the cell are left'
+        assert not patience.over(), 'processes of the cell are left'
         time.sleep(0.1)
 
 
@@ -325,9 +326,9 @@ class OnLinuxCnc:
         self.machine = Machine(folder / 'run', SampledHistory)
 
     def _wait(self, condition) -> None:
-        end = time.monotonic() + 400.0
+        patience = Patience(400.0)
         while not condition():
-            assert time.monotonic() < end and self.up.poll() is None, self.said()
+            assert not patience.over() and self.up.poll() is None, self.said()
             time.sleep(0.1)
 
     def said(self) -> str:
@@ -412,8 +413,8 @@ def test_linuxcnc_is_stopped_when_bringup_is_killed(linuxcnc):
     linuxcnc.up.kill()
     linuxcnc.up.wait()
     # The kernel ends the nodes, and LinuxCNC with them: where its joints were seen last they stand.
-    end = time.monotonic() + 60.0
-    while _running(linuxcnc.folder / 'run') and time.monotonic() < end:
+    patience = Patience(60.0)
+    while _running(linuxcnc.folder / 'run') and not patience.over():
         time.sleep(0.1)
     assert not _running(linuxcnc.folder / 'run')
     seen = linuxcnc.machine.seen()

@@ -1,14 +1,13 @@
 """A tiny cell for the tests of the graph, and one that runs for a whole module."""
 
-import fcntl
-import os
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from stepdiag_ros.nodes import environment
+from stepdiag_ros.nodes.patience import Patience
 
 environment.prepare()
 
@@ -28,28 +27,6 @@ air: {{period: 1.0, scale_temperature: [20.1, 20.2, 20.3]}}
 motion: {{feed: 0.5, acceleration: 8.0, jerk: 800.0, in_position: 5.0e-8, settling: 0.002, dwell: {dwell}}}
 sampling: {{interferometer: 200.0, psd: 200.0, block: 0.05}}
 """
-LOCKS = Path('/tmp') / f'stepdiag-ros-domains-{os.getuid()}'
-
-
-@pytest.fixture(scope='module')
-def module_domain(tmp_path_factory) -> Iterator[int]:
-    """A ROS_DOMAIN_ID for a whole module, by the same locks as the fixture ``ros_domain``."""
-    LOCKS.mkdir(exist_ok=True)
-    deadline = time.monotonic() + 240
-    with pytest.MonkeyPatch.context() as patch:
-        while time.monotonic() < deadline:
-            for domain in range(1, 101):
-                with open(LOCKS / str(domain), 'w') as lock:
-                    try:
-                        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                    except BlockingIOError:
-                        continue
-                    patch.setenv('ROS_DOMAIN_ID', str(domain))
-                    patch.setenv('ROS_LOG_DIR', str(tmp_path_factory.mktemp('ros_log')))
-                    yield domain
-                    return
-            time.sleep(0.2)
-    pytest.fail('all ROS domains are taken')
 
 
 def write_cell(folder: Path, name: str = 'tiny', dwell: float = 0.12) -> Path:
@@ -80,9 +57,9 @@ def cell(module_domain, tmp_path_factory):
 def eventually(condition: Callable[[], object], timeout_s: float = 60.0,
                why: Callable[[], object] = lambda: '') -> object:
     """Wait until ``condition()`` is true; its value.  ``why()`` goes into the complaint."""
-    end = time.monotonic() + timeout_s
+    patience = Patience(timeout_s)
     while not (value := condition()):
-        assert time.monotonic() < end, f'did not come true within {timeout_s:g} s: {why()}'
+        assert not patience.over(), f'did not come true within {timeout_s:g} s: {why()}'
         time.sleep(0.05)
     return value
 
@@ -90,6 +67,7 @@ def eventually(condition: Callable[[], object], timeout_s: float = 60.0,
 @pytest.fixture(name='eventually')
 def _eventually():
     return eventually
+
 
 def restart_sequencer(cell, *options: str) -> None:
     """Start the sequencer again with other parameters: those that move a machine are read-only."""

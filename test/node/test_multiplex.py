@@ -2,6 +2,8 @@
 
 import os
 import signal
+import subprocess
+import sys
 import threading
 import time
 
@@ -22,20 +24,31 @@ def pair(ros_domain, tmp_path, write_cell):
         yield cell, tmp_path
 
 
-def test_machines_take_turns(pair):
+def test_machines_wait_for_a_late_multiplexer_and_take_turns(pair, eventually):
     cell, folder = pair
     left, right = cell.operator_of('/left'), cell.operator_of('/right')
     doing, outcomes = [], {}
+    late = cell.pids()['multiplexer']
+    os.kill(late, signal.SIGKILL)     # as where machines are up before the multiplexer
 
     def measure(operator, name) -> None:
         outcomes[name] = operator.calibrate(dwell_s=0.5, feedback=lambda f: doing.append((name, f.doing)))
     threads = [threading.Thread(target=measure, args=pair) for pair in ((left, 'left'), (right, 'right'))]
     for thread in threads:
         thread.start()
+    for name in ('left', 'right'):
+        eventually(lambda name=name: any(of == name and text.startswith('waiting for the multiplexer')
+                                         for of, text in doing))
+    assert not outcomes
+    cell.watch()      # starts it again
+    seen = subprocess.run([sys.executable, '-m', 'stepdiag_ros.cli.main', 'watch', '--once'], capture_output=True,
+                          text=True, timeout=120.0)
     for thread in threads:
         thread.join()
     assert {name: outcome.how for name, outcome in outcomes.items()} == {'left': 'succeeded', 'right': 'succeeded'}, \
         outcomes
+    # In the terminal: who has the light, and how far each is.
+    assert seen.returncode == 0 and all(word in seen.stdout for word in ('left', 'right', 'light')), seen
     assert any(text.startswith('waiting for the light: place 1') for _, text in doing)
     usage = {v.key: v.value for v in left.health('multiplexer').values}
     assert int(usage['grants']) >= 2 * (1 + 4)      # a look before the start, four runs each

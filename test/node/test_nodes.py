@@ -13,7 +13,9 @@ from rcl_interfaces.msg import ParameterType
 from rcl_interfaces.srv import DescribeParameters, ListParameters
 
 from stepdiag_msgs.msg import RecorderStatus, Step
+from stepdiag_msgs.srv import NameLog
 from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.nodes import base, bringup
 from stepdiag_ros.nodes.base import StepdiagNode, reliable
 from stepdiag_ros.virtual import faults
 
@@ -81,6 +83,56 @@ def test_a_node_that_still_computes_ends_in_order(module_domain):
         node.terminate()
         said = node.communicate(timeout=60.0)[0]
     assert node.returncode == 0 and said == ''
+
+
+STUCK = """
+import sys, threading
+from stepdiag_ros.nodes import base
+
+class Stuck(base.StepdiagNode):
+    def __init__(self):
+        super().__init__('stuck')
+        print('up', flush=True)
+
+    def close(self):
+        threading.Event().wait()
+
+base.ENDS_S = 1.0
+sys.exit(base.run_node(Stuck))
+"""
+
+
+def test_a_node_that_is_stuck_on_its_way_out_ends_and_says_where(module_domain):
+    """Before its bringup kills it, which would say nothing."""
+    with subprocess.Popen([sys.executable, '-c', STUCK], stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+                          text=True) as node:
+        assert node.stdout.readline() == 'up\n'
+        node.terminate()
+        said = node.communicate(timeout=60.0)[1]
+    assert node.returncode == 1 and 'in close' in said
+    assert bringup.GRACE_S > base.ENDS_S
+
+
+def by_hand(node, *arguments):
+    return subprocess.Popen([sys.executable, '-m', f'stepdiag_ros.nodes.{node}', '--ros-args', *arguments],
+                            stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+
+
+@pytest.mark.parametrize(('node', 'name'), [('interferometer_driver', 'host'), ('psd_driver', 'host'),
+                                            ('multiplexer', 'host'), ('step_sequencer', 'description_file')])
+def test_a_node_that_was_given_no_parameters_says_which_it_needs(module_domain, node, name):
+    with by_hand(node, '-p', 'autostart:=true') as process:
+        said = next(line for line in process.stderr if 'ERROR' in line)
+        process.terminate()
+        process.communicate(timeout=60.0)
+    assert f'{node}: parameter {name} is not given' in said and '--params-file' in said
+
+
+def test_a_file_of_parameters_that_is_not_there_is_one_line(module_domain, tmp_path):
+    with by_hand('psd_driver', '--params-file', str(tmp_path / 'none.yaml')) as process:
+        said = process.communicate(timeout=60.0)[1]
+    ours = [line for line in said.splitlines() if '[rcl]' not in line]     # which says that it failed, not at what
+    assert process.returncode == 2 and len(ours) == 1 and 'none.yaml' in ours[0]
 
 
 def test_a_new_log_waits_for_no_diagnosis_of_the_last_one(ros_domain, monkeypatch):
@@ -177,14 +229,9 @@ def test_no_parameter_names_a_file_that_would_be_run(cell):
 def test_a_bag_elsewhere_than_in_the_recorder_s_folder_is_refused(cell, tmp_path):
     with pytest.raises(StepdiagError, match='makes bags in .* alone'):
         cell.operator.new_log(str(tmp_path / 'elsewhere'))
-    operator = cell.operator
-    operator.bring('recorder', 'inactive')
-    for name in ('../outside', '..'):
-        operator.set_parameters('recorder', {'name': name})
-        with pytest.raises(StepdiagError, match='a name without a folder'):
-            operator.bring('recorder', 'active')
-    operator.set_parameters('recorder', {'name': ''})
-    operator.bring('recorder', 'active')
+    for name in ('../outside', '..', 'a\nb'):
+        named = call(cell, NameLog, 'recorder/name_log', NameLog.Request(name=name))
+        assert not named.success and 'a name without a folder' in named.message
 
 
 def test_drivers_deliver_at_their_rate(cell, eventually):

@@ -38,8 +38,8 @@ def agree(one, other) -> None:
 
 
 @pytest.mark.timeout(1800)
-@pytest.mark.parametrize('node', ['psd_driver', 'interferometer_driver', 'recorder', 'evaluation_solver', 'gap_monitor',
-                                  'step_sequencer'])
+@pytest.mark.parametrize('node', ['psd_driver', 'recorder', 'gap_monitor', 'step_sequencer', *(
+    pytest.param(name, marks=pytest.mark.long) for name in ('interferometer_driver', 'evaluation_solver'))])
 def test_a_calibration_goes_on_where_a_node_s_death_broke_it_off(cell, undisturbed, node, repeated, eventually):
     killed, bag, before = [], cell.runtime.parent / node, cell.restarts
     cell.operator.new_log(str(bag))

@@ -87,6 +87,7 @@ def test_what_hands_alone_could_do_is_left_to_them(cell, bag, restart_sequencer)
     assert bags(bag) == ['plan']
 
 
+@pytest.mark.long
 def test_the_cell_makes_the_run_that_separates(cell, bag):
     said = []
     found = settle(cell.operator, bag, effects(), time_s=3600.0, say=said.append)

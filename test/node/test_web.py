@@ -24,6 +24,7 @@ from std_msgs.msg import String  # noqa: E402
 
 from stepdiag_msgs.msg import DisplacementMean, ErrorCurve, GeometricErrors, RecorderStatus, Step  # noqa: E402
 from stepdiag_ros.nodes.base import reliable  # noqa: E402
+from stepdiag_ros.nodes.patience import Patience  # noqa: E402
 
 EVIL = '<img src=x onerror=alert(1)>'
 DESCRIPTION = """
@@ -135,11 +136,11 @@ def listen(port: int, query: str = '', origin: str | None = None) -> Iterator[di
 
 def until(port: int, query: str, condition, machine: Machine) -> dict:
     """The first message that fulfils a condition while the machine breathes."""
-    end = time.monotonic() + 60
+    patience = Patience(60)
     for told in listen(port, query):
         if condition(told):
             return told
-        assert time.monotonic() < end, told
+        assert not patience.over(), told
         machine.breathe()
     raise AssertionError('the server has closed')
 

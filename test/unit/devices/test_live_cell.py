@@ -22,6 +22,7 @@ from stepdiag_ros.devices.modbus_psd import ModbusPsd
 from stepdiag_ros.devices.psd_signal import SpotOptics
 from stepdiag_ros.model.machine import tool_pose
 from stepdiag_ros.model.sensor import measure
+from stepdiag_ros.nodes.patience import Patience
 from stepdiag_ros.virtual.cell import load_cell
 from stepdiag_ros.virtual.cell_process import CellProcess
 from stepdiag_ros.virtual.history import SharedHistory, now_ns
@@ -360,8 +361,8 @@ def test_the_cell_s_process_leaves_nothing(tmp_path, how):
         [sys.executable, '-m', 'stepdiag_ros.virtual.cell_process', str(cell_file(tmp_path)),
          '--runtime', str(runtime), '--truth', str(stated)], stdout=subprocess.PIPE, text=True)
     try:
-        end = time.monotonic() + 60
-        while not stated.exists() and time.monotonic() < end:
+        patience = Patience(60)
+        while not stated.exists() and not patience.over():
             assert process.poll() is None
             time.sleep(0.05)
         endpoints = yaml.safe_load((runtime / 'endpoints.yaml').read_text())
@@ -370,7 +371,7 @@ def test_the_cell_s_process_leaves_nothing(tmp_path, how):
         assert len(running(str(runtime))) == 4
         os.kill(process.pid, how)
         process.wait(30)
-        while running(str(runtime)) and time.monotonic() < end:
+        while running(str(runtime)) and not patience.over():
             time.sleep(0.05)
         assert running(str(runtime)) == []
         if how != signal.SIGKILL:
@@ -387,8 +388,8 @@ def test_a_server_that_dies_ends_the_cell(tmp_path):
         [sys.executable, '-m', 'stepdiag_ros.virtual.cell_process', str(cell_file(tmp_path)),
          '--runtime', str(runtime)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     try:
-        end = time.monotonic() + 60
-        while not (runtime / 'endpoints.yaml').exists() and time.monotonic() < end:
+        patience = Patience(60)
+        while not (runtime / 'endpoints.yaml').exists() and not patience.over():
             time.sleep(0.05)
         victim = next(pid for pid in running(str(runtime)) if int(pid) != process.pid)
         os.kill(int(victim), signal.SIGKILL)

@@ -10,6 +10,7 @@ import pytest
 from stepdiag_ros.devices.base import DeviceError
 from stepdiag_ros.nodes import acquisition
 from stepdiag_ros.nodes.acquisition import Acquisition
+from stepdiag_ros.nodes.patience import Patience
 
 PERIOD_S = 1e-3
 
@@ -59,9 +60,9 @@ def bench(monkeypatch):
 
 
 def wait_for(condition) -> None:
-    end = time.monotonic() + 20
+    patience = Patience(20)
     while not condition():
-        assert time.monotonic() < end
+        assert not patience.over()
         time.sleep(0.002)
 
 

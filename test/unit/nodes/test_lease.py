@@ -4,18 +4,7 @@ import pytest
 
 from stepdiag_ros.nodes.lease import TICK_S, Lease
 
-
-class Clock:
-    def __init__(self):
-        self.s = 100.0
-
-    def __call__(self) -> float:
-        return self.s
-
-
-@pytest.fixture
-def clock():
-    return Clock()
+from .clock import Clock
 
 
 def listen(lease: Lease, clock: Clock, seconds: float) -> None:

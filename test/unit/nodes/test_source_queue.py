@@ -12,20 +12,9 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, 
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.nodes.source_queue import Hold, SourceQueue
 
+from .clock import Clock
+
 LEASE_S = 5.0
-
-
-class Clock:
-    def __init__(self):
-        self.s = 100.0
-
-    def __call__(self) -> float:
-        return self.s
-
-
-@pytest.fixture
-def clock() -> Clock:
-    return Clock()
 
 
 @pytest.fixture

@@ -132,7 +132,7 @@ def test_a_late_look_keeps_no_machine_moving_that_stands(tmp_path, monkeypatch, 
 
 
 def test_a_sensor_sees_no_further_than_the_newest_look(tmp_path, monkeypatch):
-    """What will be seen is worked out 20 ms ahead only of a control that says what it will do: a watched one was shown
+    """What will be seen is worked out ahead only of a control that says what it will do: a watched one was shown
     standing meanwhile, and by microns beside the place where it had long said that it stood."""
     cell = load_cell(CELLS / 'demo.yaml')
     setup = next(iter(cell.description.setups))
