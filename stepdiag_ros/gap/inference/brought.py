@@ -20,7 +20,9 @@ KEPT = np.float32
 ROUNDING = 1e-9
 """Share of a column's largest value below which its bends are rounding."""
 AT_A_TIME = 1_000_000
-"""Numbers that are written out at a time."""
+"""Numbers that are written out at a time …"""
+COLUMNS_AT_A_TIME = 128
+"""… or so many columns: of a long log, each run of which is gone through for every lot of columns."""
 
 
 @dataclass(frozen=True)
@@ -128,7 +130,7 @@ class _Gathering:
         """Columns (m, k) at ``places`` (k,)."""
         begin, self._count = self._count, self._count + len(places)
         if self._count > len(self._places):
-            room = max(self._count, len(self._places) * 3 // 2)
+            room = max(self._count, len(self._places) * 9 // 8)
             self._places, places_before = np.empty(room, np.intp), self._places[:begin]
             self._columns, before = np.empty((len(self.rows), room), KEPT, order='F'), self._columns[:, :begin]
             self._places[:begin], self._columns[:, :begin] = places_before, before
@@ -182,8 +184,9 @@ def _at_the_stops(space: Parity, forms: Sequence[Form], stops: Sequence[_Gatheri
 def _some_at_a_time(slices: Sequence[slice], size: int) -> Iterator[list[int]]:
     """Numbers of neighbouring forms, together with no more columns of ``size`` than are written out at a time."""
     some: list[int] = []
+    most = max(AT_A_TIME // size, COLUMNS_AT_A_TIME)
     for number, part in enumerate(slices):
-        if some and (part.stop - slices[some[0]].start) * size > AT_A_TIME:
+        if some and part.stop - slices[some[0]].start > most:
             yield some
             some = []
         some.append(number)

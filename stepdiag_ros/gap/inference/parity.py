@@ -74,7 +74,15 @@ class Parity:
             result[rows, there] = part
         return result
 
-    @property
+    @cached_property
+    def run_of_stop(self) -> np.ndarray:
+        """Numbers (n,) among :attr:`runs` of the stops' runs; −1 where no reading is there."""
+        run = np.full(len(self._bin_present), -1)
+        for number, white in enumerate(self._white):
+            run[white.rows // self._bin_present.shape[2]] = number
+        return run
+
+    @cached_property
     def runs(self) -> list[slice]:
         """Where the white rows of each run lie."""
         ends = np.cumsum([len(white.rows) for white in self._white]).tolist()
@@ -82,12 +90,16 @@ class Parity:
 
     def white_runs(self, columns: np.ndarray) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
         """Run by run, what of :meth:`white_part` is not zero: its rows, the numbers (m,) of its columns, the values."""
-        flat = columns.reshape(len(columns), -1)
-        for rows, white in zip(self.runs, self._white, strict=True):
-            # A run's rows lie side by side in every column: gathered so, they are read in order.
-            part = flat[:, white.rows].T
-            there = np.flatnonzero(part.any(axis=0))
-            yield rows, there, forward(white.factor, part[:, there])
+        for number in range(len(self._white)):
+            yield self.white_run(columns, number)
+
+    def white_run(self, columns: np.ndarray, number: int) -> tuple[slice, np.ndarray, np.ndarray]:
+        """The same of one run, the ``number`` of :attr:`run_of_stop`."""
+        white = self._white[number]
+        # A run's rows lie side by side in every column: gathered so, they are read in order.
+        part = columns.reshape(len(columns), -1)[:, white.rows].T
+        there = np.flatnonzero(part.any(axis=0))
+        return self.runs[number], there, forward(white.factor, part[:, there])
 
     def absorbed(self, white: np.ndarray, rows: slice = slice(None)) -> np.ndarray:
         """Coordinates (r, k) of white columns, zero but in ``rows``, in what the fit can imitate."""
@@ -160,10 +172,7 @@ class Parity:
     @property
     def inside_runs(self) -> list[np.ndarray]:
         """Those of the contrasts (N − stops) that belong to each run, slopes apart from bends."""
-        run = np.full(len(self._bin_present), -1)
-        for number, white in enumerate(self._white):
-            run[white.rows // self._bin_present.shape[2]] = number
-        kind = 2 * run[self.row[self.stops:]] + self.bends
+        kind = 2 * self.run_of_stop[self.row[self.stops:]] + self.bends
         return [np.flatnonzero(kind == k) for k in np.unique(kind)]
 
     @property

@@ -25,7 +25,7 @@ CORRELATIONS = (0.25, 0.45, 0.6, 0.75, 0.85)
 SWEEPS = 12
 """Most steps in which sizes and spread settle …"""
 STEADY = 0.3
-"""… until one brings less log evidence than this."""
+"""… until two change the log evidence by less than this."""
 HASTE = 1.0
 """Power of the mean square by which a size moves in a step: ½ would be the EM algorithm, which creeps."""
 PATIENCE = 6.0
@@ -108,20 +108,21 @@ def log_evidence(observation: Observation, noise: NoiseModel, table: StopTable) 
 
 def _settled(observation: Observation, noise: NoiseModel, readings: np.ndarray, largest: NoiseModel) -> _Held:
     """The noise with sizes and spread settled under its laws."""
-    held = _held(observation, noise, readings)
-    for _ in range(SWEEPS):
-        before = held.evidence
-        held = _held(observation, held.next_within(largest), readings)
-        if held.evidence < before + STEADY:
+    held, moved = _held(observation, noise, readings), np.inf
+    for turn in range(1, SWEEPS):
+        before, last = held.evidence, moved
+        held = _held(observation, held.next_within(largest), readings, turn)
+        moved = abs(held.evidence - before)
+        if max(moved, last) < STEADY:
             break
     return held
 
 
-def _held(observation: Observation, noise: NoiseModel, readings: np.ndarray) -> _Held:
+def _held(observation: Observation, noise: NoiseModel, readings: np.ndarray, turn: int = 0) -> _Held:
     white, basis, data, volume = projection(observation, observation.fit, noise, readings)
     found = [errors_of(latent, basis, data)
              for latent in latents(observation.table, noise, observation.fit.arrival, white)]
-    wider, tails, squares, source = weighed(noise, found, len(observation.table))
+    wider, tails, squares, source = weighed(noise, found, len(observation.table), turn)
     return _Held(noise, volume - 0.5 * float(data @ data) + tails, wider, source, squares)
 
 

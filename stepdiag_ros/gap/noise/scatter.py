@@ -42,7 +42,8 @@ def scattered_arrivals(joint: Joint, rest: np.ndarray | None = None) -> tuple[fl
     Noise of an arrival stays until its axis moves again; what a next move of another axis shakes loose
     does not, and has no pattern: each stop of the axis is one more unknown.  Their scores, made white in
     parity space, are standard normal, or for a share q of the stops s times as wide, to both sides or to
-    one; that mixture is weighed against noise alone, averaged over q and s.
+    one; that mixture is weighed against noise alone, averaged over q and s.  White they are made run by run: arrivals
+    of different runs share no more than what the fit takes from all alike.
     ``rest`` (N,): white residuals to judge, else what the active effects leave.
     """
     space, view = joint.parity, joint.observation.view
@@ -53,19 +54,9 @@ def scattered_arrivals(joint: Joint, rest: np.ndarray | None = None) -> tuple[fl
         mine = np.flatnonzero((view.axis == axis) & (view.approach[:, axis] != 0))
         if len(mine) < LEAST:
             continue
-        columns = np.zeros((len(mine), *view.reading.shape))
-        columns[np.arange(len(mine)), mine] = \
-            view.by_shift[axis][mine] * view.approach[mine, axis, None]
-        white = space.white_part(columns)
-        norm = np.linalg.norm(white, axis=0)
-        seen = norm > 0.0  # at a stop where nothing was read no arrival shows
-        white = white[:, seen] / norm[seen]
-        lost = space.absorbed(white)
-        value, vector = eigen(white.T @ white - lost.T @ lost)
-        kept = value > 0.1
-        # Neighbours share a part of their patterns; the symmetric root keeps each score at its stop.
-        root = vector[:, kept] / np.sqrt(value[kept])
-        score = root @ (vector[:, kept].T @ (white.T @ data))
+        run = space.run_of_stop[mine]   # at a stop where nothing was read no arrival shows
+        score = np.concatenate([np.zeros(0), *(_scores(joint, axis, mine[run == number], number, data)
+                                               for number in np.unique(run) if number >= 0)])
         for side, words in ((0.0, 'off'), (-1.0, 'short'), (1.0, 'too far')):
             found[words][letter] = _mixture(score, side)
     worst = (0.0, '')
@@ -75,6 +66,21 @@ def scattered_arrivals(joint: Joint, rest: np.ndarray | None = None) -> tuple[fl
             worst = max(worst, (evidence - np.log(3.0 * len(groups)),
                                 f'arrivals of {which} are {words} by a random amount until the next move'))
     return worst
+
+
+def _scores(joint: Joint, axis: int, stops: np.ndarray, number: int, data: np.ndarray) -> np.ndarray:
+    """Scores (m,) of the arrivals of an ``axis`` at some ``stops`` of the run ``number``, white among each other."""
+    space, view = joint.parity, joint.observation.view
+    columns = np.zeros((len(stops), *view.reading.shape))
+    columns[np.arange(len(stops)), stops] = view.by_shift[axis][stops] * view.approach[stops, axis, None]
+    rows, _, white = space.white_run(columns, number)
+    white = white / np.linalg.norm(white, axis=0)
+    lost = space.absorbed(white, rows)
+    value, vector = eigen(white.T @ white - lost.T @ lost)
+    kept = value > 0.1
+    # Neighbours share a part of their patterns; the symmetric root keeps each score at its stop.
+    root = vector[:, kept] / np.sqrt(value[kept])
+    return root @ (vector[:, kept].T @ (white.T @ data[rows]))
 
 
 def _mixture(score: np.ndarray, side: float) -> float:

@@ -47,17 +47,21 @@ def _laws(noise: NoiseModel) -> Iterator[str]:
             yield f'noise: {what} correlates with the one before (correlation about {law.correlation:.2g})'
 
 
+def _channels(beams: int) -> list[str]:
+    """The readings' names: which beam where there are several."""
+    lengths = ['displacement'] if beams == 1 else [f'displacement of beam {k}' for k in range(beams)]
+    return [*lengths, 'spot x', 'spot y']
+
+
 def _inside(joint: Joint) -> Iterator[str]:
-    names = [*(['displacement'] * joint.fit.model.beams), 'spot x', 'spot y']
-    for name, factor in zip(names, joint.parity.bin_scale, strict=True):
+    for name, factor in zip(_channels(joint.fit.model.beams), joint.parity.bin_scale, strict=True):
         if factor > ALIKE:
             yield (f'noise: {name}: means over parts of a dwell scatter {factor:.2g} times as much as independent '
                    'samples would make them')
 
 
 def _steps(steps: np.ndarray) -> Iterator[str]:
-    names = [*(['displacement'] * (len(steps) - 2)), 'spot x', 'spot y']
-    for name, width in zip(names, steps, strict=True):
+    for name, width in zip(_channels(len(steps) - 2), steps, strict=True):
         if width:
             yield f'noise: {name}: readings move in steps of {width * 1e6:.3g} µm'
 

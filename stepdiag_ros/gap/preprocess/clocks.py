@@ -44,10 +44,8 @@ def set_clocks(log: CalibrationLog, observation: Observation
     """The log with stamps put right, observed anew; when each sensor sees the moves; the sensors that were late."""
     table = observation.table
     sure = replace(log, displacement=well_timed(log.displacement), spot=well_timed(log.spot))
-    rows = {sensor: np.searchsorted(samples.time_ns, np.stack([table.dwell_ns, table.done_ns], axis=1))
-            for sensor, samples in (('interferometer', sure.displacement), ('psd', sure.spot))}
-    clocks = {'interferometer': timing(sure.displacement, table, table.displacement, rows['interferometer']),
-              'psd': timing(sure.spot, table, table.spot, rows['psd'])}
+    clocks = {'interferometer': timing(sure.displacement, table, table.displacement),
+              'psd': timing(sure.spot, table, table.spot)}
     late = late_clocks(clocks, apart(sure, table), known_latency(sure), log.clocks)
     if not late:
         return log, observation, clocks, {}

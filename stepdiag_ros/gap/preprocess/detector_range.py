@@ -8,10 +8,11 @@ lines alone do not, the detector is known well enough to leave out what it read 
 bent by is found afterwards, as for any other log, from the readings that are kept.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from stepdiag_ros.gap.constants import LARGE_RESIDUAL
 from stepdiag_ros.gap.preprocess.observe import Observation, sane_fit, view_of
@@ -109,7 +110,7 @@ def bent_by(setup: np.ndarray, distance: np.ndarray, read: np.ndarray) -> Bent |
     best = None
     for size in -np.geomspace(0.01, 1.0, TRIED):
         begin = [_line(basis, read[rows], size * HARDEST) for basis, rows in zip(bases, groups, strict=True)]
-        found = least_squares(left, np.concatenate([[size, size], np.ravel(begin)]), slopes, method='lm', max_nfev=200)
+        found = _fit(left, np.concatenate([[size, size], np.ravel(begin)]), slopes, 200)
         if -1.0 <= found.x[0] < 0.0 and abs(found.x[1]) <= 1.0 and (best is None or found.cost < best.cost):
             best = found
     if best is None or 2.0 * best.cost > STRAIGHTER**2 * straight:
@@ -166,7 +167,7 @@ def _line(basis: np.ndarray, read: np.ndarray, bending: float) -> np.ndarray:
         count = max(round(share * len(read)), 2)
         for rows in (order[:count], order[-count:]):
             line = np.linalg.lstsq(basis[rows], near[rows], rcond=None)[0]
-            found.append(least_squares(left, line.ravel(), slopes, method='lm', max_nfev=50))
+            found.append(_fit(left, line.ravel(), slopes, 50))
     return min(found, key=lambda one: one.cost).x.reshape(2, 2)
 
 
@@ -182,3 +183,10 @@ def _beyond(bent: Bent, setup: np.ndarray, read: np.ndarray) -> np.ndarray:
         if np.isnan(bent.spots[rows]).all():
             far[rows] = np.any(np.linalg.norm(read[rows], axis=1) > limit)
     return far & np.isfinite(read).all(axis=1)
+
+
+def _fit(left: Callable[[np.ndarray], np.ndarray], begin: np.ndarray, slopes: Callable[[np.ndarray], np.ndarray],
+         most: int) -> Any:
+    """Least squares of ``left`` from ``begin`` on, by Levenberg and Marquardt, with at most so many evaluations."""
+    from scipy.optimize import least_squares  # slow to import, and most logs have nothing to fit here
+    return least_squares(left, begin, slopes, method='lm', max_nfev=most)

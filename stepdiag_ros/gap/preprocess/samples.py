@@ -22,6 +22,9 @@ STANDING = 0.3
 """Share of neighbours in the dwells that are equal to the last bit, from which readings may move in steps."""
 WHOLE = 0.8
 """Share of the differences between readings that are whole steps."""
+COUNTED = 1e4
+"""Most steps that are counted in a difference of readings: over the way between two stops, millions of steps, not even
+the seventh digit of the step tells a whole number."""
 LEAST_TOLD = 0.005
 """Share of the samples below which what is left out is not spoken of."""
 
@@ -71,6 +74,7 @@ def quantum(samples: Samples, rows: np.ndarray, run: np.ndarray) -> np.ndarray:
         if not len(apart):
             continue
         least = float(np.median(apart[apart < 1.5 * apart.min()]))
+        apart = apart[apart < COUNTED * least]
         if np.mean(np.abs(apart / least - np.rint(apart / least)) < 0.05) > WHOLE:
             result[k] = least
     return result
@@ -126,11 +130,13 @@ def _repeated(values: np.ndarray, dwell: np.ndarray) -> np.ndarray:
 
 def _spikes(values: np.ndarray, dwell: np.ndarray, setup: np.ndarray, ends: bool) -> np.ndarray:
     """Samples (n,) in a dwell that stand out of both their neighbours to one side, by far more than noise does; at the
-    ``ends`` of a dwell of the only one."""
+    ``ends`` of a dwell of the only one.  One that was read twice is one."""
     out = np.zeros(len(values), bool)
     # Neighbours are those that are left: what is without signal stands between none.
     for k in range(values.shape[1]):
         kept = np.flatnonzero(np.isfinite(values[:, k]) & (dwell >= 0))
+        again = _read_twice(values[kept, k], dwell[kept])
+        twice, kept = {int(kept[i - 1]): int(kept[i]) for i in np.flatnonzero(again)}, kept[~again]
         if len(kept) < 3:
             continue
         x, own = values[kept, k], dwell[kept]
@@ -148,5 +154,13 @@ def _spikes(values: np.ndarray, dwell: np.ndarray, setup: np.ndarray, ends: bool
             noise = np.abs(step[mine[1:]])
             noise = noise[np.isfinite(noise) & (noise > 0.0)]
             if len(noise):
-                out[kept[mine & (stands > SPIKE * np.median(noise) / (0.6745 * np.sqrt(2.0)))]] = True
+                found = kept[mine & (stands > SPIKE * np.median(noise) / (0.6745 * np.sqrt(2.0)))]
+                out[found] = True
+                out[[twice[i] for i in found.tolist() if i in twice]] = True
     return out
+
+
+def _read_twice(values: np.ndarray, dwell: np.ndarray) -> np.ndarray:
+    """Second (n,) of two readings that are equal to the last bit, and no third beside them is."""
+    same = np.append(False, (values[1:] == values[:-1]) & (dwell[1:] == dwell[:-1]))
+    return same & ~np.append(False, same[:-1]) & ~np.append(same[1:], False)

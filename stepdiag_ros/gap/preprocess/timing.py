@@ -64,13 +64,11 @@ def well_timed(samples: Samples) -> Samples:
                                if isinstance(value, np.ndarray) and len(value) == len(sure)})
 
 
-def timing(samples: Samples, table: StopTable, columns: np.ndarray, rows: np.ndarray) -> Timing | None:
-    """Timing of one sensor; ``columns`` (n, k) [m] are the readings' dwell means at the stops, ``rows`` (n, 2)
-    the dwells' samples."""
+def timing(samples: Samples, table: StopTable, columns: np.ndarray) -> Timing | None:
+    """Timing of one sensor; ``columns`` (n, k) [m] are the readings' dwell means at the stops."""
     offsets, kinds, times, firsts, onsets, faint, periods = [], [], [], [], [], [], []
     before = after = moves = 0
-    # Where one move ends, the next begins.
-    rest = cache(partial(_rest, samples, table, quantum(samples, rows, table.run)))
+    rest = _rests(samples, table)
     for i in range(1, len(table)):
         if table.move_ns[i] < 0 or table.run[i] != table.run[i - 1]:
             continue
@@ -162,8 +160,7 @@ def apart(log: CalibrationLog, table: StopTable) -> tuple[float, float] | None:
 def _apart(log: CalibrationLog, table: StopTable, about: float) -> tuple[float, float] | None:
     """:func:`apart` of a spot whose samples were stamped ``about`` [s] earlier."""
     stretches: dict[tuple, list[np.ndarray]] = {}
-    rests = [cache(partial(_rest, samples, table, quantum(samples, rows, table.run)))
-             for samples, rows in ((log.displacement, table.displacement_rows), (log.spot, table.spot_rows))]
+    rests = [_rests(samples, table) for samples in (log.displacement, log.spot)]
     for i in range(1, len(table)):
         if table.move_ns[i] < 0 or table.run[i] != table.run[i - 1]:
             continue
@@ -275,12 +272,33 @@ def step_noise(samples: Samples, rows: np.ndarray, width: np.ndarray) -> np.ndar
     return result
 
 
-def _rest(samples: Samples, table: StopTable, coarse: np.ndarray, i: int, k: int) -> tuple[float, float] | None:
-    """Level and noise of one column in the middle half of a dwell: neither end may still move.
+def least_noise(samples: Samples, rows: np.ndarray, run: np.ndarray) -> np.ndarray:
+    """Noise (columns,) [m] that a sample of any dwell has at least: what neighbours in the middle half of a typical
+    dwell differ by, and what the step leaves open in which readings move; ``rows`` and ``run`` as for :func:`quantum`.
 
-    A reading that moves in steps (``coarse`` (columns,) [m], 0 where it does not) hides its noise and is
-    known no better than the step.
+    A few samples of a reading in steps are alike now and then, as if they had no noise at all.
     """
+    quarter = (rows[:, 1] - rows[:, 0]) // 4
+    inner = zip(rows[:, 0] + quarter, rows[:, 1] - quarter, strict=True)
+    sizes = [np.abs(np.diff(samples.values[lo:hi], axis=0)).mean(axis=0) for lo, hi in inner if hi - lo > 2]
+    result = quantum(samples, rows, run) / np.sqrt(12.0)
+    for k in range(len(result)):
+        there = [size[k] for size in sizes if np.isfinite(size[k])]
+        if there:
+            result[k] = max(result[k], np.sqrt(np.pi) / 2.0 * float(np.median(there)))
+    return result
+
+
+def _rests(samples: Samples, table: StopTable) -> Callable[[int, int], tuple[float, float] | None]:
+    """:func:`_rest` by stop and column, each worked out once: where one move ends, the next begins."""
+    # Not the table's rows: samples of which the time is not known well may have been left out since.
+    rows = np.searchsorted(samples.time_ns, np.stack([table.dwell_ns, table.done_ns], axis=1))
+    return cache(partial(_rest, samples, table, least_noise(samples, rows, table.run)))
+
+
+def _rest(samples: Samples, table: StopTable, least: np.ndarray, i: int, k: int) -> tuple[float, float] | None:
+    """Level and noise of one column in the middle half of a dwell: neither end may still move; ``least`` as
+    :func:`least_noise` gives it."""
     length = table.done_ns[i] - table.dwell_ns[i]
     lo, hi = np.searchsorted(samples.time_ns, [table.dwell_ns[i] + length // 4,
                                                table.done_ns[i] - length // 4])
@@ -290,7 +308,7 @@ def _rest(samples: Samples, table: StopTable, coarse: np.ndarray, i: int, k: int
         return None
     middle = _median(values)
     noise = _median(np.abs(values - middle)) / 0.6745 + 1e-12
-    return middle, max(noise, float(coarse[k]) / np.sqrt(12.0))
+    return middle, max(noise, float(least[k]))
 
 
 def _median(values: np.ndarray) -> float:

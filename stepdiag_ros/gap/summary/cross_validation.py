@@ -13,6 +13,7 @@ others, with the misalignments of its own no better known than before the log.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy import linalg
@@ -183,15 +184,17 @@ def _predicted(joint: Joint, parts: list[np.ndarray], with_effects: bool) -> _Fo
     residual = np.concatenate([w(plain) for w in white])
     total, freedom, count = 0.0, 0, 0
     sums = {kind: np.zeros(4) for kind in ('displacement', 'spot')}
-    for held in parts:
+    products = _Products.of(design, residual, [held[stop] for held in parts])
+    for number, held in enumerate(parts):
         flag = held[stop]
         new = np.setdiff1d(table.run[held], table.run[~held])
         resets = len(new) * beams if np.isfinite(table.displacement[held]).any() else 0
-        chi2, expected, covariance = _forecast(design, residual, flag, precision)
+        normal, along = products.without(number)
+        chi2, expected, covariance = _forecast(design[flag], residual[flag], normal + precision, along)
         total += chi2
         freedom += int(flag.sum()) - resets
         count += int(flag.sum())
-        once = np.flatnonzero(np.linalg.norm(design[~flag], axis=0) < ONCE * np.linalg.norm(design, axis=0))
+        once = np.flatnonzero(np.sqrt(np.diag(normal)) < ONCE * products.size)
         once = once[once >= joint.fit.parameters.size]
         # What happened once, in the part held out, nothing can predict: it is taken as the whole log shows it.
         expected[once] = sizes[once - joint.fit.parameters.size]
@@ -256,14 +259,43 @@ def _held_out(table) -> tuple[list[np.ndarray], str]:
     return [np.ones(len(table), bool)], 'none: the log is one run'
 
 
-def _forecast(design: np.ndarray, residual: np.ndarray, held: np.ndarray,
-              precision: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
-    """χ² of the held-out rows predicted from the others; what the others say of the unknowns, and its covariance."""
-    train = ~held
-    normal = design[train].T @ design[train] + precision
+def _forecast(design: np.ndarray, residual: np.ndarray, normal: np.ndarray,
+              along: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+    """χ² of held-out rows, ``design`` (m, r) and ``residual`` (m,), predicted from the ``normal`` equations (r, r) of
+    the others and their right side ``along`` (r,); what the others say of the unknowns, and its covariance."""
     covariance = inverse(normal)
-    expected = covariance @ (design[train].T @ residual[train])
-    left = residual[held] - design[held] @ expected
-    predicted = np.eye(held.sum()) + design[held] @ covariance @ design[held].T
+    expected = covariance @ along
+    left = residual - design @ expected
+    predicted = np.eye(len(design)) + design @ covariance @ design.T
     white = linalg.solve_triangular(linalg.cholesky(predicted, lower=True), left, lower=True)
     return float(white @ white), expected, covariance
+
+
+@dataclass(frozen=True)
+class _Products:
+    """Normal matrices (r, r) and their right sides (r,) of disjoint parts of some rows, each by itself, those of no
+    part last: so each row is multiplied once, however many parts are held out, and nothing is taken off again."""
+
+    normals: list[np.ndarray]
+    alongs: list[np.ndarray]
+
+    @classmethod
+    def of(cls, design: np.ndarray, residual: np.ndarray, parts: list[np.ndarray]) -> '_Products':
+        rows = [*(np.flatnonzero(part) for part in parts), np.flatnonzero(~np.any(parts, axis=0))]
+        designs = (design[mine] for mine in rows)
+        return cls([part.T @ part for part in designs],
+                   [design[mine].T @ residual[mine] for mine in rows])
+
+    def without(self, number: int) -> tuple[np.ndarray, np.ndarray]:
+        """Sums over all parts but one."""
+        normal, along = np.zeros_like(self.normals[0]), np.zeros_like(self.alongs[0])
+        for other, (mine, right) in enumerate(zip(self.normals, self.alongs, strict=True)):
+            if other != number:
+                normal += mine
+                along += right
+        return normal, along
+
+    @cached_property
+    def size(self) -> np.ndarray:
+        """Lengths (r,) of the columns over all rows."""
+        return np.sqrt(sum(np.diag(mine) for mine in self.normals))

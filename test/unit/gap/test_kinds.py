@@ -27,6 +27,11 @@ EDGES = ['edge_x: {standoff: 0.2, MOREfrom: [0, 0, 0], to: [0.2, 0, 0]}',
 BODY = [f'{name}: {{standoff: 0.2, psd_offset: [0.02, 0.0]MORE}}' for name in ('ppp', 'npp', 'pnp', 'nnp')]
 SEEN = 'psd_offset: [0.02, 0.0]'
 GRID = 'from: [0, 0, 0], to: [0.2, 0.16, 0], moves: grid, tool: [0, 0, 0]'
+SPACE = 'from: [0, 0, 0], to: [0.2, 0.16, 0.12], moves: grid, tool: [0, 0, 0]'
+FACES = [f'{name}: {{standoff: 0.2, {SEEN}, from: {start}, to: {end}, moves: {moves}}}' for name, start, end, moves in (
+    ('xy_p', [0, 0, 0], [0.2, 0.16, 0], 'XY'), ('xy_n', [0.2, 0, 0], [0, 0.16, 0], 'XY'),
+    ('xz_p', [0, 0, 0], [0.2, 0, 0.12], 'XZ'), ('xz_n', [0.2, 0, 0], [0, 0, 0.12], 'XZ'),
+    ('yz_p', [0, 0, 0], [0, 0.16, 0.12], 'YZ'), ('yz_n', [0, 0.16, 0], [0, 0, 0.12], 'YZ'))]
 KINDS = {
     'overrun': [one.replace('MORE', 'overrun: 0.0005, ') for one in EDGES] + [one.replace('MORE', '') for one in BODY],
     'no detector': [one.replace('MORE', '') for one in EDGES]
@@ -42,13 +47,15 @@ KINDS = {
             ('b1', [0, 0, 0], [0.2, 0.16, 0.12]), ('b2', [0.2, 0, 0], [0, 0.16, 0.12]),
             ('b3', [0, 0.16, 0], [0.2, 0, 0.12]), ('f1', [0, 0, 0], [0.2, 0.16, 0]),
             ('f2', [0.2, 0, 0], [0, 0.16, 0]))],
-    'three faces': [f'{name}: {{standoff: 0.2, {SEEN}, from: [0, 0, 0], to: {end}, moves: {moves}}}'
-                    for name, end, moves in (
-                        ('xy', [0.2, 0.16, 0], 'XY'), ('xz', [0.2, 0, 0.12], 'XZ'), ('yz', [0, 0.16, 0.12], 'YZ'))]
-    + [one.replace('MORE', '') for one in EDGES],
+    'three faces': FACES[::2] + [one.replace('MORE', '') for one in EDGES],
+    'face step diagonals': FACES + [one.replace('MORE', '') for one in EDGES],
+    'stations in space': [f's{k}: {{{SPACE}, station: {place}}}' for k, place in enumerate(
+        ([-0.15, -0.12, -0.1], [0.42, -0.1, -0.05], [0.1, 0.38, -0.1], [0.1, 0.08, 0.5]))],
     'parallel lines': [EDGES[0].replace('MORE', 'psd: false, '),
                        'line_2: {standoff: 0.2, psd: false, from: [0, 0.16, 0], to: [0.2, 0.16, 0]}',
                        'line_3: {standoff: 0.2, psd: false, from: [0, 0, 0.12], to: [0.2, 0, 0.12]}']}
+KINDS['a mixture'] = [*KINDS['three faces'], *KINDS['stations'], KINDS['diagonals in one motion'][0],
+                      BODY[0].replace('MORE', '')]
 
 
 def diagnosed(kind, effects):
@@ -62,7 +69,8 @@ def test_nothing_is_found_where_nothing_is(kind):
     assert found['verdict'] == 'no_gap' and not found['effects']
 
 
-@pytest.mark.parametrize('kind', ['overrun', 'no detector', 'stations', 'rectangle', 'regulated', 'parallel lines'])
+@pytest.mark.parametrize('kind', ['overrun', 'no detector', 'stations', 'rectangle', 'regulated', 'parallel lines',
+                                  'face step diagonals'])
 def test_a_creeping_servo_is_found(kind):
     found = diagnosed(kind, 'servo_settling: {amp: 5.0e-7, tau: 0.15}')
     assert [effect['name'] for effect in found['effects']] == ['servo_settling'], found['effects']

@@ -29,6 +29,8 @@ def space_and_forms(case):
 def test_columns_products_and_data_are_those_of_each_form_alone(space_and_forms, monkeypatch, at_a_time):
     space, forms = space_and_forms
     monkeypatch.setattr(brought, 'AT_A_TIME', at_a_time)
+    if at_a_time == 1:
+        monkeypatch.setattr(brought, 'COLUMNS_AT_A_TIME', 1)
     forms = forms[::37] + [form for form in forms if form.by_reading is not None][:2]
     data = np.concatenate([space.data, space.own_data])
     found = Brought.into(space, forms, data)

@@ -56,15 +56,32 @@ def test_the_log_evidence_of_tails_is_that_of_the_integral():
     latent = Latent(np.zeros((1, 1)), np.eye(1), np.array([2]), [np.array([0])], slice(0, 1))
     errors = Errors(latent, np.array([middle * known]), np.array([1.0 - known]))
     noise = replace(_plain(), position_law=Law(dof))
-    _, evidence, _, _ = weighed(noise, [errors], 1)
+    _, evidence, _, _ = weighed(noise, [errors], 1, 0)
     x = np.linspace(-60.0, 60.0, 200_001)
     density = np.trapezoid(stats.t.pdf(x, dof) * stats.norm.pdf(x, middle, np.sqrt(wide)), x)
     assert evidence == pytest.approx(np.log(density) - stats.norm.logpdf(middle, 0.0, np.sqrt(1.0 + wide)), abs=0.01)
 
 
-def _plain():
+def test_what_one_reading_shows_of_two_arrivals_is_far_off_once():
+    """A way of two stops shows the difference of its arrivals: against the integral over both distributions."""
+    dof, read = 2.5, 14.0
+    noise, sources, stops = replace(_plain(2), position_law=Law(dof)), np.array([2, 2]), [np.array([0]), np.array([1])]
+    for turn in range(9):
+        sizes = np.ones(2) if noise.spread is None else noise.spread[2]
+        white = sizes * np.array([1.0, -1.0]) / np.hypot(*sizes)
+        latent = Latent(white[None], np.eye(2), sources, stops, slice(0, 1))
+        errors = Errors(latent, white * read / np.hypot(*sizes), 1.0 - white**2)
+        noise, evidence, _, _ = weighed(noise, [errors], 2, turn)
+        total = stats.norm.logpdf(read, 0.0, np.hypot(*sizes)) + evidence
+    x = np.linspace(-400.0, 400.0, 400_001)
+    exact = np.log(np.trapezoid(stats.t.pdf(x, dof) * stats.t.pdf(x - read, dof), x))
+    assert total == pytest.approx(exact, abs=1.0)   # either may be the one: ln 2
+    assert max(noise.spread[2]) > 5.0 > 1.5 > min(noise.spread[2])
+
+
+def _plain(stops=1):
     from stepdiag_ros.estimate.noise import NoiseModel
-    return NoiseModel(3e-7, 2e-7, np.ones((1, 3)), 'drawn')
+    return NoiseModel(3e-7, 2e-7, np.ones((stops, 3)), 'drawn')
 
 
 def test_correlated_arrivals_by_drawing(case):

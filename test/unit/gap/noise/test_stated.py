@@ -2,10 +2,12 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from stepdiag_ros.effects import all_effects
 from stepdiag_ros.gap import diagnose
+from stepdiag_ros.gap.noise.stated import _steps
 from stepdiag_ros.model.description import Noise
 
 
@@ -18,3 +20,9 @@ def test_a_log_ten_times_noisier_than_its_description_is_a_finding(case, times, 
     found = diagnose(said, [kind() for kind in all_effects().values()])
     assert found.verdict == verdict and not found.effects
     assert ('noisier than its description' in found.unmodelled) == (verdict == 'unexplained')
+
+
+def test_of_several_beams_it_is_said_which():
+    one, two = _steps(np.array([5e-9, 0.0, 5e-9, 0.0, 0.0]))
+    assert 'displacement of beam 0:' in one and 'displacement of beam 2:' in two
+    assert list(_steps(np.array([5e-9, 0.0, 0.0]))) == ['noise: displacement: readings move in steps of 0.005 µm']

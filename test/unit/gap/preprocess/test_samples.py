@@ -49,6 +49,18 @@ def test_lone_spikes_are_found_at_the_ends_of_dwells_too(case):
     assert np.array_equal(np.flatnonzero(np.isnan(found.displacement.values[:, 0])), np.sort(at))
 
 
+def test_a_spike_that_was_read_twice_is_one(case):
+    """Where readings move in steps neighbours are often equal: they tell nothing of what was asked for too soon."""
+    log = case.log()
+    values, at = np.round(log.displacement.values / 2e-9) * 2e-9, []
+    for lo, hi in reduce_log(log).displacement_rows[::7]:
+        at += [lo, lo + 1, (lo + hi) // 2, (lo + hi) // 2 + 1]
+        for first in at[-4::2]:
+            values[first:first + 2] = values[first] + 1e-6
+    found, _ = clean(replace(log, displacement=replace(log.displacement, values=values)))
+    assert np.array_equal(np.flatnonzero(np.isnan(found.displacement.values[:, 0])), np.sort(at))
+
+
 def test_repeated_readings_are_left_out_but_not_readings_in_steps(case):
     log = case.log()
     table = reduce_log(log)

@@ -9,13 +9,13 @@ from stepdiag_ros.effects import effect_class
 from stepdiag_ros.estimate.reduce import reduce_log
 from stepdiag_ros.gap.preprocess.clocks import late_clocks
 from stepdiag_ros.gap.preprocess.samples import quantum
-from stepdiag_ros.gap.preprocess.timing import _rest, apart, step_noise, timing
+from stepdiag_ros.gap.preprocess.timing import _rest, apart, least_noise, step_noise, timing, well_timed
 from stepdiag_ros.model.log import Samples
 
 
 def _seen(log):
     table = reduce_log(log)
-    return timing(log.displacement, table, table.displacement, table.displacement_rows)
+    return timing(log.displacement, table, table.displacement)
 
 
 def _stamped(samples, offset_s, drift_s=0.0):
@@ -27,8 +27,8 @@ def _stamped(samples, offset_s, drift_s=0.0):
 
 def _clocks(log):
     table = reduce_log(log)
-    return {'interferometer': timing(log.displacement, table, table.displacement, table.displacement_rows),
-            'psd': timing(log.spot, table, table.spot, table.spot_rows)}, apart(log, table)
+    return {'interferometer': timing(log.displacement, table, table.displacement),
+            'psd': timing(log.spot, table, table.spot)}, apart(log, table)
 
 
 def test_a_quiet_log_shows_nothing(case):
@@ -126,6 +126,23 @@ def test_readings_in_steps(case):
     assert quantum(coarse, table.spot_rows, table.run) == pytest.approx([2e-6, 2e-6], rel=1e-6)
 
 
+def test_a_length_in_steps_of_nanometres_over_moves_of_decimetres_is_no_clock(case):
+    """The step is found although moves are millions of it; else a reading that flips by one is motion before the
+    command."""
+    # 5.395 nm; no difference of readings between half a metre and a metre is just that.
+    log, width = case.log(), 48_593_063.4 * 2.0**-53
+    # Noise of a tenth of the step: dwells see one level or two, most of the time the same one.
+    exact = log.displacement.values - log.displacement.values % 1e-6
+    noise = 0.1 * width * np.random.default_rng(8).standard_normal(exact.shape)
+    counted = np.rint((0.51 + exact - exact.min() + noise) / width) * width
+    steps = replace(log, displacement=replace(log.displacement, values=counted))
+    table = reduce_log(steps)
+    assert quantum(steps.displacement, table.displacement_rows, table.run) == pytest.approx(width, rel=1e-6)
+    clocks, between = _clocks(steps)
+    assert clocks['interferometer'].sooner == 0.0
+    assert late_clocks(clocks, between) == {}
+
+
 def test_a_reading_in_coarse_steps_is_known_no_better_than_the_step(case):
     log = case.log()
     table = reduce_log(log)
@@ -133,8 +150,38 @@ def test_a_reading_in_coarse_steps_is_known_no_better_than_the_step(case):
     coarse = replace(log.spot, values=np.rint(log.spot.values / width) * width)
     found = quantum(coarse, table.spot_rows, table.run)
     assert found == pytest.approx(width, rel=1e-6)
-    _, noise = _rest(coarse, table, found, 5, 0)
+    _, noise = _rest(coarse, table, least_noise(coarse, table.spot_rows, table.run), 5, 0)
     assert noise > width / 4.0
+
+
+def test_a_few_samples_that_are_alike_are_not_without_noise(case):
+    """Noise of nine tenths of a step: neighbours differ too often for the step to be told, and yet the middle samples
+    of some dwells are all the same."""
+    log, width = case.log(), 3.35e-9
+    exact = log.displacement.values - log.displacement.values % 1e-6
+    noise = 0.9 * width * np.random.default_rng(8).standard_normal(exact.shape)
+    steps = replace(log, displacement=replace(log.displacement, values=np.rint((exact + noise) / width) * width))
+    table = reduce_log(steps)
+    rows = table.displacement_rows
+    assert np.all(quantum(steps.displacement, rows, table.run) == 0.0)
+    least = least_noise(steps.displacement, rows, table.run)
+    assert least == pytest.approx(np.hypot(0.9, 12.0**-0.5) * width, rel=0.1)
+    assert _rest(steps.displacement, table, least, 5, 0)[1] >= least[0]
+    clocks, between = _clocks(steps)
+    assert clocks['interferometer'].sooner == 0.0 and late_clocks(clocks, between) == {}
+
+
+def test_samples_whose_time_is_not_known_are_no_reason_to_look_elsewhere(case):
+    """What a busy computer stamped late is left out: the samples of a dwell stand in other rows then."""
+    log = case.log()
+    unsure = replace(log, **{name: replace(samples, uncertainty_ns=np.where(
+        np.arange(len(samples)) % 2, 20_000_000, 10_000)) for name, samples in (
+            ('displacement', log.displacement), ('spot', log.spot))})
+    thin = replace(unsure, displacement=well_timed(unsure.displacement), spot=well_timed(unsure.spot))
+    assert len(thin.spot) < 0.6 * len(log.spot)
+    table = reduce_log(log)
+    (delay, sigma), (thinned, more) = apart(log, table), apart(thin, table)
+    assert abs(thinned - delay) < 4.0 * more and sigma < more < 3.0 * sigma
 
 
 @pytest.mark.parametrize('sigma', [0.0, 0.1, 0.25])
