@@ -85,10 +85,14 @@ def closures(log: CalibrationLog, table: StopTable, noise: NoiseModel) -> tuple[
 
 
 def said(found: Sequence[Closure]) -> str:
-    """In a sentence how many cycles close; empty where there are none."""
+    """In a sentence how many cycles close, and of how many that is not known; empty where there are none."""
     measured = [one for one in found if one.closes is not None]
+    open_ = [f'{one.setup}, repeat {one.repeat}' for one in found if one.closes is None]
+    unread = (f'{len(open_)} of {len(found)} cycles have no reading at their first stop or where they turn, and so no '
+              f'closure ({open_[0]}{", …" if len(open_) > 1 else ""}); give the dwells more time than the beam and the '
+              'axes take to settle' if open_ else '')
     if not measured:
-        return ''
+        return unread
     worst = max(measured, key=lambda one: abs(one.length_m))
     closing = sum(bool(one.closes) for one in measured)
     joined = any(one.reset_between for one in measured)
@@ -96,7 +100,7 @@ def said(found: Sequence[Closure]) -> str:
     return (f'{closing} of {len(measured)} cycles return to their zero within U (k = 2); the largest closure is '
             f'{1e6 * worst.length_m:+.3f} ± {2e6 * worst.length_sigma_m:.3f} µm (k = 2; '
             f'{worst.setup}, repeat {worst.repeat})'
-            + unseen)
+            + unseen + (f'; {unread}' if unread else ''))
 
 
 def _ends(table: StopTable, forward: np.ndarray, backward: np.ndarray) -> tuple[int, int, int, int] | None:

@@ -7,7 +7,8 @@ cause's contribution.  So no method needs to know the budget.
 """
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -25,33 +26,54 @@ DECLARED = 'no setup was run twice in a direction: the uncertainty rests on the 
 Run = Callable[[CellReadings], Any]
 
 
-def with_cell_budget(run: Run, evaluation: Evaluation) -> Any:
-    """What ``run`` makes of the stops of ``evaluation``, with the uncertainty of the whole budget.
+@dataclass(frozen=True)
+class Readings:
+    """The readings of an evaluation's setups, and what they would be with each cause of the budget put onto them."""
+
+    evaluation: Evaluation
+    measured: CellReadings
+
+    @cached_property
+    def moved(self) -> tuple[CellReadings, ...]:
+        """The readings with one variate of one cause at one standard uncertainty, a variate after the other."""
+        readings = self.evaluation.setting.readings
+        return tuple(readings_of_stops(self.evaluation.setting.description,
+                                       filled(self.evaluation.metres.table, readings + column.reshape(readings.shape)))
+                     for cause in self.evaluation.uncertainty.causes for column in _columns(cause, self.evaluation))
+
+    @property
+    def declared(self) -> tuple[str, ...]:
+        """The warning that all noise is declared, if it is."""
+        return (f'{self.evaluation.source}: {DECLARED}',) if all(s.declared for s in self.measured.setups.values()) \
+            else ()
+
+
+def readings_of(evaluation: Evaluation) -> Readings:
+    """The readings that :func:`with_cell_budget` gives to a method."""
+    return Readings(evaluation, readings_of_stops(evaluation.setting.description, evaluation.metres.table))
+
+
+def with_cell_budget(run: Run, readings: Readings) -> Any:
+    """What ``run`` makes of the readings, with the uncertainty of the whole budget.
 
     A :class:`Solution` gets covariance, repeatability and traceability; a test with figures of merit gets
     ``sigma_m``, the standard uncertainty [m] of each figure.
     """
-    description, table = evaluation.setting.description, evaluation.metres.table
-    cell = readings_of_stops(description, table)
-    own = run(cell)
-    stopwise = _with_stopwise(cell, evaluation)
-    declared = (f'{evaluation.source}: {DECLARED}',) if all(s.declared for s in cell.setups.values()) else ()
-
-    def moved(column: np.ndarray) -> Any:
-        return run(readings_of_stops(description, filled(table, evaluation.setting.readings
-                                                         + column.reshape(evaluation.setting.readings.shape))))
+    evaluation = readings.evaluation
+    own = run(readings.measured)
+    stopwise = _with_stopwise(readings.measured, evaluation)
     if not isinstance(own, Solution):
-        return _figures(own, stopwise, evaluation, moved, declared)
+        return _figures(own, stopwise, run, readings)
     covariance = run(stopwise).covariance.copy()
     for cause in evaluation.uncertainty.causes:
         if cause.errors:
             slopes = error_slopes(cause, own)
             covariance += slopes @ slopes.T
-        for column in _columns(cause, evaluation):
-            change = moved(column).value - own.value
-            covariance += np.outer(change, change)
-    full = replace(own, covariance=covariance, repeatability=own.covariance, warnings=(*own.warnings, *declared),
-                   closure=evaluation.solution.closure)
+    for moved in readings.moved:
+        change = run(moved).value - own.value
+        covariance += np.outer(change, change)
+    full = replace(own, covariance=covariance, repeatability=own.covariance,
+                   warnings=(*own.warnings, *readings.declared), closure=evaluation.solution.closure)
     return tied(full, evaluation.source, evaluation.metres, evaluation.lines, evaluation.budget)
 
 
@@ -97,16 +119,16 @@ def _with_stopwise(cell: CellReadings, evaluation: Evaluation) -> CellReadings:
     return replace(cell, setups={name: more(setup) for name, setup in cell.setups.items()})
 
 
-def _figures(own: Any, cell: CellReadings, evaluation: Evaluation, moved: Callable[[np.ndarray], Any],
-             declared: tuple[str, ...]) -> Any:
+def _figures(own: Any, cell: CellReadings, run: Run, readings: Readings) -> Any:
     """A test's result with the standard uncertainty [m] of each of its figures, and what that rests on."""
+    evaluation = readings.evaluation
     figures = own.figures()
     variance = {name: value**2 for name, value in own.repeat_sigma(cell).items()}
+    for moved in readings.moved:
+        for name, value in run(moved).figures().items():
+            variance[name] += (value - figures[name])**2
     for cause in evaluation.uncertainty.causes:
-        for column in _columns(cause, evaluation):
-            for name, value in moved(column).figures().items():
-                variance[name] += (value - figures[name])**2
         for name, value in own.slope_sigma(cause.errors, evaluation.setting.description.machine).items():
             variance[name] += value**2
     sigma: Mapping[str, float] = {name: float(np.sqrt(value)) for name, value in variance.items()}
-    return replace(own, sigma_m=sigma, traceability=evaluation.solution.traceability, cautions=declared)
+    return replace(own, sigma_m=sigma, traceability=evaluation.solution.traceability, cautions=readings.declared)

@@ -27,8 +27,8 @@ from stepdiag_ros.estimate import (
 from stepdiag_ros.estimate.cautions import cautions
 from stepdiag_ros.estimate.evaluate import evaluate as evaluate_enhanced
 from stepdiag_ros.estimate.evaluate import evaluate_in_full
-from stepdiag_ros.estimate.method_budget import with_cell_budget
-from stepdiag_ros.estimate.readings import CellReadings, SetupReadings, readings_of_stops
+from stepdiag_ros.estimate.method_budget import readings_of, with_cell_budget
+from stepdiag_ros.estimate.readings import CellReadings, SetupReadings
 from stepdiag_ros.estimate.solution import Solution
 from stepdiag_ros.estimate.stepwise import travel_signs
 from stepdiag_ros.model.description import DIAGONALS
@@ -246,11 +246,12 @@ def run_method(name: str, log: CalibrationLog) -> Any:
     evaluation = evaluate_in_full(log)
     if name == 'enhanced':
         return evaluation.solution
-    cell = readings_of_stops(log.description, evaluation.metres.table)
+    readings = readings_of(evaluation)
+    cell = readings.measured
     missing = method.lacks(cell)
     if missing:
         raise StepdiagError(f'{log.source}: method {name} needs {missing}{cell.why()}')
-    result = with_cell_budget(partial(method.run, log), evaluation)
+    result = with_cell_budget(partial(method.run, log), readings)
     warned = cautions(cell, evaluation.solution) if name in CAUTIONED else ()
     if isinstance(result, Solution):
         return replace(result, warnings=(*result.warnings, *warned))
@@ -260,7 +261,8 @@ def run_method(name: str, log: CalibrationLog) -> Any:
 def run_all(log: CalibrationLog) -> tuple[dict[str, Any], dict[str, str]]:
     """Every method that fits the log: results by name, and for the others why not."""
     evaluation = evaluate_in_full(log)
-    cell = readings_of_stops(log.description, evaluation.metres.table)
+    readings = readings_of(evaluation)
+    cell = readings.measured
     results, skipped = {}, {}
     for name, method in METHODS.items():
         missing = method.lacks(cell)
@@ -269,7 +271,7 @@ def run_all(log: CalibrationLog) -> tuple[dict[str, Any], dict[str, str]]:
             continue
         try:
             results[name] = evaluation.solution if name == 'enhanced' else \
-                with_cell_budget(partial(method.run, log), evaluation)
+                with_cell_budget(partial(method.run, log), readings)
         except StepdiagError as error:
             skipped[name] = str(error)
     return results, skipped

@@ -91,14 +91,17 @@ def errors_of(latent: Latent, basis: np.ndarray, data: np.ndarray) -> Errors:
                   np.clip(1.0 - np.sum(seen**2, axis=1) + np.sum(lost**2, axis=1), 1e-9, 1.0))
 
 
-def weighed(noise: NoiseModel, found: Sequence[Errors], stops: int) -> tuple[NoiseModel, float, np.ndarray, np.ndarray]:
+def weighed(noise: NoiseModel, found: Sequence[Errors], stops: int,
+            turn: int) -> tuple[NoiseModel, float, np.ndarray, np.ndarray]:
     """The noise with what each of the ``stops`` is wider by, given the errors; the log evidence that the tails bring
     beyond normal errors of the sizes that they were taken to have; and the errors' mean squares (m,) with their
     ``source`` (m,), in squares of the noise's sizes, each counted by its weight.
 
-    All but one error held, the data say of that one m ± √v: 1/v = 1/V − 1, m = v ε/V.
+    All but one error held, the data say of that one m ± √v: 1/v = 1/V − 1, m = v ε/V.  Neighbours that one reading
+    shows take turns, by ``turn`` (0, 1, 0, …): at once each would leave what is far off to the other, or both take it.
     """
-    spread, evidence, squares = np.ones((5, stops)), 0.0, []
+    evidence, squares = 0.0, []
+    spread = np.ones((5, stops)) if noise.spread is None else noise.spread.copy()
     for errors in found:
         latent = errors.latent
         square = errors.mean**2 + errors.variance
@@ -121,7 +124,8 @@ def weighed(noise: NoiseModel, found: Sequence[Errors], stops: int) -> tuple[Noi
             square[mine] = np.sum(share * WEIGHTS * (own + (own * (middle / wide)[:, None])**2), axis=1)
             now = np.clip(1.0 / np.sqrt(share @ WEIGHTS), LEAST_SPREAD, MOST_SPREAD)
             for k, size in zip(mine, now, strict=True):
-                spread[kind, latent.stops[k]] = size
+                if latent.stops[k][0] % 2 == turn % 2:
+                    spread[kind, latent.stops[k]] = size
         squares.append(square)
     heavy = np.isfinite(noise.angle_law.dof) or np.isfinite(noise.position_law.dof)
     return (replace(noise, spread=spread if heavy else None), evidence, np.concatenate(squares),
@@ -168,8 +172,8 @@ class Repeats:
     def __bool__(self) -> bool:
         return bool(self._setups)
 
-    def held_against(self, noise: NoiseModel) -> _Tried:
-        """The noise held against the repeats; what single errors are wider by is found beside it."""
+    def held_against(self, noise: NoiseModel, turn: int) -> _Tried:
+        """The noise held against the repeats; what single errors are wider by is found beside it, in ``turn``."""
         sources, squares, spread = [], [], np.ones((5, self._arrival.shape[1]))
         for table, rows, readings, shared in self._setups:
             own = replace(noise, sensor=noise.sensor[rows],
@@ -184,7 +188,7 @@ class Repeats:
             data = np.concatenate([w(filled) for w in white])
             data = data - basis @ (basis.T @ data)
             found = [errors_of(latent, basis, data) for latent in latents(table, own, arrival, white)]
-            now, _, square, source = weighed(own, found, len(rows))
+            now, _, square, source = weighed(own, found, len(rows), turn)
             sources.append(source)
             squares.append(square)
             if now.spread is not None:
@@ -213,6 +217,6 @@ def _shared(table: StopTable) -> np.ndarray:
 def sized(noise: NoiseModel, repeats: Repeats) -> NoiseModel:
     """The noise with the sizes that the repeats show under its laws."""
     noise = replace(noise, spread=None)
-    for _ in range(SWEEPS):
-        noise = repeats.held_against(noise).scaled()
+    for turn in range(SWEEPS):
+        noise = repeats.held_against(noise, turn).scaled()
     return replace(noise, spread=None)

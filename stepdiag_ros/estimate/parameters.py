@@ -8,7 +8,8 @@ reset offset for every beam of every run, which is the unknown dead path where a
 A positioning curve (EXX, EYY, EZZ) has knots at the plan's positions and wherever
 a line of that axis stops; the others at the plan's positions only.  A stop between
 knots takes part in both neighbours.  Where no way of the log goes by the plan's positions, those
-that its ways do go by are the knots: between them nothing is seen.
+that its ways do go by are the knots: between them nothing is seen.  Nor has a log of less than half of the plan knots
+where it never was.
 """
 
 from dataclasses import dataclass, field
@@ -81,6 +82,7 @@ def parameters_of(description: Description, table: StopTable) -> Parameters:
         plan = plan_positions(description, axis)
         if ways is not None:
             plan = _base(plan, ways[:, axis])
+        plan = _met(plan, table.commanded[:, axis])
         own = np.isin(table.setup, [i for i, s in enumerate(table.setup_names)
                                     if description.setups[s].axes == (axis,)])
         extra = np.unique(table.commanded[own, axis])
@@ -121,6 +123,17 @@ def _base(plan: np.ndarray, gone: np.ndarray) -> np.ndarray:
     # Ways that go only part of the axis leave the rest to the plan.
     whole = abs(gone[0]) <= MERGE_M and abs(gone[-1] - plan[-1]) <= MERGE_M
     return gone if missed.any() and whole and len(gone) > 2 else plan
+
+
+def _met(plan: np.ndarray, commanded: np.ndarray) -> np.ndarray:
+    """Knots (k,) [m]: the plan's, or of a log that holds less than half of them those that it met, and the end.
+
+    What no reading meets would be thousands of unknowns of a small log that was broken off.
+    """
+    places = _merge(commanded)
+    met = np.abs(places[:, None] - plan).min(axis=0) <= MERGE_M
+    met[[0, -1]] = True
+    return plan if 2 * met.sum() >= len(plan) else plan[met]
 
 
 def _merge(positions: np.ndarray) -> np.ndarray:

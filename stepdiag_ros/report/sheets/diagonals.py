@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from stepdiag_ros.estimate.body_diagonal import DiagonalTest
 from stepdiag_ros.estimate.evaluate import Evaluation
 from stepdiag_ros.estimate.iso_rules import shortfalls
-from stepdiag_ros.estimate.method_budget import with_cell_budget
+from stepdiag_ros.estimate.method_budget import readings_of, with_cell_budget
 from stepdiag_ros.estimate.methods import body_diagonal_test, corner_deviations, diagonal_displacement
 from stepdiag_ros.estimate.of_ways import of_kind
 from stepdiag_ros.estimate.readings import CellReadings
@@ -38,7 +38,8 @@ def diagonal_sheets(log: CalibrationLog, evaluation: Evaluation, cell: CellReadi
     for kind in ('body diagonal', 'body step diagonal', 'face diagonal', 'face step diagonal'):
         if names := of_kind(cell, kind):
             asked.append((kind, names, partial(diagonal_displacement, method=kind, kinds=(kind,))))
-    return [_sheet(kind, names, with_cell_budget(test, evaluation), log, evaluation, cell, source)
+    readings = readings_of(evaluation)
+    return [_sheet(kind, names, with_cell_budget(test, readings), log, evaluation, cell, source)
             for kind, names, test in asked]
 
 

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from stepdiag_ros.estimate.evaluate import Evaluation
 from stepdiag_ros.estimate.iso230_2 import AxisResult, LinearTest
 from stepdiag_ros.estimate.iso_rules import shortfalls
-from stepdiag_ros.estimate.method_budget import with_cell_budget
+from stepdiag_ros.estimate.method_budget import readings_of, with_cell_budget
 from stepdiag_ros.estimate.methods import linear_test
 from stepdiag_ros.estimate.readings import CellReadings
 from stepdiag_ros.model.description import path_of
@@ -38,7 +38,7 @@ def linear_sheets(log: CalibrationLog, evaluation: Evaluation, cell: CellReading
         return []
     # The figures of one direction get an uncertainty too.
     wanted = tuple(figure for figure, _ in FIGURES)
-    test = with_cell_budget(lambda readings: replace(linear_test(readings), wanted=wanted), evaluation)
+    test = with_cell_budget(lambda readings: replace(linear_test(readings), wanted=wanted), readings_of(evaluation))
     return [_sheet(name, test, log, evaluation, cell, source) for name in test.axes]
 
 

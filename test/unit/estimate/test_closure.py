@@ -102,3 +102,15 @@ def test_json_and_page(quiet, tmp_path, capsys):
     assert 'does each cycle return to its zero' in html and 'A reset of the interferometer lies between' in html
     assert html.count('<tr>') == 57 and '→' in html
     assert closure_section((), 3) == ''
+
+
+def test_cycles_without_a_reading_where_they_begin_are_said(quiet):
+    """As of a regulated beam that does not settle within the dwell."""
+    whole = evaluate_in_full(quiet)
+    table, noise = whole.metres.table, whole.fit.noise
+    blind = (table.setup == table.setup_names.index('npp')) & (table.index == 0)
+    length = np.where(blind[:, None], np.nan, table.displacement)
+    text = said(closures(quiet, replace(table, displacement=length), noise))
+    assert text.startswith('4') and '8 of 56 cycles have no reading' in text and '(npp, repeat 0, …)' in text
+    none = said(closures(quiet, replace(table, displacement=np.full_like(length, np.nan)), noise))
+    assert none.startswith('56 of 56 cycles have no reading')

@@ -44,6 +44,7 @@ FACES = {'xy_p': ((0, 0, 0), (X, Y, 0), 'XY'), 'xz_p': ((0, 0, 0), (X, 0, Z), 'X
          'xz_n': ((X, 0, 0), (0, 0, Z), 'XZ'), 'yz_n': ((0, Y, 0), (0, 0, Z), 'YZ')}
 STRAIGHT_FACES = {name: way[:2] for name, way in FACES.items()}
 THREE = {name: FACES[name] for name in ('xy_p', 'xz_p', 'yz_p')}
+UNSEEN = {name: (*way, 'psd: false') for name, way in THREE.items()}
 SHORT = dict.fromkeys(('ppp', 'npp', 'pnp', 'nnp'), ())
 ALL = {*CURVES, *SQUARENESS}
 PITCH_YAW = {'EXX', 'EBX', 'ECX', 'EYY', 'EAY', 'ECY', 'EZZ', 'EAZ', 'EBZ'}
@@ -64,6 +65,7 @@ def cell_of(setups, laser='3.0e-4', mirror='2.0e-4'):
         body = 'standoff: 0.2, psd_offset: [0.02, 0.0]'
         if way:
             body += f', from: {list(way[0])}, to: {list(way[1])}' + (f', moves: {way[2]}' if len(way) > 2 else '')
+            body = body if len(way) < 4 else body.replace('psd_offset: [0.02, 0.0]', way[3])
         if len(way) == 2:
             straight.append(f'{name}: {{laser: [0.0, 0.0]}}')
         lines.append(f'  {name}: {{{body}}}')
@@ -95,6 +97,24 @@ def test_what_a_log_can_show_comes_back_and_the_rest_is_named(plan):
     solution = solution_of(fit(log.description, table, linear_laser=1e-5), table)
     found = {name: value for name, value in off(solution, cell.geometry).items() if name in shown}
     assert all(value < 1e-9 for value in found.values()), found
+
+
+def test_without_a_detector_three_faces_leave_open_what_turns_with_their_mirrors():
+    """The rolls, and in XY, where the tool is no lever, straightness and squareness; all else within its U."""
+    cell = cell_of(UNSEEN | LINES)
+    log = simulate_log(cell)
+    believed = evaluate(replace(log, description=replace(log.description, noise=Noise())))
+    assert believed.status == 'ok', believed.status
+    named = {name.split()[0] for entry in believed.unidentifiable for name in entry.names}
+    assert named & ALL == {'EAX', 'EBY', 'ECZ', 'EYX', 'EXY', 'EC0Y'}
+    found = off(believed, cell.geometry)
+    for name in sorted(ALL - named):
+        u = 2.0 * (believed.squareness(name)[1] if name in SQUARENESS else believed.curve(name)[2].max())
+        assert found[name] < u, name
+    table = in_metres(log).table
+    solution = solution_of(fit(log.description, table, linear_laser=1e-5), table)
+    found = off(solution, cell.geometry)
+    assert max(found[name] for name in CURVES if name not in named) < 5e-9
 
 
 def test_a_way_spelled_out_is_the_short_name_bit_by_bit():

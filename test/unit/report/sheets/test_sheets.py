@@ -90,8 +90,9 @@ def test_every_figure_has_an_uncertainty(sheets):
             assert expanded > 0.0, (sheet.title, name)
 
 
-@pytest.mark.parametrize(('slopes', 'diagonal_um'), [((50e-6, 0.0, 0.0), 28.9), ((100e-6, -50e-6, -25e-6), 14.4)],
-                         ids=['machine A', 'machine B'])
+@pytest.mark.parametrize(('slopes', 'diagonal_um'), [((50e-6, 0.0, 0.0), 28.9), ((100e-6, -50e-6, -25e-6), 14.4),
+                                                    ((0.0, 0.0, 100e-6), 57.7)],
+                         ids=['machine A', 'machine B', 'machine C'])
 def test_machines_of_renishaw_on_the_sheet(tmp_path, slopes, diagonal_um):
     """From the published machine through a log to Ed on the sheet."""
     curves = {f'E{a}{a}': {'position': [0.0, 1.0], 'value': [0.0, s]} for a, s in zip('XYZ', slopes, strict=True)}
