@@ -13,7 +13,7 @@ from stepdiag_ros.blind.apart import apart
 from stepdiag_ros.blind.floor import floor
 from stepdiag_ros.blind.opened import WORLDS, load
 from stepdiag_ros.blind.pool import side_by_side
-from stepdiag_ros.blind.score import COUNTS_FROM
+from stepdiag_ros.blind.score import COUNTS_FROM, total_visibility
 from stepdiag_ros.blind.seal import kind_order, read_json, write_json
 from stepdiag_ros.blind.world import make
 from stepdiag_ros.gap.preprocess.observe import observe
@@ -50,7 +50,7 @@ def _judge(folder: Path, categories: tuple[str, ...], key: str, judged: Callable
     os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
     jobs = {case.name: (head['purpose'], head['seed'], case.truth) for case in cases
             if key not in case.truth and case.category in categories
-            and all(e['visibility']['total'] >= COUNTS_FROM for e in case.truth['effects'])}
+            and all(total_visibility(e) >= COUNTS_FROM for e in case.truth['effects'])}
     said = side_by_side(judged, jobs, processes, 'judged' if progress else '')
     for count, (name, result) in enumerate(said, 1):
         done[name] = {**done.get(name, {}), **result}

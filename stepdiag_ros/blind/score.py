@@ -28,6 +28,12 @@ SEPARABLE = 5.0
 """A log's effect is separable when every competing effect, at its best, leaves this many σ of it."""
 
 
+def total_visibility(effect: Mapping[str, Any]) -> float:
+    """By how many σ an effect of the sealed truth is seen; 0, not counted, where the truth does not tell."""
+    total = effect['visibility']['total']
+    return 0.0 if total is None else float(total)
+
+
 @dataclass(frozen=True)
 class Case:
     """One log: its truth, the contract's answer and the extra of it."""
@@ -48,7 +54,7 @@ class Case:
     @property
     def weakest(self) -> float:
         """Visibility of the effect that is seen least."""
-        return min((e['visibility']['total'] for e in self.truth['effects']), default=0.0)
+        return min(map(total_visibility, self.truth['effects']), default=0.0)
 
     @property
     def named(self) -> list[str]:
@@ -65,7 +71,7 @@ class Case:
     @property
     def in_means(self) -> bool:
         """Whether the stops' means show the effects, so that it makes sense to ask where they lie."""
-        return all(e['visibility'].get('stops', np.inf) >= 0.5 * e['visibility']['total']
+        return all(e['visibility'].get('stops', np.inf) >= 0.5 * total_visibility(e)
                    for e in self.truth['effects'])
 
     @property

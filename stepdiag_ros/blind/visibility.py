@@ -230,7 +230,8 @@ def _timed(samples: Samples, lo: int, hi: int, sigma: float) -> float:
     if hi - lo < 4:
         return 0.0
     time = (samples.time_ns[lo:hi] - samples.time_ns[lo]) * 1e-9
-    return float(np.sum(np.gradient(samples.values[lo:hi], time, axis=0) ** 2)) / sigma**2
+    # Samples that were lost tell nothing.
+    return float(np.nansum(np.gradient(samples.values[lo:hi], time, axis=0) ** 2)) / sigma**2
 
 
 def _rows(samples: Samples, table: StopTable) -> np.ndarray:

@@ -10,7 +10,8 @@ ROOT = Path(__file__).resolve().parents[2]
 
 def run_tests(folder: Path, source: str) -> subprocess.CompletedProcess[str]:
     """Runs a test module with the repository's conftest and options in a process of its own."""
-    (folder / 'conftest.py').write_text((ROOT / 'test' / 'conftest.py').read_text())
+    for name in ('conftest.py', 'standstill.py'):
+        (folder / name).write_text((ROOT / 'test' / name).read_text())
     (folder / 'test_it.py').write_text(source)
     (folder / 'pyproject.toml').write_text((ROOT / 'pyproject.toml').read_text())
     return subprocess.run(
@@ -64,3 +65,39 @@ def test_ros_domains_are_not_shared(tmp_path: Path) -> None:
     )
     result = run_tests(tmp_path, script)
     assert result.returncode == 0, result.stdout
+
+
+STOOD_STILL = """
+import os, pathlib, subprocess, sys, time
+import pytest
+
+@pytest.fixture(scope='module')
+def made():
+    return []
+
+def stand_still():
+    subprocess.Popen(['sh', '-c', f'sleep 7; kill -CONT {os.getpid()}'])
+    os.kill(os.getpid(), 19)
+    time.sleep(0.01)
+
+def test_that_stood_still(made):
+    made.append(1)
+    mark = pathlib.Path('stood')
+    if not mark.exists():
+        mark.touch()
+        stand_still()
+        assert False
+    assert made == [1]       # the module's fixtures were made anew
+
+def test_that_is_wrong():
+    with open('wrong', 'a') as file:
+        file.write('.')
+    assert False
+"""
+
+
+def test_only_a_standstill_is_a_reason_to_run_a_test_again(tmp_path: Path) -> None:
+    result = run_tests(tmp_path, STOOD_STILL)
+    assert result.returncode == 1 and '1 failed, 1 passed' in result.stdout, result.stdout + result.stderr
+    assert 'RUN AGAIN test_it.py::test_that_stood_still: the computer stood still for' in result.stdout
+    assert result.stdout.count('RUN AGAIN') == 1 and (tmp_path / 'wrong').read_text() == '.'

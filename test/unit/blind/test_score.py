@@ -81,6 +81,11 @@ def test_faint_effects_do_not_count_but_stand_in_the_curve() -> None:
                                                'interval': pytest.approx([0.0, 0.793], abs=1e-3)}
 
 
+def test_an_effect_of_which_the_truth_does_not_tell_how_well_it_is_seen_does_not_count() -> None:
+    """As in sets that were sealed while lost samples hid how well a clock is seen that is off."""
+    assert score([case(visibility=None)])['figures']['detection']['count'] == 0
+
+
 def test_what_competes_with_the_leader() -> None:
     one = case(said=(('backlash', 0.9),), sets=[[['backlash'], 0.6], [['backlash', 'psd_gain'], 0.2],
                                                 [['count_slip'], 0.17], [['psd_zero_offset'], 0.03]])

@@ -1,12 +1,14 @@
 """Visibility: the norm in parity space, held against a brute-force fit and against chance."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from stepdiag_ros.blind.cells import draw_cell, without_sensor_noise
 from stepdiag_ros.blind.forms_machine import Backlash, ClockSkew
 from stepdiag_ros.blind.logs import measure, stage_of
-from stepdiag_ros.blind.visibility import Yardstick, true_parameters
+from stepdiag_ros.blind.visibility import Yardstick, _timed, true_parameters
 from stepdiag_ros.blind.world import Order, make
 from stepdiag_ros.estimate.enhanced import fit, readings_of
 from stepdiag_ros.estimate.forward import ForwardModel
@@ -110,3 +112,12 @@ def test_wrong_stamps_are_no_exchange_of_noise(scene) -> None:
     assert yardstick._patterns(measure(quiet, conditions, [effect]), yardstick.still) < 0.1
     assert yardstick._patterns(measure(cell, conditions, [effect]), yardstick.log) > 3.0
     assert seen['psd'] > 3.0 and seen['both'] < 0.1
+
+
+def test_samples_that_were_lost_hide_no_move(scene) -> None:
+    """Untidy noise loses some; how well a clock is seen that is off was not a number then."""
+    spot = scene[2].log.spot
+    values = spot.values.copy()
+    values[3] = np.nan
+    whole, holed = _timed(spot, 0, 20, 1e-6), _timed(replace(spot, values=values), 0, 20, 1e-6)
+    assert 0.0 < holed <= whole
