@@ -15,11 +15,9 @@ from typing import Any
 
 from stepdiag_ros.cli.evaluate import tied_lines
 from stepdiag_ros.errors import StepdiagError
-from stepdiag_ros.estimate.cautions import cautions
+from stepdiag_ros.estimate.cautions import cautions_of
 from stepdiag_ros.estimate.compare import Comparison, compare, text_table, truth_of
 from stepdiag_ros.estimate.methods import METHODS, run_all
-from stepdiag_ros.estimate.metres import in_metres
-from stepdiag_ros.estimate.readings import readings_of_stops
 from stepdiag_ros.estimate.solution import Solution
 from stepdiag_ros.guard import limits
 from stepdiag_ros.guard.files import read_text, real
@@ -60,8 +58,7 @@ def run(args: argparse.Namespace) -> int:
         reference, label = best.errors, 'enhanced'
     outcome = compare(results, reference, label, log.description)
     best = results.get('enhanced')
-    warned = cautions(readings_of_stops(log.description, in_metres(log).table),
-                      best if isinstance(best, Solution) else None)
+    warned = cautions_of(log, best if isinstance(best, Solution) else None)
     if args.out is not None:
         from stepdiag_ros.report.compare_picture import draw
 

@@ -19,6 +19,7 @@ import numpy as np
 from stepdiag_ros.bag.reader import read_log
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate.body_diagonal import DiagonalTest
+from stepdiag_ros.estimate.cautions import cautions_of
 from stepdiag_ros.estimate.closure import said
 from stepdiag_ros.estimate.contributions import listed
 from stepdiag_ros.estimate.gauge import STRAIGHTNESS
@@ -46,23 +47,29 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    answers, failed = {}, []
+    answers, others, failed = {}, {}, []
     for bag in args.bag:
         try:
-            result = run_method(args.method, read_log(bag, args.namespace))
+            log = read_log(bag, args.namespace)
+            result = run_method(args.method, log)
         except StepdiagError as error:
             if len(args.bag) == 1:
                 raise
             failed.append(str(error))
             continue
         answers[bag] = result
+        # Another method has the cautions that concern it in its own answer.
+        others[bag] = cautions_of(log, result) if args.method == 'enhanced' and not result.sanity else ()
     if args.json:
-        documents = {bag: result.to_json_dict() for bag, result in answers.items()}
+        documents = {bag: result.to_json_dict() | ({'cautions': list(others[bag])} if others[bag] else {})
+                     for bag, result in answers.items()}
         whole = documents if len(args.bag) > 1 else next(iter(documents.values()))
         print(to_json(whole))
     else:
         for bag, result in answers.items():
             print(text(bag, result) if isinstance(result, Solution) else figures_text(bag, result))
+            for caution in others[bag]:
+                print(f'caution, for other methods than this one: {caution}')
     if failed:
         raise StepdiagError('; '.join(failed))
     return 0 if all(getattr(result, 'status', OK) == OK for result in answers.values()) else 1

@@ -89,8 +89,8 @@ def mirror_page(out: Path) -> str:
          for x, y, a, b, c, d, r in rows],
         save(figure, out, 'mirror_squared.png'),
         'The conventional evaluation finds the mean of both axes for all four machines. The new formulation takes EXX '
-        'and EYY from linear runs instead. `stepdiag compare` warns where two axes with equal steps read alike in '
-        'every diagonal.')
+        'and EYY from linear runs instead. `stepdiag evaluate` and `stepdiag compare` warn where two axes with equal '
+        'steps read alike in every diagonal.')
 
 
 def equal_rows() -> list[tuple[float, ...]]:

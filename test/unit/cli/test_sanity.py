@@ -32,6 +32,16 @@ def test_a_sane_log_is_ok(bags, capsys):
     assert document['status'] == 'ok' and document['sanity'] == []
 
 
+def test_who_evaluates_hears_on_which_methods_the_log_is_hard(bags, capsys):
+    """The angles of the demo's machine mislead the vector method and the lengths of the diagonals."""
+    assert main(['evaluate', str(bags[0]), '--json']) == 0
+    cautions = json.loads(capsys.readouterr().out)['cautions']
+    assert [('vector method' in c, 'squareness_diagonals' in c) for c in cautions] == [(True, False), (False, True)]
+    assert main(['evaluate', str(bags[0])]) == 0
+    text = capsys.readouterr().out
+    assert all(f'caution, for other methods than this one: {c}' in text for c in cautions)
+
+
 def test_a_mistake_is_not_ok_in_text_json_and_exit_status(bags, capsys):
     assert main(['evaluate', str(bags[1]), '--json']) == 1
     document = json.loads(capsys.readouterr().out)
