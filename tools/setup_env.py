@@ -1,13 +1,15 @@
 """Makes the environment: `python3.11 tools/setup_env.py [--venv DIR] [--tests] [--floor]`.
 
-Four stages, each with a stamp that holds a hash of all that the stage depends on,
+Five stages, each with a stamp that holds a hash of all that the stage depends on,
 so that a second run does nothing and a change redoes only what it touches:
 
 1. `venv`: the virtual environment itself (its Python and its place),
 2. `pip`: the pinned packages, ROS 2's wheels among them,
 3. `msgs`: `stepdiag_msgs`, built from msg_defs/ and installed into the environment's prefix, and before it
    `tf2_msgs` from requirements/tf2_msgs/, of which there is no wheel,
-4. `package`: stepdiag_ros itself, editable.
+4. `package`: stepdiag_ros itself, editable,
+5. `bytecode`: its modules compiled, as an installer does: where Python may write none (PYTHONDONTWRITEBYTECODE, as in
+   many containers) each process would compile them anew, a second for each of the ten of a cell.
 
 With `--floor` the oldest libraries that work (requirements/floor.txt) then replace the pinned ones.
 
@@ -194,6 +196,13 @@ class Environment:
         site = next(self.place.glob('lib/python3.*/site-packages'))
         (site / 'stepdiag_ament_prefix.pth').write_text(AMENT_PREFIX)
 
+    def compile_package(self) -> None:
+        """Bytecode beside the modules, valid for these contents, whenever they were written; a tree that cannot be
+        written works without."""
+        command = [str(self.python), '-m', 'compileall', '-q', '-j', '0', '--invalidation-mode', 'checked-hash']
+        subprocess.run([*command, str(ROOT / 'stepdiag_ros')], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+                       check=False)
+
     def make(self, tests: bool, floor: bool = False) -> bool:
         """All stages in order; True when anything had to be done."""
         version = f'{sys.implementation.cache_tag} {platform.python_version()}'
@@ -221,6 +230,8 @@ class Environment:
         package = [ROOT / 'package.xml', ROOT / 'setup.py', ROOT / 'setup.cfg', Path(__file__).resolve()]
         package_key = digest(package, msgs_key, str(ROOT))
         done |= self.stage('package', package_key, 'installing stepdiag_ros', self.install_package)
+        modules = sorted((ROOT / 'stepdiag_ros').rglob('*.py'))
+        done |= self.stage('bytecode', digest(modules, package_key), 'compiling stepdiag_ros', self.compile_package)
         if floor:
             # After the messages: modules built for the newer NumPy serve the older one, not the other way round.
             floor_key = digest([REQUIREMENTS / 'floor.txt', files['test']], run_key)

@@ -176,6 +176,20 @@ class Screen:
         unit = self.candidates[members[number].candidate].form.scale * members[number].size
         return values * unit, np.sqrt(np.diag(covariance)) * unit
 
+    def with_jacobian(self, members: Sequence[Member]) -> Member:
+        """The last of some members, its evidence with the Jacobian correction whole, not to the second order only: a
+        swing so large that the reading hardly grows with the length would seem to cost little."""
+        beyond = self._beyond_rows(members)
+        if not beyond:
+            return members[-1]
+        return replace(members[-1], log_bayes=members[-1].log_bayes + beyond - self._beyond_rows(members[:-1]))
+
+    def _beyond_rows(self, members: Sequence[Member]) -> float:
+        made = [np.tensordot(self.sizes(members, number)[0], np.asarray(form.by_reading), axes=1)
+                for number, form in enumerate(self.candidates[m.candidate].form for m in members)
+                if form.by_reading is not None]
+        return self.parity.beyond_rows(np.sum(made, axis=0)) if made else 0.0
+
     def with_discrepancy(self, members: Sequence[Member]) -> Member:
         """The last of some members, its evidence that of its form together with the discrepancy of that."""
         before, mine = self.explained(members[:-1]), self._block(members[-1])

@@ -131,7 +131,15 @@ def total_evidence(joint: Joint, sets: list[EffectSet], screen: Screen) -> float
         stops += as_it_is(observation, joint.noise, table)[1]
     inside = unexplained(space, joint.active)[space.stops:]
     loud = float(np.sum(np.log(space.bin_scale[space.channel[space.stops:]])))
-    return stops - 0.5 * float(inside @ inside) - loud - (_price(joint, sets[0], screen) if joint.active else 0.0)
+    return stops - 0.5 * float(inside @ inside) - loud + (_bought(joint, sets[0], screen) if joint.active else 0.0)
+
+
+def _bought(joint: Joint, best: EffectSet, screen: Screen) -> float:
+    """Log evidence of effects beside what they leave: the density of readings of which their columns are made, less
+    what their freedom costs."""
+    made = [np.tensordot(a.coefficients, np.asarray(a.form.by_reading), axes=1)
+            for a in joint.active if a.form.by_reading is not None]
+    return (joint.parity.log_jacobian(np.sum(made, axis=0)) if made else 0.0) - _price(joint, best, screen)
 
 
 def _price(joint: Joint, best: EffectSet, screen: Screen) -> float:

@@ -29,6 +29,8 @@ ALONE = 10.0
 """A dwell whose contrasts exceed those of the dwells before and after it so many times, and what they are held to
 ``BY_FAR`` times, is one in which something happened once: a slip, a knock."""
 BY_FAR = 3.0
+FOLDED = 1e-3
+"""Growth of a length with its reading below which no counter could have counted it."""
 CALM = 2
 """The first contrasts, slope and bend, are of what creeps; from this one on they tell the noise."""
 LEAST_ALIKE = 3
@@ -157,6 +159,18 @@ class Parity:
         reading, root = self._own
         slopes = form.by_reading.reshape(len(form.columns), -1)[:, reading] * form.scale[:, None]
         return (slopes * root).T
+
+    def log_jacobian(self, slopes: np.ndarray) -> float:
+        """ln |∂z/∂r| = Σ ln(1 − a·c′), whole, of data from which columns made of readings were taken; ``slopes`` (n, c):
+        a·c′, by how much what was taken grows with each reading."""
+        reading, root = self._own
+        return float(root**2 @ np.log(np.maximum(1.0 - slopes.ravel()[reading], FOLDED)))
+
+    def beyond_rows(self, slopes: np.ndarray) -> float:
+        """What of :meth:`log_jacobian` the rows of :meth:`own_rows` leave out: all beyond the second order."""
+        reading, root = self._own
+        grown = slopes.ravel()[reading]
+        return self.log_jacobian(slopes) + float(root**2 @ (grown + 0.5 * grown**2))
 
     @property
     def own_data(self) -> np.ndarray:

@@ -58,8 +58,10 @@ class EffectSet:
 
 def joined(screen: Screen, found: EffectSet, member: Member) -> EffectSet:
     """``found`` and one member more, with the evidence that its form brings and, if that is worth a thought, the
-    discrepancy of it."""
-    member = member if member.log_bayes < GAIN else screen.with_discrepancy((*found.members, member))
+    discrepancy of it and the whole of what readings in its columns owe to noise."""
+    if member.log_bayes >= GAIN:
+        member = screen.with_jacobian((*found.members, member))
+        member = screen.with_discrepancy((*found.members, member))
     return EffectSet((*found.members, member), found.log_bayes + member.log_bayes, found.refused or member.refused)
 
 

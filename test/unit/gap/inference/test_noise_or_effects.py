@@ -1,13 +1,18 @@
 """Which of noise and effects a log shows: what decides between the noises that were tried."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
+from stepdiag_ros.effects.base import Effect, Form
 from stepdiag_ros.gap.inference import noise_or_effects
-from stepdiag_ros.gap.inference.candidates import Member
-from stepdiag_ros.gap.inference.noise_or_effects import Settled, _against
+from stepdiag_ros.gap.inference.candidates import Candidate, Member
+from stepdiag_ros.gap.inference.joint import fit_jointly
+from stepdiag_ros.gap.inference.noise_or_effects import Settled, _against, total_evidence
 from stepdiag_ros.gap.inference.search import EffectSet
+from stepdiag_ros.gap.inference.select_effects import noise_of
 
 SLIP = EffectSet((Member('count_slip', 0, 28.9),), 28.9)
 
@@ -19,11 +24,31 @@ def settled(alone, acting):
                    [SLIP, EffectSet((), 0.0)], screen)
 
 
-@pytest.fixture(autouse=True)
+@pytest.fixture
 def stated_evidence(monkeypatch):
     monkeypatch.setattr(noise_or_effects, 'total_evidence', lambda joint, sets, screen: joint.total)
 
 
+def test_columns_made_of_readings_owe_to_noise_in_every_noise(case):
+    """A swing with the reading itself takes noise away with it: its evidence beside another noise's pays for that."""
+    observation = case.observe()
+    noise = noise_of(observation)
+    shape = observation.view.reading.shape
+    phase = np.random.default_rng(5).uniform(-np.pi, np.pi, shape)
+    length = np.arange(shape[1]) == 0
+    made = Form('swing', (np.sin(phase) * length)[None], ('a',), np.full(1, 3e-8),
+                by_reading=(1e7 * np.cos(phase) * length)[None])
+    screen = SimpleNamespace(candidates=[Candidate('cyclic_nonlinearity', '', made)])
+    chosen = [EffectSet((Member('cyclic_nonlinearity', 0, 10.0),), 10.0)]
+    joint = fit_jointly(observation, [(Effect(), made)], noise)
+    active = replace(joint.active[0], coefficients=np.array([3e-8]))
+    of_readings, of_others = (total_evidence(replace(joint, active=(replace(active, form=form),)), chosen, screen)
+                              for form in (active.form, replace(active.form, by_reading=None)))
+    owed = joint.parity.log_jacobian(3e-8 * made.by_reading[0])
+    assert of_readings - of_others == pytest.approx(owed, abs=1e-6) and owed < -0.5
+
+
+@pytest.mark.usefixtures('stated_evidence')
 @pytest.mark.parametrize('acting', [settled(100.0, 50.0), settled(0.0, 55.0)])
 def test_what_explains_less_than_the_noise_alone_is_gone(acting):
     """Also where it was found in the noise that wins."""
@@ -33,6 +58,7 @@ def test_what_explains_less_than_the_noise_alone_is_gone(acting):
     assert all(s.log_bayes < 0.0 for s in found.sets if s.members)
 
 
+@pytest.mark.usefixtures('stated_evidence')
 def test_an_effect_is_as_far_ahead_as_in_all():
     found = _against(settled(100.0, 50.0), settled(0.0, 120.0))
     assert found.joint.total == 120.0 and found.sets[0].members

@@ -99,6 +99,23 @@ def test_what_columns_of_readings_owe_to_noise(case):
     assert abs(np.mean(found) - np.mean(corrections)) < 5.0 * error
 
 
+def test_the_whole_correction_is_what_a_reading_that_hardly_grows_costs(case):
+    """Of small swings the rows of the second order say all; of one by which the reading stands still they leave much
+    out, and what falls while its length grows is next to impossible."""
+    space = _space(case.observe())
+    n, c = case.observe().view.reading.shape
+    swing = np.cos(np.random.default_rng(4).uniform(-np.pi, np.pi, (n, c)))
+    share = space.level * space.own_share.reshape(n, c)
+    for size in (0.01, 0.3, 0.9):
+        exact = float(np.sum(share * np.log(1.0 - size * swing)))
+        assert space.log_jacobian(size * swing) == pytest.approx(exact, rel=1e-12)
+        rows = float(-np.sum(share * (size * swing + 0.5 * (size * swing)**2)))
+        assert space.beyond_rows(size * swing) == pytest.approx(exact - rows, abs=1e-9)
+    assert abs(space.beyond_rows(0.01 * swing)) < 1e-4 * share.sum()
+    assert space.beyond_rows(0.99 * swing) < -0.02 * share.sum()
+    assert space.log_jacobian(1.5 * swing) < -share.sum()
+
+
 def test_what_is_corrected_once_is_not_corrected_again(case):
     """Given a form made of readings, the same form once more says nothing, as for any other form."""
     space = _space(case.observe())
