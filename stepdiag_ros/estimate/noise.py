@@ -21,6 +21,7 @@ import numpy as np
 from scipy import linalg
 
 from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.estimate.correlated import FIFTHS, of_mean
 from stepdiag_ros.estimate.reduce import MOVED_M, StopTable
 from stepdiag_ros.estimate.triangular import forward
 from stepdiag_ros.model.description import Noise
@@ -114,8 +115,8 @@ def sensor_noise(table: StopTable, belief: Noise) -> np.ndarray:
 
     The scatter is pooled by channel and setup (median of the variances): one dwell's own is too
     uncertain to weigh with.  Neighbouring samples may be alike: a mean over the dwell is then less certain than the
-    root of their number says, by as much as means over parts of the dwells scatter more.  What disturbs the means
-    besides is added stop by stop.
+    root of their number says, by what follows from how much more means over parts of the dwells scatter
+    (:mod:`stepdiag_ros.estimate.correlated`).  What disturbs the means besides is added stop by stop.
     """
     beams = table.displacement.shape[1]
     result = np.empty((len(table), beams + 2))
@@ -132,7 +133,8 @@ def sensor_noise(table: StopTable, belief: Noise) -> np.ndarray:
                 if len(own) > 2:
                     pooled[rows, k] = np.median(own)
         if parts is not None:
-            pooled *= _slow(parts / np.maximum(pooled, FLOOR_M)[:, :, None], table)
+            each = int(np.median(count)) // FIFTHS
+            pooled *= [of_mean(loud, each) for loud in _slow(parts / np.maximum(pooled, FLOOR_M)[:, :, None], table)]
         result[:, columns] = pooled / np.sqrt(np.maximum(count, 1))[:, None]
     if table.disturbed is not None:
         result = np.sqrt(result**2 + table.disturbed)

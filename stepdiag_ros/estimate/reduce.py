@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.estimate.correlated import FIFTHS, SLOPE_AND_BEND, fifths_contrasts
 from stepdiag_ros.estimate.on_centre import on_centre
 from stepdiag_ros.model.log import DONE, DWELL, MOVE, STOOD, CalibrationLog, Samples
 
@@ -20,8 +21,7 @@ LONG = 8.0
 PIECES = 40
 """A dwell of more than so many usual ones is cut, where that is asked for, into at most so many stops."""
 
-FIFTHS = 5
-CONTRASTS = np.array([[-1.0, 2.0, 0.0, -2.0, 1.0] / np.sqrt(10.0), [1.0, -4.0, 6.0, -4.0, 1.0] / np.sqrt(70.0)])
+CONTRASTS = fifths_contrasts()[SLOPE_AND_BEND:]
 """Of the means over the fifths of a dwell, what neither a drift nor a bend has a part in."""
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from scipy import linalg
 
 from stepdiag_ros.effects.base import Form
+from stepdiag_ros.estimate.correlated import FIFTHS, of_bend
 from stepdiag_ros.estimate.enhanced import Fit
 from stepdiag_ros.estimate.noise import NoiseModel, Whitener, loudness, whiteners
 from stepdiag_ros.estimate.triangular import forward
@@ -161,8 +162,8 @@ class Parity:
         return (slopes * root).T
 
     def log_jacobian(self, slopes: np.ndarray) -> float:
-        """ln |∂z/∂r| = Σ ln(1 − a·c′), whole, of data from which columns made of readings were taken; ``slopes`` (n, c):
-        a·c′, by how much what was taken grows with each reading."""
+        """ln |∂z/∂r| = Σ ln(1 − a·c′), whole, of data from which columns made of readings were taken; ``slopes``
+        (n, c): a·c′, by how much what was taken grows with each reading."""
         reading, root = self._own
         return float(root**2 @ np.log(np.maximum(1.0 - slopes.ravel()[reading], FOLDED)))
 
@@ -269,6 +270,7 @@ def _inside(observation: Observation, bins: np.ndarray,
     values = contrast @ bins / observation.bin_sigma[:, None, :]
     rough = np.ones(values.shape[1:])
     rough[0] = _roughness(values[:, 0], observation)
+    rough[1] = _bending(values, observation)
     typical = _typical(values, observation)
     rough = np.hypot(rough, DISCREPANCY * typical)
     return values / rough, rough, CLIP * np.maximum(typical.max(axis=1, keepdims=True) / rough, 1.0)
@@ -281,6 +283,15 @@ def _loudness(values: np.ndarray) -> np.ndarray:
     is taken from the others.
     """
     return np.array([loudness(values[:, CALM:, c]) for c in range(values.shape[2])])
+
+
+def _bending(values: np.ndarray, observation: Observation) -> np.ndarray:
+    """Factor (c,) by which noise bends the dwells more than the contrasts (n, h, c) beyond the bend say, for samples
+    that go with those before them."""
+    table, channels = observation.table, values.shape[2]
+    counts = [table.displacement_count] * (channels - 2) + [table.spot_count] * 2
+    return np.array([of_bend(loud, int(np.median(count)) // FIFTHS)
+                     for loud, count in zip(_loudness(values), counts, strict=True)])
 
 
 def _typical(values: np.ndarray, observation: Observation) -> np.ndarray:

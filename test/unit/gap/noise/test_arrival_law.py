@@ -142,7 +142,7 @@ def test_spread_widens_only_what_it_says(case):
     assert readings_of(observation.table).shape == wider.shape[1:]
 
 
-@pytest.mark.parametrize('correlation', [0.0, 0.3, 0.6])
+@pytest.mark.parametrize('correlation', [0.0, 0.3, 0.6, 0.8])
 def test_a_dwells_mean_is_as_uncertain_as_samples_that_are_alike_leave_it(case, correlation):
     """Against what the means truly err by: the same cell once with silent sensors."""
     alike = f'{{correlation: {correlation}}}'
