@@ -26,7 +26,7 @@ def drawn(rho, each, dwells=20_000):
 
 @pytest.mark.parametrize(('rho', 'each'), [(0.0, 4), (0.3, 3), (0.6, 7), (0.8, 7), (0.9, 20)])
 def test_what_drawn_samples_scatter_by(rho, each):
-    """By degree and for the mean; and the mean's from the contrasts beyond slope and bend alone, as a log shows them."""
+    """By degree and for the mean; and the mean from contrasts beyond slope and bend alone, as a log shows them."""
     values = drawn(rho, each)
     neighbours = np.sqrt(np.mean(np.diff(values, axis=1)**2) / 2.0)
     fifths = values.reshape(len(values), FIFTHS, each).mean(axis=2)
