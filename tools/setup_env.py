@@ -231,7 +231,7 @@ class Environment:
         package_key = digest(package, msgs_key, str(ROOT))
         done |= self.stage('package', package_key, 'installing stepdiag_ros', self.install_package)
         modules = sorted((ROOT / 'stepdiag_ros').rglob('*.py'))
-        done |= self.stage('bytecode', digest(modules, package_key), 'compiling stepdiag_ros', self.compile_package)
+        done |= self.stage('bytecode', digest(modules, venv_key), 'compiling stepdiag_ros', self.compile_package)
         if floor:
             # After the messages: modules built for the newer NumPy serve the older one, not the other way round.
             floor_key = digest([REQUIREMENTS / 'floor.txt', files['test']], run_key)

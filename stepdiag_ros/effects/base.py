@@ -180,6 +180,7 @@ class Form:
     readings themselves, by the reading.  ``source``: what it comes from where a cell has but one, as its
     laser or its dead path; two forms of an effect with different sources do not act together.  ``beside``: what may act
     beside it as large without the log telling; no part of what is found, but of how uncertain the errors are.
+    ``of_arrivals``: whether errors of single arrivals do the same, of which tails of their law are full.
     """
 
     label: str
@@ -196,6 +197,7 @@ class Form:
     by_reading: np.ndarray | None = None
     source: str = ''
     beside: 'Form | None' = None
+    of_arrivals: bool = False
 
     def at(self, shape: Mapping[str, float]) -> 'Form':
         """The same form with other shape parameters; only where there is something to tune."""

@@ -13,7 +13,9 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 FIND_PYTHON = ROOT / 'tools' / 'find_python.sh'
-STAGES = ['create', 'install build run', 'install build run test', 'build_messages', 'install_package']
+STAGES = ['create', 'install build run', 'install build run test', 'build_messages', 'install_package',
+          'compile_package']
+BUILT = ['build_messages', 'install_package']
 
 
 @pytest.fixture
@@ -37,7 +39,7 @@ def setup_env(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     monkeypatch.setattr(
         module.Environment, 'install', lambda _, names: module.done.append(f'install {" ".join(names)}')
     )
-    for name in ('build_messages', 'install_package', 'install_floor'):
+    for name in ('build_messages', 'install_package', 'compile_package', 'install_floor'):
         monkeypatch.setattr(module.Environment, name, lambda _, name=name: module.done.append(name))
     return module
 
@@ -79,8 +81,8 @@ def test_the_oldest_libraries_come_last_and_after_each_change(setup_env: ModuleT
     [
         ('requirements/test.txt', ['install build run test']),
         ('requirements/run.txt', ['install build run', 'install build run test']),
-        ('msg_defs/msg/Step.msg', ['build_messages', 'install_package']),
-        ('requirements/tf2_msgs/msg/TFMessage.msg', ['build_messages', 'install_package']),
+        ('msg_defs/msg/Step.msg', BUILT),
+        ('requirements/tf2_msgs/msg/TFMessage.msg', BUILT),
         ('setup.py', ['install_package']),
     ],
 )
@@ -90,6 +92,14 @@ def test_a_change_redoes_only_what_it_touches(setup_env: ModuleType, file: str, 
         changed.write('# changed\n')
     assert redone(setup_env) == expected
     assert redone(setup_env) == []
+
+
+def test_a_module_that_changed_is_compiled_alone(setup_env: ModuleType) -> None:
+    redone(setup_env)
+    module = setup_env.ROOT / 'stepdiag_ros' / 'new.py'
+    module.parent.mkdir(exist_ok=True)
+    module.write_text('x = 1\n')
+    assert redone(setup_env) == ['compile_package'] and redone(setup_env) == []
 
 
 def test_another_version_of_ros_rebuilds_the_messages(setup_env: ModuleType) -> None:
@@ -114,7 +124,7 @@ def test_a_failed_stage_is_repeated(setup_env: ModuleType, monkeypatch: pytest.M
         broken.setattr(setup_env.Environment, 'build_messages', build_messages)
         with pytest.raises(SystemExit, match='setup: no space left'):
             redone(setup_env)
-    assert redone(setup_env) == ['build_messages', 'install_package']
+    assert redone(setup_env) == ['build_messages', 'install_package', 'compile_package']
 
 
 def test_a_folder_that_is_no_environment_is_left_alone(tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ does, and what a name leaves behind is noticed although no name fits it.
 """
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -156,8 +157,8 @@ def _jumps(view: StopView) -> Iterator[Form]:
 
     for name, columns, scale in _channels(view):
         for i in order:
-            yield pattern_form(view, f'{name}: one stop, {view.run_ids[view.run[i]]} stop {view.index[i]}',
-                               standing(np.array([i])), columns, scale)
+            yield replace(pattern_form(view, f'{name}: one stop, {view.run_ids[view.run[i]]} stop {view.index[i]}',
+                                       standing(np.array([i])), columns, scale), of_arrivals=True)
         if name == 'displacement':
             continue
         for i in order:

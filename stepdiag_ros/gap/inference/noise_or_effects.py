@@ -61,8 +61,8 @@ def settle_in_noise(observation: Observation, effects: Mapping[str, Effect]) -> 
     if gain < SUSPICION:
         return plain
     found = [plain, _settled_in(noise, observation, effects)]
-    if plain.joint.active:
-        joint = _without_outliers(plain.joint)
+    joint = _without_outliers(plain.joint)
+    if joint is not None:
         noise, gain = as_it_is(joint.observation, tidy, freed(observation.table, joint.active))
         if gain >= SUSPICION:
             found.append(_settled_in(noise, observation, effects))
@@ -97,10 +97,14 @@ def _ahead(nothing: Settled, acting: Settled) -> tuple[float, list[EffectSet]]:
                          key=lambda s: (bool(s.refused), -(s.log_bayes + log_prior(s, among))))
 
 
-def _without_outliers(joint: Joint) -> Joint:
+def _without_outliers(joint: Joint) -> Joint | None:
     """The joint fit of its names alone, or of its largest pattern where it has none: what else was found beside them in
-    normal noise may be its tails."""
-    kept = [a for a in joint.active if a.effect.name] or [max(joint.active, key=lambda a: np.sum(a.contribution**2))]
+    normal noise may be its tails.  None where errors of single arrivals do all of it: taken off they would leave a
+    law without the tails that they are."""
+    kept = [a for a in joint.active if not a.form.of_arrivals]
+    kept = [a for a in kept if a.effect.name] or sorted(kept, key=lambda a: np.sum(a.contribution**2))[-1:]
+    if not kept:
+        return None
     return joint if len(kept) == len(joint.active) else fit_jointly(
         joint.observation, [(a.effect, a.form) for a in kept], joint.noise)
 
