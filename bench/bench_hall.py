@@ -143,15 +143,17 @@ def live(path: Path, arguments: list[str]) -> None:
             Hall(path, bag_folder=Path(folder) / 'bags', runtime=Path(folder) / 'run', nodes=nodes,
                  say=lambda text: print(f'# {text}', flush=True)) as hall:
         machines, began, cpu = len(hall.machines), time.monotonic(), _cpu_s(hall)
-        command = subprocess.Popen([sys.executable, '-m', 'stepdiag_ros.cli.main', 'calibrate', '--all', '--json',
-                                    *arguments], stdout=subprocess.PIPE, text=True)
+        answer = Path(folder) / 'answer.json'     # longer than a pipe holds
+        with open(answer, 'w', encoding='utf-8') as out:
+            command = subprocess.Popen([sys.executable, '-m', 'stepdiag_ros.cli.main', 'calibrate', '--all', '--json',
+                                        *arguments], stdout=out)
         memory = 0.0
         while command.poll() is None:
             hall.watch()
             memory = max(memory, _memory_mib(hall))
             time.sleep(1.0)
         took, cpu = time.monotonic() - began, _cpu_s(hall) - cpu
-        results = json.loads(command.stdout.read())
+        results = json.loads(answer.read_text(encoding='utf-8'))
         usage = {v.key: v.value for v in hall.source.operator.health('multiplexer').values}
         light, lost, ends = 0.0, 0, []
         for name, result in results.items():
