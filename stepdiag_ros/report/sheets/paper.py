@@ -2,19 +2,24 @@
 
 import io
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from functools import lru_cache
 
 from matplotlib.figure import Figure
+from matplotlib.font_manager import FontProperties
 from matplotlib.image import imread
+from matplotlib.textpath import text_to_path
 
 from stepdiag_ros.report.plots import INK, SOFT
 from stepdiag_ros.report.sheets.sheet import Grid, Sheet
 
 A4 = (8.27, 11.69)
 LEFT, RIGHT, TOP, BOTTOM = 0.75, 7.55, 11.1, 0.75
-LINE, SIZE = 0.165, 8.0
-"""Height of a line [inch] and of a letter [pt]."""
+LINE, SIZE, TITLE = 0.165, 8.0, 15.0
+"""Height of a line [inch], of a letter and of one of a title [pt]."""
 COLUMN, VALUE_LETTERS = 2.55, 78
+GAP, NARROW = 0.16, 0.9
+"""Between two columns of a table, and how narrow [inch] a column of words may be made."""
 PICTURE_DPI = 220
 
 
@@ -52,19 +57,22 @@ class _Paper:
         self.y -= 1.5 * LINE
 
     def grid(self, grid: Grid) -> None:
-        """A table; columns as wide as their longest cell."""
+        """A table; columns as wide as their longest cell, or as the page allows."""
         self.head(grid.title)
-        columns = list(zip(*[[h.lstrip('>') for h in grid.head], *grid.rows], strict=True))
-        widths = [max(len(cell) for cell in column) + 2 for column in columns]
-        share = min((RIGHT - LEFT) / sum(widths), 0.085)
-        starts = [LEFT + share * sum(widths[:i]) for i in range(len(widths))]
-        for number, row in enumerate([[h.lstrip('>') for h in grid.head], *grid.rows]):
-            self.need(LINE)
-            for i, cell in enumerate(row):
-                right = grid.head[i].startswith('>')
-                self.text(starts[i] + (share * (widths[i] - 2) if right else 0.0), self.y, cell,
-                          ha='right' if right else 'left', color=INK if number else SOFT)
-            self.y -= LINE * (1.0 if number else 1.25)
+        rows = [[h.lstrip('>') for h in grid.head],
+                *([cell.replace(' ± ', ' ±\N{NO-BREAK SPACE}') for cell in row] for row in grid.rows)]
+        right = [h.startswith('>') for h in grid.head]
+        widths, size = _fitted(rows, right)
+        starts = [LEFT + sum(widths[:i]) + GAP * i for i in range(len(widths))]
+        for number, row in enumerate(rows):
+            cells = [_wrapped(cell, width, size) for cell, width in zip(row, widths, strict=True)]
+            deep = max(map(len, cells))
+            self.need(LINE * deep)
+            for cell, start, width, to_right in zip(cells, starts, widths, right, strict=True):
+                for i, line in enumerate(cell):
+                    self.text(start + (width if to_right else 0.0), self.y - i * LINE, line, size=size,
+                              ha='right' if to_right else 'left', color=INK if number else SOFT)
+            self.y -= LINE * (deep if number else deep + 0.25)
         if grid.note:
             self.lines(grid.note, color=SOFT)
 
@@ -85,8 +93,10 @@ class _Paper:
 def pages_of(sheet: Sheet, source: str) -> Iterator[Figure]:
     """A4 pages of one sheet."""
     paper = _Paper(f'{sheet.standard} · {sheet.title} · log {source}')
-    paper.text(LEFT, paper.y, f'{sheet.title}, {sheet.standard}', size=15.0, weight='bold')
-    paper.y -= 2.4 * LINE
+    for line in _wrapped(f'{sheet.title}, {sheet.standard}', RIGHT - LEFT, TITLE, 'bold'):
+        paper.text(LEFT, paper.y, line, size=TITLE, weight='bold')
+        paper.y -= 1.6 * LINE
+    paper.y -= 0.8 * LINE
     if sheet.shortfalls:
         paper.lines(f'Less than {sheet.standard} wants:', weight='bold', color='#b97a12')
         for sentence in sheet.shortfalls:
@@ -109,3 +119,37 @@ def pages_of(sheet: Sheet, source: str) -> Iterator[Figure]:
     for grid in sheet.details:
         paper.grid(grid)
     yield from paper.pages
+
+
+@lru_cache(maxsize=4096)
+def _width(words: str, size: float, weight: str = 'normal') -> float:
+    """Width [inch] of words on the page."""
+    return text_to_path.get_text_width_height_descent(words, FontProperties(size=size, weight=weight), False)[0] / 72.0
+
+
+def _wrapped(words: str, width: float, size: float, weight: str = 'normal') -> list[str]:
+    """The words in lines no wider than ``width`` [inch], but for single words that are."""
+    lines = ['']
+    for word in words.split(' '):
+        longer = f'{lines[-1]} {word}' if lines[-1] else word
+        if lines[-1] and _width(longer, size, weight) > width + 1e-9:
+            lines.append(word)
+        else:
+            lines[-1] = longer
+    return lines
+
+
+def _fitted(rows: Sequence[Sequence[str]], right: Sequence[bool]) -> tuple[list[float], float]:
+    """Widths [inch] of a table's columns and the size of its letters: cells are put into several lines first, then all
+    letters are made smaller."""
+    page, columns = RIGHT - LEFT - GAP * (len(right) - 1), list(zip(*rows, strict=True))
+    whole = [max(_width(cell, SIZE) for cell in column) for column in columns]
+    words = [max(_width(word, SIZE) for cell in column for word in cell.split(' ')) for column in columns]
+    least = [min(width, max(word, 0.0 if figures else NARROW))
+             for width, word, figures in zip(whole, words, right, strict=True)]
+    if sum(least) > page:
+        share = page / sum(least)
+        return [share * w for w in least], share * SIZE
+    spare, wanted = page - sum(least), sum(whole) - sum(least)
+    share = min(1.0, spare / wanted) if wanted > 0.0 else 0.0
+    return [low + share * (high - low) for low, high in zip(least, whole, strict=True)], SIZE
