@@ -180,7 +180,7 @@ class Form:
     readings themselves, by the reading.  ``source``: what it comes from where a cell has but one, as its
     laser or its dead path; two forms of an effect with different sources do not act together.  ``beside``: what may act
     beside it as large without the log telling; no part of what is found, but of how uncertain the errors are.
-    ``of_arrivals``: whether errors of single arrivals do the same, of which tails of their law are full.
+    ``of_one_arrival``: whether it does no more than the error of a single arrival does.
     """
 
     label: str
@@ -197,7 +197,7 @@ class Form:
     by_reading: np.ndarray | None = None
     source: str = ''
     beside: 'Form | None' = None
-    of_arrivals: bool = False
+    of_one_arrival: bool = False
 
     def at(self, shape: Mapping[str, float]) -> 'Form':
         """The same form with other shape parameters; only where there is something to tune."""

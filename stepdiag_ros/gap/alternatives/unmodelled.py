@@ -158,7 +158,7 @@ def _jumps(view: StopView) -> Iterator[Form]:
     for name, columns, scale in _channels(view):
         for i in order:
             yield replace(pattern_form(view, f'{name}: one stop, {view.run_ids[view.run[i]]} stop {view.index[i]}',
-                                       standing(np.array([i])), columns, scale), of_arrivals=True)
+                                       standing(np.array([i])), columns, scale), of_one_arrival=True)
         if name == 'displacement':
             continue
         for i in order:

@@ -19,12 +19,13 @@ from stepdiag_ros.estimate.noise import NoiseModel
 from stepdiag_ros.gap.alternatives.unmodelled import NAME as UNKNOWN
 from stepdiag_ros.gap.constants import ALARM, SUSPICION
 from stepdiag_ros.gap.inference.candidates import Screen
-from stepdiag_ros.gap.inference.joint import Joint, fit_jointly, freed, refitted, size_of, unexplained
+from stepdiag_ros.gap.inference.joint import Active, Joint, fit_jointly, freed, refitted, size_of, unexplained
 from stepdiag_ros.gap.inference.search import EffectSet, log_prior
 from stepdiag_ros.gap.inference.select_effects import noise_of, settle
 from stepdiag_ros.gap.noise.arrival_law import as_it_is, log_evidence, suspicion
 from stepdiag_ros.gap.preprocess.observe import Observation, sane_fit
 
+ONE_ARRIVAL = 'no more than one arrival is off, and errors of arrivals have tails'
 FAR = 1.5
 """Times the evidence by which tails are suspected that one effect must explain, to be no matter of tails."""
 
@@ -61,15 +62,27 @@ def settle_in_noise(observation: Observation, effects: Mapping[str, Effect]) -> 
     if gain < SUSPICION:
         return plain
     found = [plain, _settled_in(noise, observation, effects)]
-    joint = _without_outliers(plain.joint)
-    if joint is not None:
+    if _patterns(plain):
+        joint = _without_outliers(plain.joint)
         noise, gain = as_it_is(joint.observation, tidy, freed(observation.table, joint.active))
         if gain >= SUSPICION:
             found.append(_settled_in(noise, observation, effects))
     # Of these noises only that of the machine alone is settled at what it leaves without an effect.
     nothing = found[1]
-    acting = [one for one in found if one.joint.active]
-    return _against(nothing, max(acting, key=lambda one: one.evidence)) if acting else nothing
+    acting = [one for one in found if _patterns(one)]
+    return _against(nothing, max(acting, key=lambda one: one.evidence)) if acting else _of_the_law(nothing)
+
+
+def _patterns(one: Settled) -> list[Active]:
+    """What was found beyond an error of one arrival: where errors have tails, one that is far off is one of them."""
+    return [a for a in one.joint.active if not a.form.of_one_arrival]
+
+
+def _of_the_law(nothing: Settled) -> Settled:
+    """The same without what an error of one arrival does."""
+    sets = [replace(s, refused=s.refused or ONE_ARRIVAL) if s.members and all(
+        nothing.screen.candidates[m.candidate].form.of_one_arrival for m in s.members) else s for s in nothing.sets]
+    return replace(nothing, joint=nothing.alone, sets=sorted(sets, key=lambda s: bool(s.refused)))
 
 
 def _against(nothing: Settled, acting: Settled) -> Settled:
@@ -97,14 +110,10 @@ def _ahead(nothing: Settled, acting: Settled) -> tuple[float, list[EffectSet]]:
                          key=lambda s: (bool(s.refused), -(s.log_bayes + log_prior(s, among))))
 
 
-def _without_outliers(joint: Joint) -> Joint | None:
+def _without_outliers(joint: Joint) -> Joint:
     """The joint fit of its names alone, or of its largest pattern where it has none: what else was found beside them in
-    normal noise may be its tails.  None where errors of single arrivals do all of it: taken off they would leave a
-    law without the tails that they are."""
-    kept = [a for a in joint.active if not a.form.of_arrivals]
-    kept = [a for a in kept if a.effect.name] or sorted(kept, key=lambda a: np.sum(a.contribution**2))[-1:]
-    if not kept:
-        return None
+    normal noise may be its tails."""
+    kept = [a for a in joint.active if a.effect.name] or [max(joint.active, key=lambda a: np.sum(a.contribution**2))]
     return joint if len(kept) == len(joint.active) else fit_jointly(
         joint.observation, [(a.effect, a.form) for a in kept], joint.noise)
 

@@ -144,7 +144,7 @@ def outliers(joint: Joint) -> tuple[Form, float] | None:
     _, ways, picked, words = best
     return Form(f'arrivals are {words} by a random amount until the next move, at {len(picked)} stops',
                 columns[picked] / scale, tuple(str(i) for i in range(len(picked))),
-                np.full(len(picked), scale), of_arrivals=True), ways
+                np.full(len(picked), scale)), ways
 
 
 def _picks(columns: np.ndarray, data: np.ndarray, side: float) -> Iterator[int]:

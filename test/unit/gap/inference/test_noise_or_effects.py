@@ -10,7 +10,14 @@ from stepdiag_ros.effects.base import Effect, Form
 from stepdiag_ros.gap.inference import noise_or_effects
 from stepdiag_ros.gap.inference.candidates import Candidate, Member
 from stepdiag_ros.gap.inference.joint import fit_jointly
-from stepdiag_ros.gap.inference.noise_or_effects import Settled, _against, total_evidence
+from stepdiag_ros.gap.inference.noise_or_effects import (
+    ONE_ARRIVAL,
+    Settled,
+    _against,
+    _of_the_law,
+    _patterns,
+    total_evidence,
+)
 from stepdiag_ros.gap.inference.search import EffectSet
 from stepdiag_ros.gap.inference.select_effects import noise_of
 
@@ -63,3 +70,20 @@ def test_an_effect_is_as_far_ahead_as_in_all():
     found = _against(settled(100.0, 50.0), settled(0.0, 120.0))
     assert found.joint.total == 120.0 and found.sets[0].members
     assert 0.0 < found.sets[0].log_bayes < 28.9
+
+
+def found(label_and_single, sets):
+    """What was found in one noise: forms by label, each with whether it does no more than one arrival's error."""
+    forms = [SimpleNamespace(label=label, of_one_arrival=single) for label, single in label_and_single]
+    screen = SimpleNamespace(candidates=[SimpleNamespace(effect='unknown', form=form) for form in forms])
+    return Settled('alone', SimpleNamespace(active=tuple(SimpleNamespace(form=form) for form in forms)), sets, screen)
+
+
+def test_one_arrival_that_is_off_is_a_tail_where_errors_have_tails():
+    """It is not claimed, and says why; a pattern of several is."""
+    alone, several = (EffectSet((Member('unknown', k, 21.0),), 21.0) for k in (0, 1))
+    both = found((('one stop', True), ('jump', False)), [alone, several, EffectSet((), 0.0)])
+    assert [a.form.label for a in _patterns(both)] == ['jump']
+    left = _of_the_law(both)
+    assert left.joint == 'alone' and [s.refused for s in left.sets] == ['', '', ONE_ARRIVAL]
+    assert left.sets[-1].log_bayes == 21.0, 'evidence is not overwritten'
