@@ -20,7 +20,8 @@ from stepdiag_ros.nodes.overview import Light, MachineSeen, Overview, Said, over
 NAME = 'watch'
 HELP = "show who has the laser's light and how far each machine is"
 WIDTH = 20
-FIRST_LOOK_S = 3.0
+FIRST_LOOK_S, SILENT_S = 3.0, 10.0
+"""Nodes speak once a second; those that are there and have not spoken are waited for so much longer."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -29,9 +30,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     from stepdiag_ros.nodes.observer import Observer
+    from stepdiag_ros.nodes.patience import Patience
     drawn = 0
     with Observer(detail=False) as observer:
         time.sleep(FIRST_LOOK_S)
+        Patience(SILENT_S).until(lambda: not observer.silent())
         while True:
             lines = lines_of(observer.overview())
             if args.once:

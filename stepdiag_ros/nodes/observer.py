@@ -27,7 +27,7 @@ from stepdiag_ros.bag.schemas import DESCRIPTION, STEP
 from stepdiag_ros.bag.shown import DISPLACEMENT_MEAN, ERRORS, ERRORS_SO_FAR, GAP, SPOT_MEAN
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.model.description import Description
-from stepdiag_ros.nodes.overview import SEQUENCER, Overview, Said, overview
+from stepdiag_ros.nodes.overview import MULTIPLEXER, SEQUENCER, Overview, Said, overview
 from stepdiag_ros.nodes.stamps import ns_of
 
 #: Means of a minute, at twenty a second.
@@ -113,6 +113,13 @@ class Observer:
         """Namespaces of all sequencers that have said something, those that are not looked at too."""
         with self.lock:
             return sorted(name.rpartition('/')[0] for name in self._said if name.endswith(f'/{SEQUENCER}'))
+
+    def silent(self) -> list[str]:
+        """Sequencers and multiplexers that are there and have not said anything yet, as on a busy computer."""
+        there = {f'{space.rstrip("/")}/{name}' for name, space in self._node.get_node_names_and_namespaces()
+                 if name in (SEQUENCER, MULTIPLEXER)}
+        with self.lock:
+            return sorted(there - self._said.keys())
 
     def machine(self, namespace: str) -> Seen | None:
         """What is known of a machine."""

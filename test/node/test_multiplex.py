@@ -50,14 +50,14 @@ def test_machines_wait_for_a_late_multiplexer_and_take_turns(pair, eventually):
     # In the terminal: who has the light, and how far each is.
     assert seen.returncode == 0 and all(word in seen.stdout for word in ('left', 'right', 'light')), seen
     assert any(text.startswith('waiting for the light: place 1') for _, text in doing)
-    usage = {v.key: v.value for v in left.health('multiplexer').values}
-    assert int(usage['grants']) >= 2 * (1 + 4)      # a look before the start, four runs each
+    # A look before the start, four runs each; it says so once a second.
+    eventually(lambda: int({v.key: v.value for v in left.health('multiplexer').values}['grants']) >= 2 * (1 + 4))
     for operator in (left, right):
         operator.bring('recorder', 'inactive')
     spans = []
     for name in ('log', 'log_right'):
         log = read_log(folder / name)
-        assert len(log.steps) == 36 and len(log.displacement)
+        assert len(log.steps) >= 36 and len(log.displacement)     # more where a busy computer lost a lease
         assert not [w for w in log.warnings if 'hold no usable' in w or 'dwell' in w]
         times, run = log.steps.time_ns, log.steps.run
         spans += [(times[run == n].min(), times[run == n].max()) for n in set(run)]
