@@ -61,25 +61,24 @@ def _with_steps(observation: Observation, width: np.ndarray) -> Observation:
 
 
 def _with_spectrum(observation: Observation, samples: DwellSpectrum) -> Observation:
-    """The observation with vibration or turbulence as noise of the displacement: else effects would be fitted
+    """The observation with vibration, turbulence or hum as noise of what shows it: else effects would be fitted
     to it.  Shaking hardly moves a dwell's mean; moving air does, and wanders from stop to stop."""
     table, beams = observation.table, observation.fit.model.beams
     if samples.swings.any():
         observation = replace(observation, swings=samples.swings)
+    length, bins = float(np.median(table.done_ns - table.dwell_ns)) * 1e-9, observation.bins.shape[1]
+    more = np.zeros(observation.bin_sigma.shape)
     if samples.turbulent:
         table = replace(table, wander=samples.power)
         # A part of a dwell has that of the e-folds between its length and the dwell's besides.
-        more = samples.power[:, None] * np.log(observation.bins.shape[1])
+        more[:, :beams] = samples.power[:, None] * np.log(bins)
+    # A line fills no more than two of the bins' contrasts, with all its power.
     elif samples.shakes or samples.grows_with_path:
-        length = float(np.median(table.done_ns - table.dwell_ns)) * 1e-9
-        bins = observation.bins.shape[1]
-        # A line fills no more than two of the bins' contrasts, with all its power.
-        more = samples.displacement.variance(length / bins) * bins / 2.0
-    else:
-        return observation
-    sigma = observation.bin_sigma.copy()
-    sigma[:, :beams] = np.sqrt(sigma[:, :beams] ** 2 + more)
-    return replace(observation, bin_sigma=sigma, table=table)
+        more[:, :beams] = samples.displacement.variance(length / bins) * bins / 2.0
+    if samples.mains_hum:
+        more[:, beams:] = samples.swings[:, 1:].any(axis=0) * samples.spot.variance(length / bins) * bins / 2.0
+    return replace(observation, bin_sigma=np.sqrt(observation.bin_sigma**2 + more), table=table) if more.any() \
+        else observation
 
 
 def _with_hops(observation: Observation, seen: ModeHops) -> Observation:

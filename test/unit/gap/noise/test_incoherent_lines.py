@@ -7,9 +7,11 @@ import pytest
 
 from stepdiag_ros.effects import effect_class
 from stepdiag_ros.estimate.reduce import reduce_log
+from stepdiag_ros.gap.noise.disturbances import disturbed
 from stepdiag_ros.gap.noise.dwell_spectrum import dwell_spectrum
 from stepdiag_ros.gap.noise.incoherent_lines import find_lines
 from stepdiag_ros.gap.preprocess.dwells import dwells_of
+from stepdiag_ros.gap.preprocess.observe import observe
 
 COUNT, SIZE, PERIOD_S = 300, 30, 0.02
 
@@ -131,3 +133,17 @@ def test_shaking_is_told_from_hum_and_from_moving_air(case):
 def test_settling_is_not_taken_for_shaking(case):
     seen = _seen(case.log(effect_class('servo_settling')(amp=5e-6, tau=0.15)))
     assert not seen.shakes and not seen.turbulent
+
+
+def test_hum_is_noise_of_the_spot_in_the_dwells_as_shaking_is_of_the_displacement(case):
+    """Else effects would be fitted to it."""
+    log = case.log()
+    hum = 2e-6 * np.sin(2.0 * np.pi * 5.0 * (log.spot.time_ns - log.spot.time_ns[0]) * 1e-9)
+    humming = replace(log, spot=_with(log.spot, hum[:, None] * [1.0, 0.0]))
+    before = observe(humming)
+    after, found = disturbed(humming, before)
+    beams = humming.displacement.values.shape[1]
+    assert found.dwell_spectrum.mains_hum
+    grown = after.bin_sigma / before.bin_sigma
+    assert np.nanmin(grown[:, beams]) > 1.2     # spot x; neither the lengths nor spot y
+    assert np.nanmax(np.delete(grown, beams, axis=1)) == 1.0
