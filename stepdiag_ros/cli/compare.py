@@ -15,8 +15,10 @@ from typing import Any
 
 from stepdiag_ros.cli.evaluate import tied_lines
 from stepdiag_ros.errors import StepdiagError
-from stepdiag_ros.estimate.cautions import cautions_of
+from stepdiag_ros.estimate.cautions import cautions
 from stepdiag_ros.estimate.compare import Comparison, compare, text_table, truth_of
+from stepdiag_ros.estimate.evaluate import evaluate_in_full
+from stepdiag_ros.estimate.method_budget import Readings
 from stepdiag_ros.estimate.methods import METHODS, run_all
 from stepdiag_ros.estimate.solution import Solution
 from stepdiag_ros.guard import limits
@@ -45,7 +47,8 @@ def run(args: argparse.Namespace) -> int:
         raise StepdiagError(f'{args.out}: the picture cannot be written: there is no folder {args.out.parent}')
     known = None if args.truth is None else read_text(args.truth, limits.TEXT_BYTES, 'file of known errors')
     log = read_log(args.bag, args.namespace)
-    results, skipped = run_all(log)
+    readings = Readings.of(evaluate_in_full(log))
+    results, skipped = run_all(log, readings)
     name = real(args.bag)
     name = name.stem if name.suffix == '.mcap' else name.name
     if known is not None:
@@ -58,7 +61,7 @@ def run(args: argparse.Namespace) -> int:
         reference, label = best.errors, 'enhanced'
     outcome = compare(results, reference, label, log.description)
     best = results.get('enhanced')
-    warned = cautions_of(log, best if isinstance(best, Solution) else None)
+    warned = cautions(readings.measured, best if isinstance(best, Solution) else None)
     if args.out is not None:
         from stepdiag_ros.report.compare_picture import draw
 

@@ -13,23 +13,27 @@ the reason.
 """
 
 import argparse
+from typing import Any
 
 import numpy as np
 
 from stepdiag_ros.bag.reader import read_log
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate.body_diagonal import DiagonalTest
-from stepdiag_ros.estimate.cautions import cautions_of
+from stepdiag_ros.estimate.cautions import cautions
 from stepdiag_ros.estimate.closure import said
 from stepdiag_ros.estimate.contributions import listed
+from stepdiag_ros.estimate.evaluate import evaluate_in_full
 from stepdiag_ros.estimate.gauge import STRAIGHTNESS
 from stepdiag_ros.estimate.identifiability import LOOSELY
 from stepdiag_ros.estimate.iso230_2 import LinearTest
+from stepdiag_ros.estimate.method_budget import Readings
 from stepdiag_ros.estimate.methods import METHODS, run_method
 from stepdiag_ros.estimate.solution import Solution
 from stepdiag_ros.estimate.status import OK
 from stepdiag_ros.estimate.traceability import WORDS
 from stepdiag_ros.guard.jsontext import to_json
+from stepdiag_ros.model.log import CalibrationLog
 from stepdiag_ros.model.machine import CURVES, SQUARENESS
 
 NAME = 'evaluate'
@@ -50,16 +54,11 @@ def run(args: argparse.Namespace) -> int:
     answers, others, failed = {}, {}, []
     for bag in args.bag:
         try:
-            log = read_log(bag, args.namespace)
-            result = run_method(args.method, log)
+            answers[bag], others[bag] = _answer(args.method, read_log(bag, args.namespace))
         except StepdiagError as error:
             if len(args.bag) == 1:
                 raise
             failed.append(str(error))
-            continue
-        answers[bag] = result
-        # Another method has the cautions that concern it in its own answer.
-        others[bag] = cautions_of(log, result) if args.method == 'enhanced' and not result.sanity else ()
     if args.json:
         documents = {bag: result.to_json_dict() | ({'cautions': list(others[bag])} if others[bag] else {})
                      for bag, result in answers.items()}
@@ -73,6 +72,15 @@ def run(args: argparse.Namespace) -> int:
     if failed:
         raise StepdiagError('; '.join(failed))
     return 0 if all(getattr(result, 'status', OK) == OK for result in answers.values()) else 1
+
+
+def _answer(method: str, log: CalibrationLog) -> tuple[Any, tuple[str, ...]]:
+    """What a method makes of a log, and the cautions for other methods; those have their own in their answers."""
+    if method != 'enhanced':
+        return run_method(method, log), ()
+    evaluation = evaluate_in_full(log)
+    solution = evaluation.solution
+    return solution, () if solution.sanity else cautions(Readings.of(evaluation).measured, solution)
 
 
 def tied_lines(result: Solution | DiagonalTest | LinearTest) -> list[str]:

@@ -13,24 +13,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from stepdiag_ros.estimate.metres import in_metres
 from stepdiag_ros.estimate.of_ways import by_short_names, of_kind
-from stepdiag_ros.estimate.readings import CellReadings, readings_of_stops
+from stepdiag_ros.estimate.readings import CellReadings
 from stepdiag_ros.estimate.solution import Solution
 from stepdiag_ros.estimate.squareness_diagonals import body_squareness
 from stepdiag_ros.estimate.step_diagonal import angular_effect
 from stepdiag_ros.model.description import DIAGONALS
-from stepdiag_ros.model.log import CalibrationLog
 from stepdiag_ros.model.machine import AXES, CURVES, SQUARENESS, Curve, GeometricErrors
 
 ALIKE = 1e-6
 """Steps of two axes that differ by a smaller share are equal."""
 ANGLES = tuple(name for name in CURVES if name[1] in 'ABC')
-
-
-def cautions_of(log: CalibrationLog, solution: Solution | None) -> tuple[str, ...]:
-    """:func:`cautions` of a log."""
-    return cautions(readings_of_stops(log.description, in_metres(log).table), solution)
 
 
 def cautions(cell: CellReadings, solution: Solution | None) -> tuple[str, ...]:

@@ -18,10 +18,24 @@ SLOPE_AND_BEND = 2
 """Contrasts that show what creeps; those beyond tell the noise."""
 
 
+def contrasts(time: np.ndarray) -> np.ndarray:
+    """Orthonormal contrasts (n, b − 1, b) of the parts of dwells at their ``time`` (n, b) [s] by rising degree: slope,
+    bend, …; what goes on evenly in a dwell has a slope and nothing else."""
+    middle, span = time.mean(axis=1, keepdims=True), np.ptp(time, axis=1, keepdims=True)
+    powers = ((time - middle) / np.maximum(span, 1e-12))[:, :, None] ** np.arange(time.shape[1])
+    basis, _ = np.linalg.qr(powers)
+    basis = basis * np.where(basis[:, -1:, :] < 0.0, -1.0, 1.0)   # all dwells count to the same side
+    return basis[:, :, 1:].transpose(0, 2, 1)
+
+
 def fifths_contrasts() -> np.ndarray:
-    """Orthonormal contrasts (4, 5) of the means over the fifths of a dwell by rising degree: slope, bend, …"""
-    basis, _ = np.linalg.qr((np.arange(FIFTHS) - (FIFTHS - 1) / 2)[:, None] ** np.arange(FIFTHS))
-    return basis[:, 1:].T
+    """The same (4, 5) of the means over the fifths of a dwell."""
+    return contrasts(np.arange(FIFTHS, dtype=float)[None])[0]
+
+
+def fifth_of(count: np.ndarray) -> int:
+    """Samples in a fifth of a typical dwell; ``count`` (n,): in each dwell."""
+    return int(np.median(count)) // FIFTHS
 
 
 @lru_cache(maxsize=64)

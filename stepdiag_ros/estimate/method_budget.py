@@ -33,6 +33,10 @@ class Readings:
     evaluation: Evaluation
     measured: CellReadings
 
+    @classmethod
+    def of(cls, evaluation: Evaluation) -> 'Readings':
+        return cls(evaluation, readings_of_stops(evaluation.setting.description, evaluation.metres.table))
+
     @cached_property
     def moved(self) -> tuple[CellReadings, ...]:
         """The readings with one variate of one cause at one standard uncertainty, a variate after the other."""
@@ -46,11 +50,6 @@ class Readings:
         """The warning that all noise is declared, if it is."""
         return (f'{self.evaluation.source}: {DECLARED}',) if all(s.declared for s in self.measured.setups.values()) \
             else ()
-
-
-def readings_of(evaluation: Evaluation) -> Readings:
-    """The readings that :func:`with_cell_budget` gives to a method."""
-    return Readings(evaluation, readings_of_stops(evaluation.setting.description, evaluation.metres.table))
 
 
 def with_cell_budget(run: Run, readings: Readings) -> Any:

@@ -27,7 +27,7 @@ from stepdiag_ros.estimate import (
 from stepdiag_ros.estimate.cautions import cautions
 from stepdiag_ros.estimate.evaluate import evaluate as evaluate_enhanced
 from stepdiag_ros.estimate.evaluate import evaluate_in_full
-from stepdiag_ros.estimate.method_budget import readings_of, with_cell_budget
+from stepdiag_ros.estimate.method_budget import Readings, with_cell_budget
 from stepdiag_ros.estimate.readings import CellReadings, SetupReadings
 from stepdiag_ros.estimate.solution import Solution
 from stepdiag_ros.estimate.stepwise import travel_signs
@@ -246,7 +246,7 @@ def run_method(name: str, log: CalibrationLog) -> Any:
     evaluation = evaluate_in_full(log)
     if name == 'enhanced':
         return evaluation.solution
-    readings = readings_of(evaluation)
+    readings = Readings.of(evaluation)
     cell = readings.measured
     missing = method.lacks(cell)
     if missing:
@@ -258,11 +258,11 @@ def run_method(name: str, log: CalibrationLog) -> Any:
     return replace(result, cautions=(*result.cautions, *warned)) if warned else result
 
 
-def run_all(log: CalibrationLog) -> tuple[dict[str, Any], dict[str, str]]:
-    """Every method that fits the log: results by name, and for the others why not."""
-    evaluation = evaluate_in_full(log)
-    readings = readings_of(evaluation)
-    cell = readings.measured
+def run_all(log: CalibrationLog, readings: Readings | None = None) -> tuple[dict[str, Any], dict[str, str]]:
+    """Every method that fits the log: results by name, and for the others why not; ``readings``: the log's, where they
+    are known already."""
+    readings = readings or Readings.of(evaluate_in_full(log))
+    evaluation, cell = readings.evaluation, readings.measured
     results, skipped = {}, {}
     for name, method in METHODS.items():
         missing = method.lacks(cell)

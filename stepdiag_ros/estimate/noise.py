@@ -21,7 +21,7 @@ import numpy as np
 from scipy import linalg
 
 from stepdiag_ros.errors import StepdiagError
-from stepdiag_ros.estimate.correlated import FIFTHS, of_mean
+from stepdiag_ros.estimate.correlated import fifth_of, of_mean
 from stepdiag_ros.estimate.reduce import MOVED_M, StopTable
 from stepdiag_ros.estimate.triangular import forward
 from stepdiag_ros.model.description import Noise
@@ -133,7 +133,7 @@ def sensor_noise(table: StopTable, belief: Noise) -> np.ndarray:
                 if len(own) > 2:
                     pooled[rows, k] = np.median(own)
         if parts is not None:
-            each = int(np.median(count)) // FIFTHS
+            each = fifth_of(count)
             pooled *= [of_mean(loud, each) for loud in _slow(parts / np.maximum(pooled, FLOOR_M)[:, :, None], table)]
         result[:, columns] = pooled / np.sqrt(np.maximum(count, 1))[:, None]
     if table.disturbed is not None:

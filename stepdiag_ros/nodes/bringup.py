@@ -50,7 +50,7 @@ START_TIMEOUT_S = 300.0
 OF_ONE_LIFE = ('bag', 'go_on')
 #: So long one question whether a node is up may take.
 ANSWER_S = 2.0
-#: A node ends itself before (ENDS_S in nodes/base.py); this is for what is stuck where it hears no signal.
+#: A node ends itself before (ENDS_S in nodes/base.py); this is for what is stuck where no signal reaches it.
 GRACE_S = 20.0
 #: So long the graph is looked at for nodes of the same name before any is started.
 LOOK_AROUND_S = 1.5

@@ -76,13 +76,18 @@ sys.exit(run_node(Busy))
 """
 
 
-def test_a_node_that_still_computes_ends_in_order(module_domain):
-    with subprocess.Popen([sys.executable, '-c', BUSY], stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+def told_to_end(script, up):
+    """Exit status of a node's process that is told to end once it has said ``up``, and what it says then."""
+    with subprocess.Popen([sys.executable, '-c', script], stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
                           text=True) as node:
-        assert node.stdout.readline() == 'computing\n'
+        assert node.stdout.readline() == f'{up}\n'
         node.terminate()
         said = node.communicate(timeout=60.0)[0]
-    assert node.returncode == 0 and said == ''
+    return node.returncode, said
+
+
+def test_a_node_that_still_computes_ends_in_order(module_domain):
+    assert told_to_end(BUSY, 'computing') == (0, '')
 
 
 STUCK = """
@@ -104,12 +109,8 @@ sys.exit(base.run_node(Stuck))
 
 def test_a_node_that_is_stuck_on_its_way_out_ends_and_says_where(module_domain):
     """Before its bringup kills it, which would say nothing."""
-    with subprocess.Popen([sys.executable, '-c', STUCK], stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-                          text=True) as node:
-        assert node.stdout.readline() == 'up\n'
-        node.terminate()
-        said = node.communicate(timeout=60.0)[1]
-    assert node.returncode == 1 and 'in close' in said
+    status, said = told_to_end(STUCK, 'up')
+    assert status == 1 and 'in close' in said
     assert bringup.GRACE_S > base.ENDS_S
 
 

@@ -17,7 +17,7 @@ from stepdiag_ros.gap.inference.discrepancy import LEAST
 from stepdiag_ros.gap.inference.discrepancy import columns as discrepancy_of
 from stepdiag_ros.gap.inference.evidence import SIZES, Judged, judge, log_evidence, log_mean, log_sum
 from stepdiag_ros.gap.inference.explained import Explained
-from stepdiag_ros.gap.inference.parity import Parity
+from stepdiag_ros.gap.inference.parity import Parity, slopes_of
 
 REMEMBERED = 12
 """Sets of which is remembered what they explain, those last worked out: each takes hundreds of numbers a reading."""
@@ -185,10 +185,9 @@ class Screen:
         return replace(members[-1], log_bayes=members[-1].log_bayes + beyond - self._beyond_rows(members[:-1]))
 
     def _beyond_rows(self, members: Sequence[Member]) -> float:
-        made = [np.tensordot(self.sizes(members, number)[0], np.asarray(form.by_reading), axes=1)
-                for number, form in enumerate(self.candidates[m.candidate].form for m in members)
-                if form.by_reading is not None]
-        return self.parity.beyond_rows(np.sum(made, axis=0)) if made else 0.0
+        slopes = slopes_of([self.candidates[m.candidate].form for m in members],
+                           lambda number: self.sizes(members, number)[0])
+        return 0.0 if slopes is None else self.parity.beyond_rows(slopes)
 
     def with_discrepancy(self, members: Sequence[Member]) -> Member:
         """The last of some members, its evidence that of its form together with the discrepancy of that."""

@@ -20,6 +20,7 @@ from stepdiag_ros.gap.alternatives.unmodelled import NAME as UNKNOWN
 from stepdiag_ros.gap.constants import ALARM, SUSPICION
 from stepdiag_ros.gap.inference.candidates import Screen
 from stepdiag_ros.gap.inference.joint import Active, Joint, fit_jointly, freed, refitted, size_of, unexplained
+from stepdiag_ros.gap.inference.parity import slopes_of
 from stepdiag_ros.gap.inference.search import EffectSet, log_prior
 from stepdiag_ros.gap.inference.select_effects import noise_of, settle
 from stepdiag_ros.gap.noise.arrival_law import as_it_is, log_evidence, suspicion
@@ -144,15 +145,10 @@ def total_evidence(joint: Joint, sets: list[EffectSet], screen: Screen) -> float
         stops += as_it_is(observation, joint.noise, table)[1]
     inside = unexplained(space, joint.active)[space.stops:]
     loud = float(np.sum(np.log(space.bin_scale[space.channel[space.stops:]])))
-    return stops - 0.5 * float(inside @ inside) - loud + (_bought(joint, sets[0], screen) if joint.active else 0.0)
-
-
-def _bought(joint: Joint, best: EffectSet, screen: Screen) -> float:
-    """Log evidence of effects beside what they leave: the density of readings of which their columns are made, less
-    what their freedom costs."""
-    made = [np.tensordot(a.coefficients, np.asarray(a.form.by_reading), axes=1)
-            for a in joint.active if a.form.by_reading is not None]
-    return (joint.parity.log_jacobian(np.sum(made, axis=0)) if made else 0.0) - _price(joint, best, screen)
+    slopes = slopes_of([a.form for a in joint.active], lambda number: joint.active[number].coefficients)
+    made = 0.0 if slopes is None else space.log_jacobian(slopes)
+    price = _price(joint, sets[0], screen) if joint.active else 0.0
+    return stops - 0.5 * float(inside @ inside) - loud + made - price
 
 
 def _price(joint: Joint, best: EffectSet, screen: Screen) -> float:

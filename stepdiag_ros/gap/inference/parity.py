@@ -7,7 +7,7 @@ mistaken for what the fit made of it.
 The bins of the dwells, which the rigid-body model does not touch, are appended as contrasts.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -15,7 +15,7 @@ import numpy as np
 from scipy import linalg
 
 from stepdiag_ros.effects.base import Form
-from stepdiag_ros.estimate.correlated import FIFTHS, of_bend
+from stepdiag_ros.estimate.correlated import SLOPE_AND_BEND, contrasts, fifth_of, of_bend
 from stepdiag_ros.estimate.enhanced import Fit
 from stepdiag_ros.estimate.noise import NoiseModel, Whitener, loudness, whiteners
 from stepdiag_ros.estimate.triangular import forward
@@ -32,8 +32,6 @@ ALONE = 10.0
 BY_FAR = 3.0
 FOLDED = 1e-3
 """Growth of a length with its reading below which no counter could have counted it."""
-CALM = 2
-"""The first contrasts, slope and bend, are of what creeps; from this one on they tell the noise."""
 LEAST_ALIKE = 3
 """Fewest dwells of one kind from which their typical size is estimated: the median of three stands one that errs."""
 
@@ -211,6 +209,14 @@ class Parity:
         return result * form.scale
 
 
+def slopes_of(forms: Sequence[Form], sizes: Callable[[int], np.ndarray]) -> np.ndarray | None:
+    """By how much what some forms take from the readings grows with these (n, c); ``sizes``: the coefficients (k,) of a
+    form by its number.  None where no columns are made of readings."""
+    grown = [np.tensordot(sizes(number), np.asarray(form.by_reading), axes=1)
+             for number, form in enumerate(forms) if form.by_reading is not None]
+    return np.sum(grown, axis=0) if grown else None
+
+
 def projection(observation: Observation, result: Fit, noise: NoiseModel,
                readings: np.ndarray) -> tuple[list[Whitener], np.ndarray, np.ndarray, float]:
     """Whiteners, one a run; orthonormal directions (N, r) that the fit can imitate; white data (N,) without them, the
@@ -282,7 +288,7 @@ def _loudness(values: np.ndarray) -> np.ndarray:
     Neighbouring samples may be alike, and their tails heavy.  What creeps shows in the first contrasts, so the level
     is taken from the others.
     """
-    return np.array([loudness(values[:, CALM:, c]) for c in range(values.shape[2])])
+    return np.array([loudness(values[:, SLOPE_AND_BEND:, c]) for c in range(values.shape[2])])
 
 
 def _bending(values: np.ndarray, observation: Observation) -> np.ndarray:
@@ -290,8 +296,7 @@ def _bending(values: np.ndarray, observation: Observation) -> np.ndarray:
     that go with those before them."""
     table, channels = observation.table, values.shape[2]
     counts = [table.displacement_count] * (channels - 2) + [table.spot_count] * 2
-    return np.array([of_bend(loud, int(np.median(count)) // FIFTHS)
-                     for loud, count in zip(_loudness(values), counts, strict=True)])
+    return np.array([of_bend(loud, fifth_of(count)) for loud, count in zip(_loudness(values), counts, strict=True)])
 
 
 def _typical(values: np.ndarray, observation: Observation) -> np.ndarray:
@@ -329,16 +334,6 @@ def _median(values: np.ndarray) -> np.ndarray:
     """Median over the first axis of what is there; 0 where nothing is (a channel that was not measured)."""
     absent = np.isnan(values).all(axis=0)
     return np.where(absent, 0.0, np.nanmedian(np.where(absent, 0.0, values), axis=0))
-
-
-def contrasts(time: np.ndarray) -> np.ndarray:
-    """Orthonormal contrasts (n, b − 1, b) of the dwells' bins at their ``time`` (n, b) [s] by rising degree: slope,
-    bend, …; what goes on evenly in a dwell has a slope and nothing else."""
-    middle, span = time.mean(axis=1, keepdims=True), np.ptp(time, axis=1, keepdims=True)
-    powers = ((time - middle) / np.maximum(span, 1e-12))[:, :, None] ** np.arange(time.shape[1])
-    basis, _ = np.linalg.qr(powers)
-    basis = basis * np.where(basis[:, -1:, :] < 0.0, -1.0, 1.0)   # all dwells count to the same side
-    return basis[:, :, 1:].transpose(0, 2, 1)
 
 
 def _roughness(slope: np.ndarray, observation: Observation) -> np.ndarray:

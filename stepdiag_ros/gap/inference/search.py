@@ -57,8 +57,8 @@ class EffectSet:
 
 
 def joined(screen: Screen, found: EffectSet, member: Member) -> EffectSet:
-    """``found`` and one member more, with the evidence that its form brings and, if that is worth a thought, the
-    discrepancy of it and the whole of what readings in its columns owe to noise."""
+    """``found`` and one member more, with the evidence that its form brings and, if that is worth a thought, the whole
+    Jacobian correction and the discrepancy of it."""
     if member.log_bayes >= GAIN:
         member = screen.with_jacobian((*found.members, member))
         member = screen.with_discrepancy((*found.members, member))

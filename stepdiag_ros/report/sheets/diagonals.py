@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from stepdiag_ros.estimate.body_diagonal import DiagonalTest
 from stepdiag_ros.estimate.evaluate import Evaluation
 from stepdiag_ros.estimate.iso_rules import shortfalls
-from stepdiag_ros.estimate.method_budget import readings_of, with_cell_budget
+from stepdiag_ros.estimate.method_budget import Readings, with_cell_budget
 from stepdiag_ros.estimate.methods import body_diagonal_test, corner_deviations, diagonal_displacement
 from stepdiag_ros.estimate.of_ways import of_kind
 from stepdiag_ros.estimate.readings import CellReadings
@@ -30,16 +30,16 @@ STEPPED = ('The diagonals were measured by a step diagonal with a flat mirror: t
            'it.')
 
 
-def diagonal_sheets(log: CalibrationLog, evaluation: Evaluation, cell: CellReadings, source: str) -> list[Sheet]:
+def diagonal_sheets(log: CalibrationLog, readings: Readings, source: str) -> list[Sheet]:
     """A sheet for the diagonals of each kind that a log holds: in one motion or stepped, of the body or of faces."""
+    cell = readings.measured
     asked: list[tuple[str, list[str], Callable[[CellReadings], DiagonalTest]]] = []
     if short := [name for name in DIAGONALS if name in cell.setups]:
         asked.append(('body step diagonal', short, body_diagonal_test))
     for kind in ('body diagonal', 'body step diagonal', 'face diagonal', 'face step diagonal'):
         if names := of_kind(cell, kind):
             asked.append((kind, names, partial(diagonal_displacement, method=kind, kinds=(kind,))))
-    readings = readings_of(evaluation)
-    return [_sheet(kind, names, with_cell_budget(test, readings), log, evaluation, cell, source)
+    return [_sheet(kind, names, with_cell_budget(test, readings), log, readings.evaluation, cell, source)
             for kind, names, test in asked]
 
 

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from stepdiag_ros.estimate.evaluate import Evaluation
 from stepdiag_ros.estimate.iso230_2 import AxisResult, LinearTest
 from stepdiag_ros.estimate.iso_rules import shortfalls
-from stepdiag_ros.estimate.method_budget import readings_of, with_cell_budget
+from stepdiag_ros.estimate.method_budget import Readings, with_cell_budget
 from stepdiag_ros.estimate.methods import linear_test
 from stepdiag_ros.estimate.readings import CellReadings
 from stepdiag_ros.model.description import path_of
@@ -31,15 +31,15 @@ SYMBOLS = {'A_up': 'A↑', 'A_down': 'A↓', 'E_up': 'E↑', 'E_down': 'E↓', '
            'mean_reversal': 'B mean'}
 
 
-def linear_sheets(log: CalibrationLog, evaluation: Evaluation, cell: CellReadings, source: str) -> list[Sheet]:
+def linear_sheets(log: CalibrationLog, readings: Readings, source: str) -> list[Sheet]:
     """A sheet for every linear setup that was run both ways; none where there is none."""
-    own = linear_test(cell)
+    own = linear_test(readings.measured)
     if not own.axes:
         return []
     # The figures of one direction get an uncertainty too.
     wanted = tuple(figure for figure, _ in FIGURES)
-    test = with_cell_budget(lambda readings: replace(linear_test(readings), wanted=wanted), readings_of(evaluation))
-    return [_sheet(name, test, log, evaluation, cell, source) for name in test.axes]
+    test = with_cell_budget(lambda cell: replace(linear_test(cell), wanted=wanted), readings)
+    return [_sheet(name, test, log, readings.evaluation, readings.measured, source) for name in test.axes]
 
 
 def _sheet(name: str, test: LinearTest, log: CalibrationLog, evaluation: Evaluation, cell: CellReadings,

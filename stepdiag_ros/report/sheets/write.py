@@ -9,7 +9,7 @@ from matplotlib.backends.backend_pdf import PdfPages
 
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate.evaluate import Evaluation
-from stepdiag_ros.estimate.readings import readings_of_stops
+from stepdiag_ros.estimate.method_budget import Readings
 from stepdiag_ros.model.log import CalibrationLog
 from stepdiag_ros.report.page import figure, page, table
 from stepdiag_ros.report.plots import STYLE, svg
@@ -25,8 +25,9 @@ HTML, PDF = 'sheets.html', 'sheets.pdf'
 
 def sheets_of(log: CalibrationLog, evaluation: Evaluation, source: str) -> list[Sheet]:
     """Every sheet that a log holds enough for; :class:`StepdiagError` where it holds none."""
-    cell = readings_of_stops(log.description, evaluation.metres.table)
-    found = [*linear_sheets(log, evaluation, cell, source), *diagonal_sheets(log, evaluation, cell, source),
+    readings = Readings.of(evaluation)
+    cell = readings.measured
+    found = [*linear_sheets(log, readings, source), *diagonal_sheets(log, readings, source),
              *step_sheets(log, evaluation, cell, source), *station_sheets(log, evaluation, source)]
     if not found:
         raise StepdiagError(f'{log.source}: no sheet can be made: ISO 230-2 needs a linear setup run forward and '

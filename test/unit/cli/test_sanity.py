@@ -32,7 +32,7 @@ def test_a_sane_log_is_ok(bags, capsys):
     assert document['status'] == 'ok' and document['sanity'] == []
 
 
-def test_who_evaluates_hears_on_which_methods_the_log_is_hard(bags, capsys):
+def test_evaluate_says_on_which_methods_the_log_is_hard(bags, capsys):
     """The angles of the demo's machine mislead the vector method and the lengths of the diagonals."""
     assert main(['evaluate', str(bags[0]), '--json']) == 0
     cautions = json.loads(capsys.readouterr().out)['cautions']

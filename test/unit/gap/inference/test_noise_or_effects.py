@@ -36,7 +36,7 @@ def stated_evidence(monkeypatch):
     monkeypatch.setattr(noise_or_effects, 'total_evidence', lambda joint, sets, screen: joint.total)
 
 
-def test_columns_made_of_readings_owe_to_noise_in_every_noise(case):
+def test_columns_made_of_readings_are_corrected_in_every_noise(case):
     """A swing with the reading itself takes noise away with it: its evidence beside another noise's pays for that."""
     observation = case.observe()
     noise = noise_of(observation)
@@ -51,8 +51,8 @@ def test_columns_made_of_readings_owe_to_noise_in_every_noise(case):
     active = replace(joint.active[0], coefficients=np.array([3e-8]))
     of_readings, of_others = (total_evidence(replace(joint, active=(replace(active, form=form),)), chosen, screen)
                               for form in (active.form, replace(active.form, by_reading=None)))
-    owed = joint.parity.log_jacobian(3e-8 * made.by_reading[0])
-    assert of_readings - of_others == pytest.approx(owed, abs=1e-6) and owed < -0.5
+    cost = joint.parity.log_jacobian(3e-8 * made.by_reading[0])
+    assert of_readings - of_others == pytest.approx(cost, abs=1e-6) and cost < -0.5
 
 
 @pytest.mark.usefixtures('stated_evidence')
