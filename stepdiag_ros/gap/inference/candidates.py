@@ -43,7 +43,9 @@ class Candidate:
 @dataclass(frozen=True)
 class Member:
     """An effect in a set, in the form that suits best, and its evidence given those before it; ``size`` of
-    its coefficients, in the form's scales, that is allowed for; ``refused``: why it may not be claimed, else ''."""
+    its coefficients, in the form's scales, that is allowed for; ``refused``: why it may not be claimed, else ''; ``at``:
+    the coefficients, in units of ``size``, of which its form's discrepancy is a share, () for those that it has beside
+    the members before it."""
 
     effect: str
     candidate: int
@@ -51,6 +53,7 @@ class Member:
     size: float = float(SIZES[-1])
     penalty: float = 0.0
     refused: str = ''
+    at: tuple[float, ...] = ()
 
 
 def allowed(form: Form, judged: Judged) -> float:
@@ -151,7 +154,7 @@ class Screen:
         beside those before it; None where it is below the noise."""
         if self.modulations is None:
             return None
-        values, _ = before.coefficients(mine)
+        values = np.array(member.at) if member.at else before.coefficients(mine)[0]
         if DISCREPANCY_SHARE * np.linalg.norm(mine @ values) < LEAST:
             return None
         form = self.candidates[member.candidate].form
@@ -183,6 +186,26 @@ class Screen:
         if not beyond:
             return members[-1]
         return replace(members[-1], log_bayes=members[-1].log_bayes + beyond - self._beyond_rows(members[:-1]))
+
+    def in_place(self, members: Sequence[Member]) -> list[Member]:
+        """The same members, each form's discrepancy a share of what it does beside all the others.
+
+        What came first had, for a part of what those after it do, a coefficient that was none of its own.
+        """
+        placed: list[Member] = []
+        for number, member in enumerate(members):
+            unit = self.candidates[member.candidate].form.scale * member.size
+            there = replace(member, at=tuple(self.sizes(members, number)[0] / unit))
+            there = replace(there, log_bayes=member.log_bayes + self._weighed((*placed, there))
+                            - self._weighed(members[:number + 1]))
+            placed.append(there)
+        return placed
+
+    def _weighed(self, members: Sequence[Member]) -> float:
+        """The evidence that the last of some members brings in its form, the discrepancy of that included."""
+        member = members[-1]
+        alone = self.judge_all(members[:-1], [member.candidate])[member.candidate].log_bayes
+        return self.with_discrepancy((*members[:-1], replace(member, log_bayes=alone))).log_bayes
 
     def _beyond_rows(self, members: Sequence[Member]) -> float:
         slopes = slopes_of([self.candidates[m.candidate].form for m in members],
@@ -362,7 +385,7 @@ class _Correction:
 
 def _key(members: Sequence[Member]) -> tuple:
     """By what it is remembered what some members explain."""
-    return tuple((m.candidate, m.size) for m in members)
+    return tuple((m.candidate, m.size, m.at) for m in members)
 
 
 def _first_alike(forms: Sequence[Form]) -> list[int]:

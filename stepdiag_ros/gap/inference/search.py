@@ -97,8 +97,21 @@ def search(screen: Screen) -> list[EffectSet]:
                     if larger.log_bayes > found.log_bayes + GAIN:
                         grown.append(larger)
         front = grown
-    found = _each_earned(_best_compositions(_with_imitations(screen, sets.values())))
+    found = _each_earned(_best_compositions(_with_imitations(screen, _in_place(screen, sets.values()))))
     return sorted(found, key=lambda s: (bool(s.refused), -(s.log_bayes + log_prior(s, len(first)))))
+
+
+def _in_place(screen: Screen, sets: Iterable[EffectSet]) -> Iterator[EffectSet]:
+    """The sets, of those worth it each form's discrepancy at what the form does beside all the others."""
+    sets = list(sets)
+    within = max(found.log_bayes for found in sets) - HOPELESS
+    for found in sets:
+        if len(found.members) < 2 or found.log_bayes < within:
+            yield found
+            continue
+        members = tuple(screen.in_place(found.members))
+        more = sum(m.log_bayes for m in members) - sum(m.log_bayes for m in found.members)
+        yield replace(found, members=members, log_bayes=found.log_bayes + more)
 
 
 def _with_imitations(screen: Screen, sets: Iterable[EffectSet]) -> Iterator[EffectSet]:
