@@ -11,7 +11,8 @@ import numpy as np
 
 from stepdiag_ros.effects.adoption import Fitted
 from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
-from stepdiag_ros.effects.made import Made, joined
+from stepdiag_ros.effects.fading import bin_means, fading_columns, last_arrivals, swing_means
+from stepdiag_ros.effects.made import joined
 from stepdiag_ros.effects.patterns import Drawn
 from stepdiag_ros.model.log import NONE
 
@@ -28,26 +29,6 @@ SWINGS = (1.5, 3.0, 5.0, 8.0)
 """Frequencies [Hz] tried of a servo that swings in …"""
 SWING_TAU, CREEP_TAU = 0.1, 0.3
 """… which dies away with the first time constant [s], beside a creep with the second; both are tuned."""
-
-
-def _at_rest(along: np.ndarray, mean: np.ndarray) -> np.ndarray:
-    """Directions (a, n, c) times each mean (k, n) over the dwells: (a·k, n, c)."""
-    return np.einsum('anc,kn->aknc', along, mean).reshape(-1, *along.shape[1:])
-
-
-def _inside(along: np.ndarray, departures: np.ndarray) -> np.ndarray:
-    """The same by the departures (k, n, b) from it inside the dwells: (a·k, n, b, c)."""
-    n, c = along.shape[1:]
-    return np.einsum('anc,knb->aknbc', along, departures).reshape(-1, n, departures.shape[2], c)
-
-
-def _following(along: np.ndarray, shapes: np.ndarray) -> tuple[Made, Made]:
-    """What a lag that fades in ``shapes`` (k, n, b) along directions (a, n, c) does
-    at the stops and inside the dwells."""
-    mean, (n, c) = shapes.mean(axis=2), along.shape[1:]
-    size, bins = len(along) * len(shapes), shapes.shape[2]
-    return (Made((size, n, c), _at_rest, along, mean),
-            Made((size, n, bins, c), _inside, along, shapes - mean[:, :, None]))
 
 
 class ServoSettling(Effect):
@@ -102,13 +83,9 @@ class ServoSettling(Effect):
     def _directions(view: StopView) -> dict[str, tuple[np.ndarray, np.ndarray]]:
         """Where the lag points, (3, n, c) of readings per metre, and how long [s] (n,) before the dwell the axis
         arrived; by what happens at a run's first stop."""
-        moved, before = view.axis[:, None] == np.arange(3), np.zeros(len(view.axis))
-        # A run that begins where the last one ended has what is left of its last arrival.
-        step = np.diff(view.commanded, axis=0, prepend=np.inf)
-        stayed = (view.axis == NONE) & (step == 0.0).all(axis=1) & (np.diff(view.setup, prepend=-1) == 0)
-        for i in np.flatnonzero(stayed):
-            moved[i], before[i] = moved[i - 1], before[i - 1] + view.time[i] - view.time[i - 1]
+        moved, before = last_arrivals(view)
         found = {'': (-(moved * view.approach).T[:, :, None] * view.by_shift, before)}
+        step = np.diff(view.commanded, axis=0, prepend=np.inf)
         # The move to a run's start may be a short while ago too; where several axes moved there was time.
         step = np.sign(np.nan_to_num(step, posinf=0.0))
         single = (np.abs(step).sum(axis=1) == 1.0) & (view.axis == NONE)
@@ -121,7 +98,7 @@ class ServoSettling(Effect):
         """One time constant of ``axes``, one of GROUPS."""
         names = GROUPS[axes]
         chosen = along.sum(axis=0, keepdims=True) if names == ('all',) else along[['XYZ'.index(axis) for axis in names]]
-        columns, inside = _following(chosen, self._bin_means(since, tau)[None])
+        columns, inside = fading_columns(chosen, bin_means(since, tau)[None])
         return Form(f'τ = {tau:.3g} s{start}, {axes}', columns, names,
                     np.full(len(names), TYPICAL_M), inside=inside, shape={'tau_s': tau},
                     retune=lambda shape: self._form(along, since, start, shape['tau_s'], axes))
@@ -129,24 +106,14 @@ class ServoSettling(Effect):
     def _swinging(self, along: np.ndarray, since: np.ndarray, start: str, tau: float, swing: float,
                   creep: float) -> Form:
         """A loop of low damping swings to its goal, and something slower creeps after it; each axis for itself."""
-        turning = self._bin_means(since, 1.0 / (1.0 / tau - 2.0j * np.pi * swing))
-        shapes = np.stack([turning.real, turning.imag, self._bin_means(since, creep)])
-        columns, inside = _following(along, shapes)
+        shapes = np.stack([*swing_means(since, tau, swing), bin_means(since, creep)])
+        columns, inside = fading_columns(along, shapes)
         names = tuple(f'{axis} {part}' for axis in 'XYZ' for part in ('cos', 'sin', 'creep'))
         return Form(f'swings at {swing:.3g} Hz, τ = {tau:.3g} s, creeps with {creep:.3g} s{start}, each axis',
                     columns, names, np.full(9, TYPICAL_M), inside=inside,
                     shape={'tau_s': tau, 'swing_Hz': swing, 'creep_s': creep},
                     retune=lambda shape: self._swinging(along, since, start, shape['tau_s'],
                                                         shape['swing_Hz'], shape['creep_s']))
-
-    @staticmethod
-    def _bin_means(middle: np.ndarray, tau: complex) -> np.ndarray:
-        """Means of ``exp(−t/τ)`` (n, b), which swings where ``tau`` is complex, over bins of equal width around
-        ``middle`` (n, b) [s]."""
-        width = np.mean(np.diff(middle, axis=1), axis=1, keepdims=True) if middle.shape[1] > 1 \
-            else 2.0 * middle
-        half = np.maximum(width, 1e-9 * abs(tau)) / (2.0 * tau)
-        return np.exp(-middle / tau) * np.sinh(half) / half
 
     def guess(self, fitted: Fitted) -> Mapping[str, object]:
         values, shape = fitted.values, fitted.forms[0].shape

@@ -5,7 +5,7 @@ few columns beats it.  What physics may do beside the vocabulary is therefore of
 parameters too: readings bent at long range, the spot that leaks into the length, a head that is
 twisted by the direction of motion, a guideway that changes its shape with time, a detector that is sheared or has
 another gain on one side of its middle, a standoff that is not as described, readings that follow the light received
-(a beam cut by the mirror's edge).  None has a name here; which of them a log shows is reported in its label.
+(a beam cut by the mirror's edge), a mirror's arm or a laser's stand that rings after each move.  None has a name here; which of them a log shows is reported in its label.
 """
 
 from collections.abc import Iterator
@@ -14,6 +14,7 @@ from itertools import product
 import numpy as np
 
 from stepdiag_ros.effects.base import Effect, Form, StopView
+from stepdiag_ros.effects.fading import fading_columns, last_arrivals, swing_means
 from stepdiag_ros.effects.timeforms import drift_form, time_profiles
 from stepdiag_ros.gap.alternatives.unmodelled import NAME, pattern_form
 from stepdiag_ros.model.machine import AXES, CURVES
@@ -26,6 +27,10 @@ LEAST_MISSING = 0.01
 """Standard deviation of the light that is missing, as a share of the most, from which readings may follow it."""
 BEARINGS = 8
 """Directions in the detector's plane, evenly over half a turn."""
+RINGS = (1.5, 3.0, 5.0, 8.0, 12.0)
+"""Frequencies [Hz] tried of what rings, …"""
+RING_TAU = 0.1
+"""… with the time constant [s] with which it dies away; both are tuned."""
 
 
 class Beyond(Effect):
@@ -41,7 +46,8 @@ class Beyond(Effect):
 def beyond_families(view: StopView) -> dict[str, list[Form]]:
     """The forms by family; each counts as one effect does, however many forms it has."""
     families = {'range': _at_long_range(view), 'leak': _leak(view), 'twist': _twist(view), 'bow': _bow(view),
-                'detector': _detector(view), 'standoff': _standoff(view), 'light': _light(view)}
+                'detector': _detector(view), 'standoff': _standoff(view), 'light': _light(view),
+                'ring': _ringing(view)}
     forms = {family: list(found) for family, found in families.items()}
     return {family: found for family, found in forms.items() if found}
 
@@ -161,3 +167,25 @@ def _light(view: StopView) -> Iterator[Form]:
         columns[:view.beams] = columns[:view.beams].sum(axis=0) / np.sqrt(view.beams)
         own = np.concatenate([columns[:1], columns[view.beams:]])
         yield Form(f'lengths and spots follow the {name}', own, ('length', 'spot_x', 'spot_y'), np.full(3, 3e-6))
+
+
+def _ringing(view: StopView) -> Iterator[Form]:
+    """The mirror or the beam swings about its direction after each arrival and dies away: struck alike by each, or by
+    each axis in the direction in which it moved."""
+    if view.bin_time.shape[1] < 2:
+        return
+    moved, before = last_arrivals(view)
+    since = view.bin_time + before[:, None]
+    for what, derivative in (('mirror', view.by_mirror), ('beam', view.by_laser)):
+        alike = derivative * moved.any(axis=1)[:, None]
+        by_axis = np.einsum('ni,anc->ianc', moved * view.approach, derivative).reshape(-1, *view.reading.shape)
+        for how, along in (('each move', alike), ('the moves of each axis', by_axis)):
+            for hertz in RINGS:
+                yield _ring(since, f'{what}: rings after {how}', along, hertz, RING_TAU)
+
+
+def _ring(since: np.ndarray, label: str, along: np.ndarray, hertz: float, tau: float) -> Form:
+    columns, inside = fading_columns(along, swing_means(since, tau, hertz))
+    return Form(f'{label} at {hertz:.3g} Hz, τ = {tau:.2g} s', columns, tuple(str(i) for i in range(len(columns))),
+                np.full(len(columns), 2e-6), 'rad', inside=inside, shape={'frequency_Hz': hertz, 'tau_s': tau},
+                retune=lambda shape: _ring(since, label, along, shape['frequency_Hz'], shape['tau_s']))

@@ -14,8 +14,12 @@ DARK = 0.1
 """Share of the light of most samples below which a detector tells no place."""
 SPIKE = 7.0
 """Standard deviations by which a spike stands out of both its neighbours, to one side."""
-ALONE = 10.0
-"""Times the next step that a spike at a dwell's end is off."""
+ABRUPT = 2.0
+"""Times the smaller of the next steps to both sides that a spike stands out: the crest of a swing of up to a quarter of
+the sampling rate, that dies away to 1/e in five samples or more, stands out 1.5 times at most."""
+ALONE = 5.0
+"""Times the larger of the next two steps that a spike at a dwell's end is off: of such a swing it is 3, or 4.5 where it
+dies away."""
 AGAIN = 1e-3
 """Share of readings equal to the last but one above which readings move in steps: equal neighbours then say nothing."""
 STANDING = 0.3
@@ -141,14 +145,16 @@ def _spikes(values: np.ndarray, dwell: np.ndarray, setup: np.ndarray, ends: bool
             continue
         x, own = values[kept, k], dwell[kept]
         step = np.where(own[1:] == own[:-1], np.diff(x), np.nan)
-        # What stands out at either end of a dwell has one neighbour; it must leave the next step far behind, as
-        # nothing that settles does.
+        # What stands out at either end of a dwell has one neighbour; it must leave the next steps far behind, as
+        # nothing that settles or swings does.
         before, after = np.append(np.nan, step), np.append(-step, np.nan)
         stands = np.where(before * after > 0.0, np.minimum(np.abs(before), np.abs(after)), 0.0)
-        size = np.concatenate([[np.nan, np.nan], np.abs(step), [np.nan, np.nan]])
-        first = ends & np.isnan(before) & (size[2:-1] > ALONE * size[3:])
-        last = ends & np.isnan(after) & (size[1:-2] > ALONE * size[:-3])
-        stands = np.where(first, size[2:-1], np.where(last, size[1:-2], stands))
+        size = np.concatenate([np.full(3, np.nan), np.abs(step), np.full(3, np.nan)])
+        back, on, earlier, later = size[1:-4], size[4:-1], size[:-5], size[5:]
+        stands = np.where(stands > ABRUPT * np.nan_to_num(np.fmin(back, on)), stands, 0.0)
+        first = ends & np.isnan(before) & (size[3:-2] > ALONE * np.fmax(on, later))
+        last = ends & np.isnan(after) & (size[2:-3] > ALONE * np.fmax(back, earlier))
+        stands = np.where(first, size[3:-2], np.where(last, size[2:-3], stands))
         for s in np.unique(setup[kept]):
             mine = setup[kept] == s
             noise = np.abs(step[mine[1:]])

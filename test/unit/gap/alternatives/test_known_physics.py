@@ -165,3 +165,37 @@ def test_a_standoff_off_is_what_a_fit_of_the_wrong_description_leaves(case):
     mine = view.setup == view.setup_names.index('npp')
     expected = form.columns[0][mine][:, -2:] * 1e-3
     np.testing.assert_allclose(moved[mine][:, -2:], expected, atol=0.02 * np.abs(expected).max())
+
+
+class Ring(Effect):
+    """The mirror's arm rings after each move and dies away."""
+
+    name = 'ring'
+
+    def before_light(self, moment):
+        since = np.maximum(moment.since_arrival, 0.0)
+        swing = 4e-5 * np.exp(-since / 0.28) * np.sin(2.0 * np.pi * 5.13 * since)
+        moment.mirror = moment.mirror + swing[:, None] * np.array([0.8, -0.6])
+
+
+def test_a_ringing_mirror_is_no_servo(case):
+    found = case.diagnose(Ring())
+    assert not found.effects, [(e.name, e.probability) for e in found.effects]
+    assert found.verdict == 'unexplained'
+    assert 'mirror: rings after each move at 5.' in found.unmodelled
+
+
+def test_what_rings_in_the_world_rings_in_the_form(case):
+    """The form against the difference of two worlds, one of which rings: an independent way to its columns."""
+    still, rings = case.observe(), case.observe(Ring())
+    form = next(f for f in beyond_families(still.view)['ring'] if f.label.startswith('mirror: rings after each move'))
+    form = form.retune({'frequency_Hz': 5.13, 'tau_s': 0.28})
+    moved = (rings.bins - still.bins).ravel()
+    columns = np.asarray(form.inside).reshape(len(form.names), -1)
+    keep = np.isfinite(moved)
+    size, *_ = np.linalg.lstsq(columns.T[keep], moved[keep], rcond=None)
+    left = moved[keep] - size @ columns[:, keep]
+    # A bin is half a period long and has six samples: their mean is not quite that of the curve.
+    assert np.linalg.norm(left) < 0.06 * np.linalg.norm(moved[keep])
+    # About u, v: cosines of 0, sines of 0.8 and −0.6.
+    np.testing.assert_allclose(size, 4e-5 * np.array([0.0, 0.8, 0.0, -0.6]), atol=2e-6)

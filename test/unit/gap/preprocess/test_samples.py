@@ -49,6 +49,17 @@ def test_lone_spikes_are_found_at_the_ends_of_dwells_too(case):
     assert np.array_equal(np.flatnonzero(np.isnan(found.displacement.values[:, 0])), np.sort(at))
 
 
+@pytest.mark.parametrize('hertz', [2.0, 5.0, 8.0, 12.0])
+def test_the_crest_of_a_swing_that_dies_away_is_no_spike(case, hertz):
+    log = case.log()
+    values = log.displacement.values.copy()
+    for k, (lo, hi) in enumerate(reduce_log(log).displacement_rows):
+        since = (log.displacement.time_ns[lo:hi] - log.displacement.time_ns[lo]) * 1e-9 + 0.02 * (k % 7) / 7.0
+        values[lo:hi, 0] += 5e-6 * np.exp(-since / 0.1) * np.sin(2.0 * np.pi * hertz * since + k)
+    found, words = clean(replace(log, displacement=replace(log.displacement, values=values)))
+    assert np.isfinite(found.displacement.values).all() and not words
+
+
 def test_a_spike_that_was_read_twice_is_one(case):
     """Where readings move in steps neighbours are often equal: they tell nothing of what was asked for too soon."""
     log = case.log()
