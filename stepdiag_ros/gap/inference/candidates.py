@@ -84,6 +84,7 @@ class Screen:
     _alike: list = field(init=False)
     _judged: dict = field(init=False, default_factory=dict)
     _explained: dict = field(init=False, default_factory=dict)
+    _beyond: dict = field(init=False, default_factory=dict)
 
     def __post_init__(self):
         forms = [c.form for c in self.candidates]
@@ -136,14 +137,17 @@ class Screen:
         if not members:
             return Explained.nothing(self.data)
         key = _key(members)
-        if key not in self._explained:
+        found = self._explained.pop(key, None)
+        if found is None:
             before, mine = self.explained(members[:-1]), self._block(members[-1])
             own = self._discrepancy(members[-1], before, mine)
             found = before.and_then(mine)
+            if own is not None:
+                found = found.and_then(own)
             while len(self._explained) >= REMEMBERED:
                 del self._explained[next(iter(self._explained))]
-            self._explained[key] = found if own is None else found.and_then(own)
-        return self._explained[key]
+        self._explained[key] = found   # last again: the one that was not asked for longest goes first
+        return found
 
     def _block(self, member: Member) -> np.ndarray:
         """Columns (M, k) of a member, in units of the sizes that are allowed."""
@@ -167,17 +171,11 @@ class Screen:
     def sizes(self, members: Sequence[Member], number: int) -> tuple[np.ndarray, np.ndarray]:
         """Coefficients (k,) of the member ``number`` of some, all others free, and their standard deviations, in its
         form's units."""
-        parts, mine = [], self._block(members[number])
-        for count, member in enumerate(members):
-            block = mine if count == number else self._block(member)
-            own = self._discrepancy(member, self.explained(members[:count]), block)
-            parts += [part for part in (block, own) if part is not None and part is not mine]
-        beside = Explained.nothing(self.data)
-        if parts:
-            beside = beside.and_then(np.concatenate(parts, axis=1))
-        values, covariance = beside.coefficients(mine)
+        mine = self._block(members[number])
+        values, covariance = self.explained(members).within(mine)
         unit = self.candidates[members[number].candidate].form.scale * members[number].size
-        return values * unit, np.sqrt(np.diag(covariance)) * unit
+        # Of a coefficient known to the last digit rounding may leave less than nothing.
+        return values * unit, np.sqrt(np.maximum(np.diag(covariance), np.finfo(float).eps)) * unit
 
     def with_jacobian(self, members: Sequence[Member]) -> Member:
         """The last of some members, its evidence with the Jacobian correction whole, not to the second order only: a
@@ -208,9 +206,12 @@ class Screen:
         return self.with_discrepancy((*members[:-1], replace(member, log_bayes=alone))).log_bayes
 
     def _beyond_rows(self, members: Sequence[Member]) -> float:
-        slopes = slopes_of([self.candidates[m.candidate].form for m in members],
-                           lambda number: self.sizes(members, number)[0])
-        return 0.0 if slopes is None else self.parity.beyond_rows(slopes)
+        key = _key(members)
+        if key not in self._beyond:
+            slopes = slopes_of([self.candidates[m.candidate].form for m in members],
+                               lambda number: self.sizes(members, number)[0])
+            self._beyond[key] = 0.0 if slopes is None else self.parity.beyond_rows(slopes)
+        return self._beyond[key]
 
     def with_discrepancy(self, members: Sequence[Member]) -> Member:
         """The last of some members, its evidence that of its form together with the discrepancy of that."""

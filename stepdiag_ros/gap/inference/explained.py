@@ -8,6 +8,7 @@ columns Y it is
 
 so that B grows by U V (1 + λ)^(−½), V and λ the eigenvectors and eigenvalues of YᵀU: nothing that is known is worked
 out again.  Without growing, the coefficients of Y have the mean (1 + YᵀU)⁻¹ Uᵀz and the covariance (1 + YᵀU)⁻¹.
+Those of columns Z that are among what was grown have the mean ZᵀWz and the covariance 1 − ZᵀWZ.
 """
 
 from dataclasses import dataclass
@@ -56,3 +57,10 @@ class Explained:
         free = self.freed(columns)
         covariance = np.linalg.inv(columns.T @ free + np.eye(columns.shape[1]))
         return covariance @ (free.T @ self.data), covariance
+
+    def within(self, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Mean (k,) of the coefficients that columns (M, k) have which are among what is explained, and their covariance
+        (k, k)."""
+        along = self.basis.T @ columns
+        return columns.T @ self.data - along.T @ self.taken, \
+            np.eye(columns.shape[1]) - columns.T @ columns + along.T @ along

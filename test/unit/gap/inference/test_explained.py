@@ -31,6 +31,19 @@ def test_coefficients_beside_others_are_those_of_all_at_once():
     np.testing.assert_allclose(covariance, posterior[:2, :2], atol=1e-12)
 
 
+def test_coefficients_of_what_was_grown_are_those_of_all_at_once():
+    rng = np.random.default_rng(6)
+    data, parts = rng.normal(size=M), [30.0 * rng.normal(size=(M, k)) for k in (2, 3, 1)]
+    found = Explained.nothing(data)
+    for part in parts:
+        found = found.and_then(part)
+    whole = np.concatenate(parts, axis=1)
+    posterior = np.linalg.inv(np.eye(6) + whole.T @ whole)
+    values, covariance = found.within(parts[1])
+    np.testing.assert_allclose(values, (posterior @ whole.T @ data)[2:5], atol=1e-9)
+    np.testing.assert_allclose(covariance, posterior[2:5, 2:5], atol=1e-9)
+
+
 def test_what_is_far_below_the_noise_is_left_out():
     found = Explained.nothing(np.ones(M)).and_then(np.full((M, 1), 0.1 / np.sqrt(M)))
     assert found.basis.shape == (M, 0)
