@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stepdiag_ros.estimate.metres import in_metres
-from stepdiag_ros.estimate.reduce import StopTable, reduce_log
+from stepdiag_ros.estimate.reduce import StopTable, stops_of
 from stepdiag_ros.estimate.solution import Solution
 from stepdiag_ros.estimate.traceability import CELL, TOPICS
 from stepdiag_ros.model.log import CalibrationLog
@@ -65,7 +65,7 @@ def _without_causes(log: CalibrationLog, diagnosis: 'Diagnosis') -> Solution:
     """The evaluation of the readings less what the causes add; its covariance has what is uncertain of the causes."""
     from stepdiag_ros.estimate.evaluate import evaluate_in_full, solution_of
 
-    joint, stops = diagnosis.joint, reduce_log(log)
+    joint, stops = diagnosis.joint, stops_of(log)
     metres = in_metres(log, stops)
     done = {'air': metres.air in (TOPICS, CELL), 'scales': any(metres.conditions.referred)}
     added = _on_stops([active for active in joint.active if not done.get(active.effect.corrected)],

@@ -21,7 +21,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from stepdiag_ros.estimate.conditions import NO_AIR, PLAUSIBLE, UNSEEN_VARIATION, Conditions
-from stepdiag_ros.estimate.reduce import StopTable, reduce_log
+from stepdiag_ros.estimate.reduce import StopTable, stops_of
 from stepdiag_ros.estimate.solution import Solution
 from stepdiag_ros.estimate.traceability import (
     CELL,
@@ -122,7 +122,7 @@ class Metres:
 
 def in_metres(log: CalibrationLog, table: StopTable | None = None) -> Metres:
     """The stops of ``log`` with the index of air and the expansion of the scales taken out."""
-    table = reduce_log(log) if table is None else table
+    table = stops_of(log) if table is None else table
     corrected, conditions, air, index, remarks = _air(log, table)
     corrected, conditions, measured = _referred(log, corrected, conditions)
     part, _ = _recorded(log.environment.get(WORKPIECE), log, (table.dwell_ns + table.done_ns) // 2,

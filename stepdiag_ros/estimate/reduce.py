@@ -2,17 +2,19 @@
 
 A dwell's samples are those with a stamp in ``[DWELL, DONE)`` of the sequencer.
 Samples without signal (quality 0) and samples that are not numbers are left out
-and counted.  Besides the mean the table keeps where a dwell's samples lie, so
-that what happens inside a dwell is not lost to the gap diagnosis.
+and counted; of a log as it was recorded (:func:`stops_of`) what else is no reading is
+too.  Besides the mean the table keeps where a dwell's samples lie, so that what happens
+inside a dwell is not lost to the gap diagnosis.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate.correlated import FIFTHS, SLOPE_AND_BEND, fifths_contrasts
 from stepdiag_ros.estimate.on_centre import on_centre
+from stepdiag_ros.estimate.samples import clean
 from stepdiag_ros.model.log import DONE, DWELL, MOVE, STOOD, CalibrationLog, Samples
 
 MOVED_M = 1e-6
@@ -89,6 +91,13 @@ class StopTable:
         kept = {key: value[rows] if isinstance(value, np.ndarray) and len(value) == n else value
                 for key, value in vars(self).items()}
         return StopTable(**kept)
+
+
+def stops_of(log: CalibrationLog) -> StopTable:
+    """The stops of a log as it was recorded: :func:`reduce_log` of those samples that are readings."""
+    log, left_out = clean(log)
+    table = reduce_log(log)
+    return replace(table, warnings=(*table.warnings, *(f'{log.source}: {words}' for words in left_out)))
 
 
 def reduce_log(log: CalibrationLog, cut: bool = False) -> StopTable:

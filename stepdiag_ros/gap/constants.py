@@ -5,8 +5,8 @@ what they gave on logs sealed afterwards.
 """
 
 ALARM = 8.0
-"""Least log evidence of a set of effects against none for which anything is claimed: odds of a hundred to one for one
-cause of some twenty."""
+"""Least log evidence of a set of effects against none for which anything is claimed, the prior odds against what has no
+name on top: odds of a hundred to one for one cause of some twenty, and the same for what has none."""
 SUSPICION = 6.0
 """Least log evidence of what is followed up on the way to a claim: a set to be fitted, a form to be tuned, an effect
 that may bend the fit, a jump in a dwell, outlying arrivals; and by which what stood before must be better to stay."""

@@ -19,9 +19,9 @@ import numpy as np
 from stepdiag_ros.effects.base import Effect
 from stepdiag_ros.estimate.metres import untold
 from stepdiag_ros.estimate.on_centre import on_centre
+from stepdiag_ros.estimate.samples import clean
 from stepdiag_ros.gap.alternatives.unmodelled import NAME as UNKNOWN
 from stepdiag_ros.gap.constants import (
-    ALARM,
     LARGE_RESIDUAL,
     LEAST_LEFT,
     SCATTER_ALARM,
@@ -42,7 +42,6 @@ from stepdiag_ros.gap.noise.two_states import two_states
 from stepdiag_ros.gap.preprocess.clocks import Late, set_clocks
 from stepdiag_ros.gap.preprocess.detector_range import within_range
 from stepdiag_ros.gap.preprocess.observe import Observation, observe
-from stepdiag_ros.gap.preprocess.samples import clean
 from stepdiag_ros.gap.preprocess.timing import Timing
 from stepdiag_ros.gap.summary.cross_validation import CrossValidation, cross_validated, excess_forecast
 from stepdiag_ros.gap.summary.hint import hint_of
@@ -66,7 +65,7 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
     observation, disturbances = disturbed(log, observation)
     found = settle_in_noise(observation, effects)
     alone, joint, sets, screen = found.alone, found.joint, found.sets, found.screen
-    best = sets[0] if sets[0].log_bayes > ALARM else EffectSet((), 0.0)
+    best = sets[0] if sets[0].log_bayes > sets[0].claimed_from else EffectSet((), 0.0)
     names, nothing, weights = probabilities(sets, len(effects) + 1)
     if not best.members:
         # Below the alarm nothing is claimed, whatever the odds between the sets say.

@@ -6,7 +6,7 @@ import numpy as np
 
 from stepdiag_ros.estimate.solution import Solution
 from stepdiag_ros.gap.alternatives.unmodelled import NAME as UNKNOWN
-from stepdiag_ros.gap.constants import ALARM, CONFUSED
+from stepdiag_ros.gap.constants import CONFUSED
 from stepdiag_ros.gap.diagnosis import AXIS_LIKE, Diagnosis, Found
 from stepdiag_ros.gap.inference.search import NOTHING
 from stepdiag_ros.gap.summary.cross_validation import Distance, cross_validated
@@ -185,7 +185,8 @@ def hint_words(diagnosis: Diagnosis) -> str:
     """How much speaks for what nothing is claimed of; '' where there is no such thing."""
     if not diagnosis.hint:
         return ''
-    times, enough = (f'{float(f"{np.exp(log):.2g}"):.0f}' for log in (diagnosis.hint.found.log_bayes, ALARM))
+    found = diagnosis.hint.found
+    times, enough = (f'{float(f"{np.exp(log):.2g}"):.0f}' for log in (found.log_bayes, found.claimed_from))
     return (f'With {_hinted(diagnosis)} the log is {times} times as likely as without. That is a hint, not a finding: '
             f'a finding takes {enough} times, for probabilities take the noise to be just as thought, and it never '
             'quite is.')

@@ -5,7 +5,8 @@ few columns beats it.  What physics may do beside the vocabulary is therefore of
 parameters too: readings bent at long range, the spot that leaks into the length, a head that is
 twisted by the direction of motion, a guideway that changes its shape with time, a detector that is sheared or has
 another gain on one side of its middle, a standoff that is not as described, readings that follow the light received
-(a beam cut by the mirror's edge), a mirror's arm or a laser's stand that rings after each move.  None has a name here; which of them a log shows is reported in its label.
+(a beam cut by the mirror's edge), a mirror's arm or a laser's stand that rings after each move.  None has a name here;
+which of them a log shows is reported in its label.
 """
 
 from collections.abc import Iterator

@@ -43,9 +43,9 @@ class Candidate:
 @dataclass(frozen=True)
 class Member:
     """An effect in a set, in the form that suits best, and its evidence given those before it; ``size`` of
-    its coefficients, in the form's scales, that is allowed for; ``refused``: why it may not be claimed, else ''; ``at``:
-    the coefficients, in units of ``size``, of which its form's discrepancy is a share, () for those that it has beside
-    the members before it."""
+    its coefficients, in the form's scales, that is allowed for; ``refused``: why it may not be claimed, else ''.
+    ``at``: the coefficients, in units of ``size``, of which its form's discrepancy is a share, () for those that it has
+    beside the members before it."""
 
     effect: str
     candidate: int

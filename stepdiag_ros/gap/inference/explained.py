@@ -59,8 +59,7 @@ class Explained:
         return covariance @ (free.T @ self.data), covariance
 
     def within(self, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Mean (k,) of the coefficients that columns (M, k) have which are among what is explained, and their covariance
-        (k, k)."""
+        """Mean (k,) of the coefficients of columns (M, k) that are among what is explained, and their covariance."""
         along = self.basis.T @ columns
         return columns.T @ self.data - along.T @ self.taken, \
             np.eye(columns.shape[1]) - columns.T @ columns + along.T @ along

@@ -17,7 +17,7 @@ import numpy as np
 from stepdiag_ros.effects.base import Effect
 from stepdiag_ros.estimate.noise import NoiseModel
 from stepdiag_ros.gap.alternatives.unmodelled import NAME as UNKNOWN
-from stepdiag_ros.gap.constants import ALARM, SUSPICION
+from stepdiag_ros.gap.constants import SUSPICION
 from stepdiag_ros.gap.inference.candidates import Screen
 from stepdiag_ros.gap.inference.joint import Active, Joint, fit_jointly, freed, refitted, size_of, unexplained
 from stepdiag_ros.gap.inference.parity import slopes_of
@@ -98,7 +98,7 @@ def _against(nothing: Settled, acting: Settled) -> Settled:
             _, sets = _ahead(nothing, nothing)
             return replace(nothing, joint=nothing.alone, sets=sets)
         return nothing
-    return replace(acting, alone=acting.alone if sets[0].log_bayes > ALARM else nothing.alone, sets=sets)
+    return replace(acting, alone=acting.alone if sets[0].log_bayes > sets[0].claimed_from else nothing.alone, sets=sets)
 
 
 def _ahead(nothing: Settled, acting: Settled) -> tuple[float, list[EffectSet]]:

@@ -14,6 +14,7 @@ import numpy as np
 
 from stepdiag_ros.gap.alternatives.unmodelled import NAME as UNKNOWN
 from stepdiag_ros.gap.constants import (
+    ALARM,
     IMITATION_PENALTY,
     LARGE_EVIDENCE,
     MEMBER_ALARM,
@@ -54,6 +55,16 @@ class EffectSet:
     @cached_property
     def key(self) -> frozenset:
         return frozenset(m.effect for m in self.members)
+
+    @cached_property
+    def penalty(self) -> float:
+        """Log prior odds against what has no name among the members."""
+        return next((m.penalty for m in self.members if m.effect == UNKNOWN), 0.0)
+
+    @property
+    def claimed_from(self) -> float:
+        """The log evidence from which it is claimed: the same odds for all, whatever their prior ones."""
+        return ALARM + self.penalty
 
 
 def joined(screen: Screen, found: EffectSet, member: Member) -> EffectSet:
@@ -216,11 +227,10 @@ def _may_join(screen: Screen, found: EffectSet, effect: str) -> bool:
 def log_prior(found: EffectSet, effects: int) -> float:
     """Logarithm of the prior probability of a set among ``effects`` possible ones."""
     number = len(found.key)
-    penalty = next((m.penalty for m in found.members if m.effect == UNKNOWN), 0.0)
     ways = 1.0
     for i in range(number):
         ways *= (effects - i) / (i + 1)
-    return float(np.log(PRIOR_NUMBER[number]) - np.log(max(ways, 1.0)) - penalty)
+    return float(np.log(PRIOR_NUMBER[number]) - np.log(max(ways, 1.0)) - found.penalty)
 
 
 def probabilities(sets: Sequence[EffectSet], effects: int) -> tuple[Mapping[str, float], float, list[float]]:

@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from stepdiag_ros.estimate.samples import quantum
 from stepdiag_ros.gap.noise.dwell_spectrum import DwellSpectrum, dwell_spectrum
 from stepdiag_ros.gap.noise.mode_hops import ModeHops, mode_hops
 from stepdiag_ros.gap.preprocess.observe import Observation
-from stepdiag_ros.gap.preprocess.samples import quantum
 from stepdiag_ros.gap.preprocess.timing import step_noise
 from stepdiag_ros.model.log import CalibrationLog
 

@@ -11,7 +11,7 @@ from functools import cache, partial
 import numpy as np
 
 from stepdiag_ros.estimate.reduce import StopTable
-from stepdiag_ros.gap.preprocess.samples import quantum
+from stepdiag_ros.estimate.samples import quantum
 from stepdiag_ros.model.log import CalibrationLog, Samples
 
 ONSET_SIGMAS = 8.0

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from stepdiag_ros.gap.constants import ALARM
 from stepdiag_ros.gap.inference.candidates import Screen
 from stepdiag_ros.gap.inference.search import EffectSet, log_prior, probabilities
 
@@ -35,8 +34,8 @@ def weighed(sets: Sequence[EffectSet], effects: int, screen: Screen) -> tuple[We
     rows = []
     for found, weight in zip(sets, weights, strict=True):
         refused = found.refused
-        if not refused and found.members and found.log_bayes < ALARM:
-            refused = f'log evidence below {ALARM:.0f}, what a claim takes'
+        if not refused and found.members and found.log_bayes < found.claimed_from:
+            refused = f'log evidence below {found.claimed_from:.0f}, what a claim takes'
         rows.append(Weighed(tuple(m.effect for m in found.members),
                             tuple(screen.candidates[m.candidate].form.label for m in found.members),
                             found.log_bayes, log_prior(found, effects), weight, refused))

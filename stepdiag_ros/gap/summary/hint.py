@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from stepdiag_ros.gap.constants import ALARM, SUSPICION
+from stepdiag_ros.gap.constants import SUSPICION
 from stepdiag_ros.gap.inference.candidates import Screen
 from stepdiag_ros.gap.inference.search import EffectSet, log_prior
 
@@ -19,7 +19,7 @@ class Hint:
 
     def to_json_dict(self) -> dict:
         return {'names': list(self.forms), 'forms': list(self.forms.values()), 'log_evidence': self.found.log_bayes,
-                'claimed_from': ALARM}
+                'claimed_from': self.found.claimed_from}
 
 
 def hint_of(sets: Sequence[EffectSet], effects: int, screen: Screen) -> Hint | None:
@@ -30,4 +30,5 @@ def hint_of(sets: Sequence[EffectSet], effects: int, screen: Screen) -> Hint | N
         return None
     # Of several forms the first explains the most.
     forms = {m.effect: screen.candidates[m.candidate].form.label for m in reversed(found.members)}
-    return Hint(found, {name: forms[name] for name in dict.fromkeys(found.names)}, max(ALARM - found.log_bayes, ahead))
+    return Hint(found, {name: forms[name] for name in dict.fromkeys(found.names)},
+                max(found.claimed_from - found.log_bayes, ahead))

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from stepdiag_ros.effects import all_effects, effect_class
+from stepdiag_ros.estimate.evaluate import evaluate
 from stepdiag_ros.estimate.reduce import reduce_log
+from stepdiag_ros.estimate.samples import clean, quantum
 from stepdiag_ros.gap import diagnose
-from stepdiag_ros.gap.preprocess.samples import clean, quantum
 
 
 def test_a_tidy_log_is_left_as_it_is(case):
@@ -31,6 +32,39 @@ def test_spots_without_light_are_no_readings(case):
     answer = diagnose(replace(log, spot=spot), [kind() for kind in all_effects().values()])
     gap = answer.cross_validation
     assert answer.verdict == 'no_gap' and gap.after_m < np.sqrt(2.0) * gap.floor_m
+
+
+def test_readings_carried_over_from_before_the_move_are_none(case):
+    """However many: a mean of a dwell in which one is left is off by millimetres.  In steps as well."""
+    log = case.log()
+    rows = reduce_log(log).displacement_rows
+    for values in (log.displacement.values.copy(), np.round(log.displacement.values / 2e-9) * 2e-9):
+        at = []
+        for k, (lo, _) in enumerate(rows[1::9]):
+            at += range(lo, lo + 1 + k % 3)
+            values[lo:lo + 1 + k % 3] = values[lo - 1] = values[lo - 3]
+        found, _ = clean(replace(log, displacement=replace(log.displacement, values=values)))
+        assert np.array_equal(np.flatnonzero(np.isnan(found.displacement.values[:, 0])), np.sort(at))
+
+
+def test_readings_that_stand_still_are_readings(case):
+    """A dwell in which nothing changes is no instrument that was asked too soon."""
+    log = case.log()
+    values = log.displacement.values.copy()
+    for lo, hi in reduce_log(log).displacement_rows:
+        values[lo:hi] = values[lo]
+    found, words = clean(replace(log, displacement=replace(log.displacement, values=values)))
+    assert np.isfinite(found.displacement.values).all() and not words
+
+
+def test_an_evaluation_leaves_out_what_is_no_reading(case):
+    """Duplicates and spikes in a few dwells made the machine's repeatability hundreds of times worse."""
+    samples = '{duplicates: 0.04, spikes: 0.005, dropouts: 0.01, burst: 4}'
+    law = f'{{displacement: {samples}, spot: {samples}}}'
+    tidy, untidy = evaluate(case.log()), evaluate(case.untidy(law))
+    assert untidy.status == tidy.status
+    assert all(untidy.noise[name] < 1.3 * size for name, size in tidy.noise.items() if isinstance(size, float))
+    assert any('repeating the reading before' in words for words in untidy.warnings)
 
 
 def test_a_log_without_intensity_is_believed(case):

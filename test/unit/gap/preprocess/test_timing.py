@@ -7,8 +7,8 @@ import pytest
 
 from stepdiag_ros.effects import effect_class
 from stepdiag_ros.estimate.reduce import reduce_log
+from stepdiag_ros.estimate.samples import quantum
 from stepdiag_ros.gap.preprocess.clocks import late_clocks
-from stepdiag_ros.gap.preprocess.samples import quantum
 from stepdiag_ros.gap.preprocess.timing import _rest, apart, least_noise, step_noise, timing, well_timed
 from stepdiag_ros.model.log import Samples
 

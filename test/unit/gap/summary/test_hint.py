@@ -5,9 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from stepdiag_ros.effects import effect_class
+from stepdiag_ros.effects import all_effects, effect_class
 from stepdiag_ros.effects.base import Effect
-from stepdiag_ros.gap.constants import ALARM, SUSPICION
+from stepdiag_ros.estimate.reduce import reduce_log
+from stepdiag_ros.gap import diagnose
+from stepdiag_ros.gap.alternatives.unmodelled import NAME as UNKNOWN
+from stepdiag_ros.gap.constants import ALARM, SUSPICION, UNKNOWN_PENALTY
 from stepdiag_ros.gap.experiment_design.advice import FOR_HINT, advise
 from stepdiag_ros.gap.experiment_design.extended_log import ExtendedLog, Known
 from stepdiag_ros.gap.experiment_design.next_run import recommend
@@ -124,3 +127,16 @@ def test_light_that_is_only_a_hint_explains_no_hum(case):
     found = case.diagnose(effect_class('ambient_light')(level=0.0, swing=3.57e-3, period=2000.0), Hum())
     assert found.ranking['ambient_light'] >= 0.2 and not found.effects
     assert found.verdict == 'unexplained' and 'swings at 11.3 Hz' in found.unmodelled
+
+
+def test_what_has_no_shape_takes_the_odds_that_a_name_does(case):
+    """A pattern that fits anything is less likely before the log is seen: the evidence must make up for that too."""
+    log = case.log()
+    table, values = reduce_log(log), log.spot.values.copy()
+    own = np.random.default_rng(3).normal(size=(4, 16))
+    for setup, index, (lo, hi) in zip(table.setup, table.index, table.spot_rows, strict=True):
+        values[lo:hi, 1] += 1.3e-7 * own[setup, index] if setup < len(own) else 0.0
+    found = diagnose(replace(log, spot=replace(log.spot, values=values)), [kind() for kind in all_effects().values()])
+    assert found.hint.found.names == (UNKNOWN,)
+    assert ALARM < found.hint.found.log_bayes < found.hint.found.claimed_from == ALARM + UNKNOWN_PENALTY
+    assert found.verdict == 'no_gap'

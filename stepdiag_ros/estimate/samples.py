@@ -23,7 +23,8 @@ dies away."""
 AGAIN = 1e-3
 """Share of readings equal to the last but one above which readings move in steps: equal neighbours then say nothing."""
 STANDING = 0.3
-"""Share of neighbours in the dwells that are equal to the last bit, from which readings may move in steps."""
+"""Share of neighbours in the dwells that are equal to the last bit, from which readings may move in steps, and none is
+a repetition."""
 WHOLE = 0.8
 """Share of the differences between readings that are whole steps."""
 COUNTED = 1e4
@@ -100,7 +101,7 @@ def _clean(log: CalibrationLog, samples: Samples, dark: np.ndarray, ends: bool) 
     dwell = _dwell_of(log, samples)
     inside = dwell >= 0
     dark = inside & ~np.isfinite(values[:, used]).all(axis=1)
-    repeated = _repeated(values[:, used], dwell)
+    repeated = _repeated(values[:, used], dwell) | _carried_over(values[:, used], dwell, samples.setup)
     values[repeated] = np.nan
     spikes = _spikes(values[:, used], dwell, samples.setup, ends)
     values[spikes] = np.nan
@@ -126,10 +127,36 @@ def _repeated(values: np.ndarray, dwell: np.ndarray) -> np.ndarray:
     resting = (dwell[2:] >= 0) & (dwell[2:] == dwell[:-2])
     same = (values[1:] == values[:-1]).all(axis=1)
     returned = (values[2:] == values[:-2]).any(axis=1) & ~same[1:] & ~same[:-1]
-    if not resting.any() or np.mean(returned[resting]) > AGAIN:
+    if not resting.any() or np.mean(returned[resting]) > AGAIN or np.mean(same[1:][resting]) > STANDING:
         return again
     again[1:] = same & (dwell[1:] >= 0) & (dwell[1:] == dwell[:-1])
     return again
+
+
+def _carried_over(values: np.ndarray, dwell: np.ndarray, setup: np.ndarray) -> np.ndarray:
+    """Samples (n,) with which a dwell begins and that still are, to the last bit, the reading before it, from where the
+    machine was before its move: the next one is as far from them as a spike."""
+    out = np.zeros(len(values), bool)
+    begins = 1 + np.flatnonzero((dwell[1:] >= 0) & (dwell[1:] != dwell[:-1]))
+    same = np.append(False, (values[1:] == values[:-1]).all(axis=1))
+    noise = np.stack([_noise(values[:, k], dwell, setup) for k in range(values.shape[1])], axis=1)
+    for begin in begins[same[begins]]:
+        end = begin + int(np.argmin(np.append(same[begin:], False)))
+        if end < len(values) and dwell[end] == dwell[begin]:
+            out[begin:end] = np.any(np.abs(values[end] - values[begin]) > SPIKE * noise[end])
+    return out
+
+
+def _noise(values: np.ndarray, dwell: np.ndarray, setup: np.ndarray) -> np.ndarray:
+    """Noise (n,) of single samples by the steps between neighbours that differ, of each setup; NaN where none do."""
+    step = np.where(dwell[1:] == dwell[:-1], np.abs(np.diff(values)), np.nan)
+    noise = np.full(len(values), np.nan)
+    for s in np.unique(setup):
+        mine = step[setup[1:] == s]
+        mine = mine[np.isfinite(mine) & (mine > 0.0)]
+        if len(mine):
+            noise[setup == s] = np.median(mine) / (0.6745 * np.sqrt(2.0))
+    return noise
 
 
 def _spikes(values: np.ndarray, dwell: np.ndarray, setup: np.ndarray, ends: bool) -> np.ndarray:
@@ -155,14 +182,9 @@ def _spikes(values: np.ndarray, dwell: np.ndarray, setup: np.ndarray, ends: bool
         first = ends & np.isnan(before) & (size[3:-2] > ALONE * np.fmax(on, later))
         last = ends & np.isnan(after) & (size[2:-3] > ALONE * np.fmax(back, earlier))
         stands = np.where(first, size[3:-2], np.where(last, size[2:-3], stands))
-        for s in np.unique(setup[kept]):
-            mine = setup[kept] == s
-            noise = np.abs(step[mine[1:]])
-            noise = noise[np.isfinite(noise) & (noise > 0.0)]
-            if len(noise):
-                found = kept[mine & (stands > SPIKE * np.median(noise) / (0.6745 * np.sqrt(2.0)))]
-                out[found] = True
-                out[[twice[i] for i in found.tolist() if i in twice]] = True
+        found = kept[stands > SPIKE * np.nan_to_num(_noise(x, own, setup[kept]), nan=np.inf)]
+        out[found] = True
+        out[[twice[i] for i in found.tolist() if i in twice]] = True
     return out
 
 
