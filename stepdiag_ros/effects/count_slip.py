@@ -12,6 +12,7 @@ from stepdiag_ros.effects.adoption import Fitted
 from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
 from stepdiag_ros.effects.made import Made
 from stepdiag_ros.effects.patterns import Drawn
+from stepdiag_ros.model.machine import AXES
 
 QUARTER = 3.825e-7
 """λ/4 at 1.53 µm [m]."""
@@ -83,12 +84,15 @@ class CountSlip(Effect):
             rows = rows[np.argsort(view.time[rows], kind='stable')]
             for place in range(1, len(rows)):
                 stop = int(view.index[rows[place]])
+                # What lasts as long as the axis that moved stays where it is may be an error of its arrival.
+                moved = view.axis[rows[place:]]
+                last = bool(moved[0] < len(AXES) and np.all(moved[1:] != moved[0]))
                 for beams in which:
                     beam = '' if beams == slice(None) else f', beam {beams.start}'
                     column = Made((1, *view.reading.shape), _slipped, view.reading.shape, rows[place:], beams)
                     forms.append(Form(
                         f'{view.run_ids[run]} from stop {stop} on{beam}', column,
-                        ('jump',), np.full(1, 1e-6), shape={'run': int(run), 'index': stop}))
+                        ('jump',), np.full(1, 1e-6), shape={'run': int(run), 'index': stop}, of_one_arrival=last))
         return forms
 
     def guess(self, fitted: Fitted) -> Mapping[str, object]:

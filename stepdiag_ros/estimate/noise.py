@@ -89,6 +89,11 @@ class NoiseModel:
         """Whether all arrival errors are normal and independent."""
         return self.position_law.tidy and self.angle_law.tidy
 
+    @property
+    def has_tails(self) -> bool:
+        """Whether arrivals are now and then far off: errors of Student's t."""
+        return bool(np.isfinite([self.position_law.dof, self.angle_law.dof]).any())
+
     def spread_of(self, arrival: np.ndarray) -> np.ndarray:
         """Derivatives ``arrival`` (5, n, c) by arrival errors, each times what it is wider by."""
         return arrival if self.spread is None else arrival * self.spread[:, :, None]

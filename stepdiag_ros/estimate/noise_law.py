@@ -127,8 +127,7 @@ def weighed(noise: NoiseModel, found: Sequence[Errors], stops: int,
                 if latent.stops[k][0] % 2 == turn % 2:
                     spread[kind, latent.stops[k]] = size
         squares.append(square)
-    heavy = np.isfinite(noise.angle_law.dof) or np.isfinite(noise.position_law.dof)
-    return (replace(noise, spread=spread if heavy else None), evidence, np.concatenate(squares),
+    return (replace(noise, spread=spread if noise.has_tails else None), evidence, np.concatenate(squares),
             np.concatenate([errors.latent.source for errors in found]))
 
 

@@ -62,6 +62,8 @@ def settle_in_noise(observation: Observation, effects: Mapping[str, Effect]) -> 
     noise, gain = as_it_is(observation, tidy, observation.table)
     if gain < SUSPICION:
         return plain
+    if noise.has_tails and len(_patterns(plain)) < len(plain.joint.active):
+        plain = Settled(alone, *settle(alone, effects, tails=True))
     found = [plain, _settled_in(noise, observation, effects)]
     if _patterns(plain):
         joint = _without_outliers(plain.joint)
@@ -123,7 +125,7 @@ def _settled_in(noise: NoiseModel, observation: Observation, effects: Mapping[st
     """The fit of the machine alone, and what is found from there, in one noise."""
     fit = sane_fit(observation.log, observation.table, observation.fit.theta, noise)
     alone = fit_jointly(refitted(observation, fit), [], noise)
-    return Settled(alone, *settle(alone, effects))
+    return Settled(alone, *settle(alone, effects, noise.has_tails))
 
 
 def _settles(plain: Settled, hint: float) -> bool:

@@ -32,13 +32,14 @@ TUNED = 4
 """Leading effects whose shape parameters are tuned before sets are formed."""
 
 
-def settle(nominal: Joint, effects: Mapping[str, Effect]) -> tuple[Joint, list[EffectSet], Screen]:
-    """From the fit of the machine alone, search and fit in turns until the chosen set stays the same."""
+def settle(nominal: Joint, effects: Mapping[str, Effect], tails: bool = False) -> tuple[Joint, list[EffectSet], Screen]:
+    """From the fit of the machine alone, search and fit in turns until the chosen set stays the same; where errors of
+    arrivals have ``tails``, one that is far off is one of them, and nothing that does no more is looked for."""
     joint = place_to_begin(nominal, effects)
     previous: tuple = ()
     stood: tuple[list[EffectSet], Screen] | None = None
     for _ in range(ROUNDS):
-        screen = _screen(joint, effects)
+        screen = _screen(joint, effects, tails)
         screen = _sharpened(screen)
         sets = search(screen)
         controls = [Candidate(UNKNOWN, name, form, negative_control=True)
@@ -95,7 +96,7 @@ def noise_of(observation: Observation) -> NoiseModel:
                           observation.fit.arrival)
 
 
-def _screen(joint: Joint, effects: Mapping[str, Effect]) -> Screen:
+def _screen(joint: Joint, effects: Mapping[str, Effect], tails: bool) -> Screen:
     view = joint.observation.view
     candidates = []
     for effect in effects.values():
@@ -120,6 +121,8 @@ def _screen(joint: Joint, effects: Mapping[str, Effect]) -> Screen:
     if named:
         candidates += [Candidate(UNKNOWN, 'inconsistent', form, UNKNOWN_PENALTY)
                        for form in inconsistent_forms(view, [a.form for a in named])]
+    if tails:
+        candidates = [c for c in candidates if not c.form.of_one_arrival]
     repeatable = frozenset(e.name for e in effects.values() if e.repeatable)
     return Screen(joint.parity, candidates, float(sum(joint.noise.dof)), repeatable, modulations(view), effects)
 

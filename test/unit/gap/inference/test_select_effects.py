@@ -2,7 +2,9 @@
 
 import pytest
 
-from stepdiag_ros.effects import effect_class
+from stepdiag_ros.effects import all_effects, effect_class
+from stepdiag_ros.gap.inference.joint import fit_jointly
+from stepdiag_ros.gap.inference.select_effects import noise_of, settle
 from stepdiag_ros.virtual.cell import parse_cell
 from test.unit.gap.conftest import TEXT, Case
 
@@ -29,3 +31,18 @@ def test_what_only_a_beam_that_lengthens_could_replace_stays_found(large):
 
 def test_nothing_is_found_where_a_beam_that_shortens_does_as_well(large):
     assert large.diagnose(effect_class('non_rigid_coupling')(motion='EXX', by='Z', amp=1e-5)).verdict == 'no_gap'
+
+
+def test_what_is_one_arrival_is_not_looked_for_where_errors_have_tails(case):
+    """A slip that lasts as long as the axis that moved stays is an error of its arrival, and a tail where there are."""
+    effects = {name: kind() for name, kind in all_effects().items()}
+    view = case.observe().view
+    run = view.run_ids.index('ppp/0/+')
+    single = {form.shape['index'] for form in effects['count_slip'].appearance(view)
+              if form.shape['run'] == run and form.of_one_arrival}
+    last = view.index[view.run == run].max()
+    assert single == {last - 2, last - 1, last}   # of each axis its last
+    joint = fit_jointly(case.observe(), [], noise_of(case.observe()))
+    for tails in (False, True):
+        _, _, screen = settle(joint, effects, tails)
+        assert any(c.form.of_one_arrival for c in screen.candidates) != tails
