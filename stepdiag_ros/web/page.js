@@ -43,7 +43,8 @@ function connect() {
   scene = now = shown = null; lengths = []; spots = [];
   byId('detail').hidden = true;
   for (const id of ['curves', 'squareness', 'remarks', 'gap', 'streams', 'scene']) byId(id).replaceChildren();
-  byId('state').textContent = byId('fit').textContent = byId('where').textContent = '';
+  byId('state').textContent = byId('where').textContent = '';
+  byId('fit').textContent = 'None yet: they come with the first setup that can be evaluated.';
   socket = new WebSocket(`${location.protocol === 'https:' ? 'wss' : 'ws'}://${location.host}/live?machine=`
     + encodeURIComponent(chosen()));
   socket.onmessage = event => { attempt = 0; show(JSON.parse(event.data)); };
