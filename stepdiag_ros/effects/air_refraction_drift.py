@@ -66,7 +66,8 @@ class AirRefractionDrift(Effect):
             # The air of the dead path changes as that of the way does: one profile, and one dead path a log.
             label = '' if share == 1.0 else f'dead path {share:g} times as described'
             path = on_lengths(view, view.distance + (share - 1.0) * float(np.nanmin(view.distance)))[None]
-            forms += [replace(follow(view, profile, path, ('index',), 1e-6, '1', label), source=f'dead path {share}')
+            forms += [replace(follow(view, profile, path, ('index',), 1e-6, '1', label, begun=True),
+                              source=f'dead path {share}')
                       for profile in pace if share == 1.0 or profile.label in ('linear', *ROUGHNESS)]
         logged = self._logged(view)
         if logged is not None:

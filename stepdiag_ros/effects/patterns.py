@@ -13,19 +13,19 @@ BETWEEN_SETUPS = 0.1
 
 
 def follow(view: StopView, profile: TimeProfile, signature: np.ndarray, names: tuple[str, ...], scale: float,
-           units: str = 'm', label: str = '') -> Form:
+           units: str = 'm', label: str = '', begun: bool = False) -> Form:
     """:func:`~stepdiag_ros.effects.timeforms.drift_form` with one typical size for all coefficients."""
-    return drift_form(view, profile, signature, names, np.full(len(names), scale), label, units)
+    return drift_form(view, profile, signature, names, np.full(len(names), scale), label, units, begun)
 
 
 def each_alone(view: StopView, pace: Iterable[TimeProfile], signature: np.ndarray, names: tuple[str, ...],
-               scale: float, units: str = 'm', label: str = '') -> list[Form]:
+               scale: float, units: str = 'm', label: str = '', begun: bool = False) -> list[Form]:
     """Forms for each row of ``signature`` (m, n, c) by itself: often one axis warms and the others hardly.
 
     Rows that this log cannot show, an axis that never moved, have none; nor have cycles and what slows down, which
     an unknown profile follows as well and which all rows together have.
     """
-    return [follow(view, profile, row[None], (name,), scale, units, f'{name} alone{label}')
+    return [follow(view, profile, row[None], (name,), scale, units, f'{name} alone{label}', begun)
             for profile in pace if 'period_s' not in profile.shape and profile.label != SLOWING
             for row, name in zip(signature, names, strict=True) if np.any(row)]
 

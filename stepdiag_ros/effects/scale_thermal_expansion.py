@@ -57,7 +57,7 @@ class ScaleThermalExpansion(Effect):
         axes = ('X', 'Y', 'Z')
         growth = view.commanded.T[:, :, None] * view.by_shift
         pace = time_profiles(view.elapsed, view.watches)
-        forms = [follow(view, profile, growth, axes, 1e-5, '1') for profile in drift_profiles(view)]
+        forms = [follow(view, profile, growth, axes, 1e-5, '1', begun=True) for profile in drift_profiles(view)]
         # A scale that is held elsewhere than at its zero also shifts the axis as a whole: somewhere along the
         # travel, so that it is taken from the middle on, by at most half of it either way.
         travel = np.maximum(np.ptp(view.commanded, axis=0), 1e-3)
@@ -65,7 +65,7 @@ class ScaleThermalExpansion(Effect):
         both = np.concatenate([(view.commanded - middle).T[:, :, None] * view.by_shift, view.by_shift])
         named = axes + tuple(f'{axis} shift' for axis in axes)
         size = 1e-5 * np.concatenate([np.ones(3), travel / np.sqrt(12.0)])
-        forms += [drift_form(view, profile, both, named, size, 'held elsewhere than at zero', '1, m')
+        forms += [drift_form(view, profile, both, named, size, 'held elsewhere than at zero', '1, m', begun=True)
                   for profile in pace
                   if profile.label in ('linear', *ROUGHNESS)
                   or profile.shape.get('tau_s', 0.0) > 0.2 * np.ptp(view.time)]
@@ -75,7 +75,7 @@ class ScaleThermalExpansion(Effect):
             held = view.commanded.min(axis=0) + share * travel
             one = ((view.commanded - held) * moved).T[:, :, None] * view.by_shift
             fitting = [c for c in pace if not share or c.label in ROUGHNESS]
-            forms += each_alone(view, fitting, one, axes, 1e-5, '1', label)
+            forms += each_alone(view, fitting, one, axes, 1e-5, '1', label, begun=True)
         return self._logged(view, growth, both, size) + forms
 
     @staticmethod

@@ -42,8 +42,9 @@ class SquarenessDrift(Effect):
     def appearance(self, view: StopView) -> list[Form]:
         signature = np.stack([self._column(view, name) for name in SQUARENESS])
         pace = time_profiles(view.elapsed, view.watches)
-        return [follow(view, profile, signature, SQUARENESS, 1e-5, 'rad') for profile in drift_profiles(view)] \
-            + each_alone(view, pace, signature, SQUARENESS, 1e-5, 'rad')
+        return [follow(view, profile, signature, SQUARENESS, 1e-5, 'rad', begun=True)
+                for profile in drift_profiles(view)] \
+            + each_alone(view, pace, signature, SQUARENESS, 1e-5, 'rad', begun=True)
 
     @staticmethod
     def _column(view: StopView, name: str) -> np.ndarray:

@@ -143,11 +143,12 @@ def _following_inside(rates: np.ndarray, signature: np.ndarray, bin_time: np.nda
 
 
 def drift_form(view: StopView, profile: TimeProfile, signature: np.ndarray, names: tuple[str, ...],
-               scale: np.ndarray, label: str = '', units: str = 'm') -> Form:
+               scale: np.ndarray, label: str = '', units: str = 'm', begun: bool = False) -> Form:
     """A signature (m, n, c) that follows a profile: columns at the stops and the slope inside the dwells.
 
     ``names`` (m,) and ``scale`` (m,) belong to the signature; each is repeated for every function
-    of the profile.
+    of the profile.  ``begun``: it may have acted before the log began, which no reading shows and the errors of the
+    machine do: as much as in the log may have been there all the while.
     """
     count = len(profile.values)
     n, c = view.reading.shape
@@ -159,5 +160,7 @@ def drift_form(view: StopView, profile: TimeProfile, signature: np.ndarray, name
                 (np.tile(scale, count) if profile.sizes is None else np.outer(profile.sizes, scale).ravel()),
                 units, inside, profile.shape,
                 None if profile.retune is None else lambda shape: drift_form(
-                    view, profile.retune(shape), signature, names, scale, label, units),
-                process=profile.sizes is not None)
+                    view, profile.retune(shape), signature, names, scale, label, units, begun),
+                process=profile.sizes is not None,
+                beside=Form(f'{label}{", " if label else ""}before the log', signature, names, scale, units)
+                if begun else None)

@@ -65,6 +65,24 @@ def test_beside_a_motion_that_bends_others_may_bend_unseen(case):
     assert np.linalg.norm(more) > np.linalg.norm(less) and np.any(more > 1.5 * less)
 
 
+def test_what_drifted_before_the_log_began_is_uncertain(case):
+    """As large a change of all lengths as the air makes in the log is in the errors, and no reading shows it."""
+    found = case.diagnose(effect_class('air_refraction_drift')(dT=4.0, dP=0.0, tau=300.0))
+    (active,) = found.joint.active
+    assert active.effect.name == 'air_refraction_drift'
+    index = np.abs(active.coefficients).max()
+    for name, length in (('EXX', 0.5), ('EYY', 0.4), ('EZZ', 0.3)):
+        assert found.solution.sigma[found.solution.names.index((name, 5))] > 0.8 * index * length
+
+
+@pytest.mark.parametrize('name', ['air_refraction_drift', 'scale_thermal_expansion', 'squareness_drift'])
+def test_a_drift_stays_uncertain_before_the_log_however_it_is_tuned(case, name):
+    for form in effect_class(name)().appearance(case.observe().view):
+        for one in (form, *([form.retune(form.shape)] if form.retune else [])):
+            assert one.beside is not None and 'before the log' in one.beside.label
+            assert one.beside.columns.shape[1:] == one.columns.shape[1:]
+
+
 def test_a_form_that_the_log_cannot_tell_from_the_chosen_one_counts(found):
     """The same form, but for something that the fit would take for an error of the machine."""
     joint, (active,) = found.joint, found.joint.active
