@@ -35,6 +35,8 @@ MOST_FORMS = 6
 HOPELESS = 60.0
 """Sets this far behind in log evidence, and by more than ``BEHIND`` of the best, are not carried on."""
 BEHIND = 0.1
+BEYOND_REACH = 30.0
+"""Sets this far behind the best whose discrepancies are in place have no part in the answer, wherever theirs are."""
 GAIN = 3.0
 """Least growth of log evidence for which a set is carried on with a further member."""
 
@@ -114,15 +116,14 @@ def search(screen: Screen) -> list[EffectSet]:
 
 def _in_place(screen: Screen, sets: Iterable[EffectSet]) -> Iterator[EffectSet]:
     """The sets, of those worth it each form's discrepancy at what the form does beside all the others."""
-    sets = list(sets)
-    within = max(found.log_bayes for found in sets) - HOPELESS
-    for found in sets:
-        if len(found.members) < 2 or found.log_bayes < within:
-            yield found
-            continue
-        members = tuple(screen.in_place(found.members))
-        more = sum(m.log_bayes for m in members) - sum(m.log_bayes for m in found.members)
-        yield replace(found, members=members, log_bayes=found.log_bayes + more)
+    best = 0.0
+    for found in sorted(sets, key=lambda s: -s.log_bayes):
+        if len(found.members) > 1 and found.log_bayes > best - BEYOND_REACH:
+            members = tuple(screen.in_place(found.members))
+            more = sum(m.log_bayes for m in members) - sum(m.log_bayes for m in found.members)
+            found = replace(found, members=members, log_bayes=found.log_bayes + more)
+        best = max(best, found.log_bayes)
+        yield found
 
 
 def _with_imitations(screen: Screen, sets: Iterable[EffectSet]) -> Iterator[EffectSet]:
