@@ -106,7 +106,8 @@ def _clean(log: CalibrationLog, samples: Samples, dark: np.ndarray, ends: bool) 
     spikes = _spikes(values[:, used], dwell, samples.setup, ends)
     values[spikes] = np.nan
     count = max(int(inside.sum()), 1)
-    return replace(samples, values=values), LeftOut(dark.sum() / count, repeated.sum() / count, spikes.sum() / count)
+    return replace(samples, values=values), LeftOut(dark.sum() / count, (repeated & inside).sum() / count,
+                                                    spikes.sum() / count)
 
 
 def _dwell_of(log: CalibrationLog, samples: Samples) -> np.ndarray:
@@ -129,7 +130,8 @@ def _repeated(values: np.ndarray, dwell: np.ndarray) -> np.ndarray:
     returned = (values[2:] == values[:-2]).any(axis=1) & ~same[1:] & ~same[:-1]
     if not resting.any() or np.mean(returned[resting]) > AGAIN or np.mean(same[1:][resting]) > STANDING:
         return again
-    again[1:] = same & (dwell[1:] >= 0) & (dwell[1:] == dwell[:-1])
+    # In motion too: there it would be late by the time between two samples, and a clock seem off.
+    again[1:] = same
     return again
 
 

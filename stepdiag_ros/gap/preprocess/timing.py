@@ -26,6 +26,8 @@ LONGER = 4
 """Times a delay between the sensors is sought again, once what was found of it is taken off."""
 MOST_NOISE = 0.5
 """Noise over step of a move, above which it says next to nothing of a delay; hundreds of faint moves together do."""
+MOST_GAP = 2.5
+"""Periods between two samples of a move, above which it tells nothing of a delay."""
 FAINT = 1e-5
 """Noise over step, above which a jerk-limited move is well under way before it is seen."""
 
@@ -79,14 +81,15 @@ def timing(samples: Samples, table: StopTable, columns: np.ndarray) -> Timing | 
         duration = table.dwell_ns[i] - table.move_ns[i]
         pad = (table.done_ns[i] - table.dwell_ns[i]) // 2
         lo, hi = np.searchsorted(samples.time_ns, [table.move_ns[i] - pad, table.dwell_ns[i] + pad])
-        time = (samples.time_ns[lo:hi] - table.move_ns[i]) * 1e-9
+        there = lo + np.flatnonzero(np.isfinite(samples.values[lo:hi, k]))
+        time = (samples.time_ns[there] - table.move_ns[i]) * 1e-9
         inside = (time > 0.0) & (time < duration * 1e-9)
         if inside.sum() < 4:
             continue
         level, goal = rest(i - 1, k), rest(i, k)
         if level is None or goal is None or goal[0] == level[0]:
             continue
-        values = samples.values[lo:hi, k]
+        values = samples.values[there, k]
         progress = (values - level[0]) / (goal[0] - level[0])
         moving = progress[(progress > 0.05) & (progress < 0.95)]
         if len(np.unique(moving)) < max(3, 0.8 * len(moving)):
@@ -221,12 +224,14 @@ def _progress(samples: Samples, table: StopTable, columns: np.ndarray, i: int,
     if hi - lo < 8 or level is None or goal is None or goal[0] == level[0]:
         return None
     noise = max(level[1], goal[1]) / abs(goal[0] - level[0])
-    if noise > MOST_NOISE or not np.isfinite(samples.values[lo:hi, k]).all():
+    time, values = (samples.time_ns[lo:hi] - table.move_ns[i]) * 1e-9, samples.values[lo:hi, k]
+    there = np.isfinite(values)
+    step_s = np.diff(time)
+    # Between two samples one may be missing, as where it was no reading; over more the way is not known.
+    if noise > MOST_NOISE or np.any(step_s <= 0.0) or not there.any() \
+            or np.max(np.diff(time[there]), initial=0.0) > MOST_GAP * np.median(step_s):
         return None
-    time = (samples.time_ns[lo:hi] - table.move_ns[i]) * 1e-9
-    if np.any(np.diff(time) <= 0.0):
-        return None
-    return time, (samples.values[lo:hi, k] - level[0]) / (goal[0] - level[0]), noise
+    return time[there], (values[there] - level[0]) / (goal[0] - level[0]), noise
 
 
 def _drift(offsets: np.ndarray, times: np.ndarray, kinds: list[tuple]) -> tuple[float, float]:

@@ -7,7 +7,7 @@ import pytest
 
 from stepdiag_ros.effects import effect_class
 from stepdiag_ros.estimate.reduce import reduce_log
-from stepdiag_ros.estimate.samples import quantum
+from stepdiag_ros.estimate.samples import clean, quantum
 from stepdiag_ros.gap.preprocess.clocks import late_clocks
 from stepdiag_ros.gap.preprocess.timing import _rest, apart, least_noise, step_noise, timing, well_timed
 from stepdiag_ros.model.log import Samples
@@ -199,3 +199,14 @@ def test_what_is_rounded_off_by_drawing(sigma):
     found = step_noise(log, rows, np.array([width]))[0]
     assert found == pytest.approx(float(np.mean(off**2)), rel=0.1, abs=1.2 * white)
     assert sigma or found == pytest.approx(width**2 / 12.0, rel=0.05)
+
+
+def test_a_reading_that_is_repeated_in_motion_is_not_late(case):
+    """A fifth of the samples repeats the one before: the moves begin when they do, and all of them tell it."""
+    plain = _seen(case.log())
+    log, _ = clean(case.untidy('{displacement: {duplicates: 0.2}, spot: {duplicates: 0.2}}'))
+    clock = _seen(log)
+    assert clock.moves == plain.moves
+    assert clock.onset == pytest.approx(plain.onset, abs=1e-3)
+    delay, sigma = apart(log, reduce_log(log))
+    assert abs(delay) < max(1e-3, 5.0 * sigma)
