@@ -202,9 +202,9 @@ def test_what_is_rounded_off_by_drawing(sigma):
 
 
 def test_a_reading_that_is_repeated_in_motion_is_not_late(case):
-    """A fifth of the samples repeats the one before: the moves begin when they do, and all of them tell it."""
+    """One sample of twelve repeats the one before: the moves begin when they do, and all of them tell it."""
     plain = _seen(case.log())
-    log, _ = clean(case.untidy('{displacement: {duplicates: 0.2}, spot: {duplicates: 0.2}}'))
+    log, _ = clean(case.untidy('{displacement: {duplicates: 0.08}, spot: {duplicates: 0.08}}'))
     clock = _seen(log)
     assert clock.moves == plain.moves
     assert clock.onset == pytest.approx(plain.onset, abs=1e-3)
