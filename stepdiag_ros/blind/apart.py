@@ -22,7 +22,7 @@ from stepdiag_ros.twin.effect_check import left_by
 
 def apart(made: SealedWorld, bare: Observation) -> dict[str, float]:
     """σ that the best form of each effect of the vocabulary leaves of the one that acts; ``bare``: without it."""
-    changed = observe(made.log)
+    changed = observe(made.smooth)
     true = Noise(**made.truth['noise'])
     noise = NoiseModel(true.position_repeatability, true.angle_repeatability,
                        sensor_noise(bare.table, true), 'belief')

@@ -32,7 +32,7 @@ def judge_apart(folder: Path, processes: int = 2, progress: bool = True) -> None
 
 
 def _floor(purpose: str, seed: int, entry: Entry) -> Entry:
-    return {'noise_chi2': floor(observe(make(kind_order(purpose, seed, entry)).yardstick.log))}
+    return {'noise_chi2': floor(observe(make(kind_order(purpose, seed, entry)).undisturbed))}
 
 
 def _apart(purpose: str, seed: int, entry: Entry) -> Entry:

@@ -55,7 +55,8 @@ class Order:
 
 @dataclass(frozen=True)
 class SealedWorld:
-    """A log and the truth about it; ``yardstick`` where effects act; ``cell`` and ``conditions`` to measure on."""
+    """A log and the truth about it; ``yardstick`` where effects act; ``cell`` and ``conditions`` to measure on;
+    ``smooth``: the log as it were under normal noise, in which effects are measured."""
 
     log: CalibrationLog
     truth: dict[str, Any]
@@ -63,6 +64,12 @@ class SealedWorld:
     yardstick: Yardstick | None
     cell: Cell
     conditions: Conditions
+    smooth: CalibrationLog
+
+    @property
+    def undisturbed(self) -> CalibrationLog:
+        """The same log without its effects."""
+        return measure(self.cell, self.conditions)
 
 
 def kind_of(name: str) -> type[Hidden]:
@@ -100,15 +107,16 @@ def _attempt(order: Order, rng: np.random.Generator, last: bool) -> SealedWorld 
         return None if not last else _finish(order, cell, conditions, None, (), ())
     if not kinds:
         return _finish(order, cell, conditions, None, (), ())
-    bare = measure(cell, conditions)
+    tidy = _tidy(cell)
+    bare = measure(tidy, conditions)
     stamps = any(kind.inside == 'stamps' for kind in kinds)
-    yardstick = Yardstick(cell, bare, measure(without_sensor_noise(cell), conditions) if stamps else None)
+    yardstick = Yardstick(tidy, bare, measure(without_sensor_noise(tidy), conditions) if stamps else None)
     stage = stage_of(cell, bare, conditions.start_ns, order.wide)
     effects, seen = [], []
     for kind in kinds:
         effect = kind(stage, rng)
         def see(effect: Hidden) -> Visibility:
-            return _visible(yardstick, measure(_as_seen(cell, [effect]), conditions, [effect]), [effect])
+            return _visible(yardstick, measure(_as_seen(tidy, [effect]), conditions, [effect]), [effect])
         target = draw_target(rng, order.category == 'pair', order.wide)
         if effect.drawn is not None:
             effect.size = float(np.exp(rng.uniform(*np.log(effect.drawn))))
@@ -128,6 +136,12 @@ def _untidy(order: Order, cell: Cell) -> Cell:
     if rng.random() >= order.untidy:
         return cell
     return replace(cell, noise_law=untidy_law(rng, cell.description.noise))
+
+
+def _tidy(cell: Cell) -> Cell:
+    """The cell in which the yardstick measures: its noise is gone from the difference of two logs, with an effect and
+    without.  Of readings in steps what is rounded off stays in it, and an effect that does nothing would be seen."""
+    return replace(cell, noise_law=NoiseLaws())
 
 
 def _acts_inside(effects: Sequence[Hidden]) -> str | None:
@@ -180,9 +194,11 @@ def _finish(order: Order, cell, conditions, yardstick, effects, seen) -> SealedW
         'untidy': order.untidy, 'noise_law': None if cell.noise_law == NoiseLaws() else asdict(cell.noise_law),
         'noise': vars(cell.description.noise), 'errors': truth(cell)['errors'],
         'misalignments': truth(cell)['misalignments']}
+    tidy = _tidy(cell)
+    smooth = log if tidy == cell else measure(tidy, conditions, effects)
     if effects:
-        seen_in = _as_seen(cell, effects)
+        seen_in = _as_seen(tidy, effects)
         entry['visibility'] = _visible(
-            yardstick, log if seen_in is cell else measure(seen_in, conditions, effects), effects).total
-        entry['shares'] = yardstick.shares(yardstick.change(log))
-    return SealedWorld(log, entry, effects, yardstick, cell, conditions)
+            yardstick, smooth if seen_in is tidy else measure(seen_in, conditions, effects), effects).total
+        entry['shares'] = yardstick.shares(yardstick.change(smooth))
+    return SealedWorld(log, entry, effects, yardstick, cell, conditions, smooth)

@@ -181,6 +181,14 @@ def test_untidy_noise_is_drawn_besides_all_else() -> None:
     np.testing.assert_array_equal(tidy.log.steps.time_ns, untidy.log.steps.time_ns)
 
 
+def test_what_readings_in_steps_round_off_is_no_visibility() -> None:
+    """The same effect, of the same size and as well seen, under tidy noise and untidy."""
+    tidy, untidy = (make(Order('develop', 9, 4, 'single', ('scale_thermal_expansion',), 'varied', True, share))
+                    for share in (0.0, 1.0))
+    assert any(law['quantum'] for law in untidy.truth['noise_law'].values() if 'quantum' in law)
+    assert tidy.truth['effects'] == untidy.truth['effects'] and tidy.truth['shares'] == untidy.truth['shares']
+
+
 def test_live_logs_come_last_and_every_second_is_loaded() -> None:
     todo = orders('develop', 9, {'null': 2, 'live': 4}, untidy=0.5)
     assert [order.live for order in todo] == [False] * 2 + [True] * 4
