@@ -94,10 +94,10 @@ def _dark(intensity: np.ndarray) -> np.ndarray:
 
 
 def _clean(log: CalibrationLog, samples: Samples, dark: np.ndarray, ends: bool) -> tuple[Samples, LeftOut]:
-    if not len(samples):
+    used = np.isfinite(samples.values).any(axis=0)
+    if not used.any():
         return samples, LeftOut(0.0, 0.0, 0.0)
     values = np.where(dark[:, None], np.nan, samples.values)
-    used = np.isfinite(samples.values).any(axis=0)
     dwell = _dwell_of(log, samples)
     inside = dwell >= 0
     dark = inside & ~np.isfinite(values[:, used]).all(axis=1)
@@ -168,6 +168,8 @@ def _spikes(values: np.ndarray, dwell: np.ndarray, setup: np.ndarray, ends: bool
     # Neighbours are those that are left: what is without signal stands between none.
     for k in range(values.shape[1]):
         kept = np.flatnonzero(np.isfinite(values[:, k]) & (dwell >= 0))
+        if len(kept) < 3:
+            continue
         again = _read_twice(values[kept, k], dwell[kept])
         twice, kept = {int(kept[i - 1]): int(kept[i]) for i in np.flatnonzero(again)}, kept[~again]
         if len(kept) < 3:

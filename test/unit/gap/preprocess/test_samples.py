@@ -47,6 +47,16 @@ def test_readings_carried_over_from_before_the_move_are_none(case):
         assert np.array_equal(np.flatnonzero(np.isnan(found.displacement.values[:, 0])), np.sort(at))
 
 
+@pytest.mark.parametrize('left', [0, 1, 2, 5])
+def test_hardly_any_sample_is_left_as_it_is(case, left):
+    """A sensor that was dead, or a log cut after its first samples."""
+    log = case.log()
+    values = log.displacement.values.copy()
+    values[left:] = np.nan
+    found, _ = clean(replace(log, displacement=replace(log.displacement, values=values)))
+    assert np.array_equal(found.displacement.values, values, equal_nan=True)
+
+
 def test_readings_that_stand_still_are_readings(case):
     """A dwell in which nothing changes is no instrument that was asked too soon."""
     log = case.log()
