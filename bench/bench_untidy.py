@@ -22,7 +22,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from stepdiag_ros.bag.reader import read_log
-from stepdiag_ros.blind.score import normalised_errors
+from stepdiag_ros.blind.score import en_within
 from stepdiag_ros.cli.main import main as stepdiag
 from stepdiag_ros.estimate.evaluate import evaluate
 
@@ -37,17 +37,17 @@ def main() -> None:
         stepdiag(['blind', 'seal', '--purpose', 'develop', '--seed', str(given.seed), '--null', str(given.logs),
                   '--untidy', '0.5', '--wide', '--quiet', '--out', str(folder)])
         truth = json.loads((folder / 'sealed' / 'truth.json').read_text())['logs']
-        within, ratios, ok = [], [], 0
+        cases, ratios, ok = [], [], 0
         for name, world in truth.items():
             found = evaluate(read_log(folder / 'logs' / name))
-            case = SimpleNamespace(extra={'errors': {'found': found.to_json_dict()['errors']}}, truth=world)
-            within.append(np.abs(normalised_errors(case, 'found')) <= 2.0)
+            cases.append(SimpleNamespace(extra={'errors': {'after': found.to_json_dict()['errors']}}, truth=world))
             ratios += [found.noise[f'{what}_repeatability_{unit}'] / world['noise'][f'{what}_repeatability']
                        for what, unit in (('position', 'm'), ('angle', 'rad'))]
             ok += found.status == 'ok'
-            print(f'{name}: {found.status}, {100.0 * within[-1].mean():.1f} % within U', flush=True)
+            print(f'{name}: {found.status}, {100.0 * en_within(cases[-1:])["value"]:.1f} % within U', flush=True)
     low, middle, high = np.quantile(ratios, (0.0, 0.5, 1.0))
-    print(f'| {len(truth)} | {sum(map(len, within))} | {100.0 * np.concatenate(within).mean():.1f} % '
+    within = en_within(cases)
+    print(f'| {len(truth)} | {within["count"]} | {100.0 * within["value"]:.1f} % '
           f'| {middle:.2f}; {low:.2f} to {high:.2f} | {ok} of {len(truth)} |')
 
 

@@ -194,9 +194,10 @@ def _finish(order: Order, cell, conditions, yardstick, effects, seen) -> SealedW
         'untidy': order.untidy, 'noise_law': None if cell.noise_law == NoiseLaws() else asdict(cell.noise_law),
         'noise': vars(cell.description.noise), 'errors': truth(cell)['errors'],
         'misalignments': truth(cell)['misalignments']}
-    tidy = _tidy(cell)
-    smooth = log if tidy == cell else measure(tidy, conditions, effects)
+    smooth = log
     if effects:
+        tidy = _tidy(cell)
+        smooth = log if tidy == cell else measure(tidy, conditions, effects)
         seen_in = _as_seen(tidy, effects)
         entry['visibility'] = _visible(
             yardstick, smooth if seen_in is tidy else measure(seen_in, conditions, effects), effects).total

@@ -85,9 +85,8 @@ class ServoSettling(Effect):
         arrived; by what happens at a run's first stop."""
         moved, before = last_arrivals(view)
         found = {'': (-(moved * view.approach).T[:, :, None] * view.by_shift, before)}
-        step = np.diff(view.commanded, axis=0, prepend=np.inf)
         # The move to a run's start may be a short while ago too; where several axes moved there was time.
-        step = np.sign(np.nan_to_num(step, posinf=0.0))
+        step = np.sign(np.diff(view.commanded, axis=0, prepend=view.commanded[:1]))
         single = (np.abs(step).sum(axis=1) == 1.0) & (view.axis == NONE)
         if single.any():
             sign = np.where(single[:, None], step, moved * view.approach)

@@ -141,8 +141,11 @@ def _carried_over(values: np.ndarray, dwell: np.ndarray, setup: np.ndarray) -> n
     out = np.zeros(len(values), bool)
     begins = 1 + np.flatnonzero((dwell[1:] >= 0) & (dwell[1:] != dwell[:-1]))
     same = np.append(False, (values[1:] == values[:-1]).all(axis=1))
+    begins = begins[same[begins]]
+    if not len(begins):
+        return out
     noise = np.stack([_noise(values[:, k], dwell, setup) for k in range(values.shape[1])], axis=1)
-    for begin in begins[same[begins]]:
+    for begin in begins:
         end = begin + int(np.argmin(np.append(same[begin:], False)))
         if end < len(values) and dwell[end] == dwell[begin]:
             out[begin:end] = np.any(np.abs(values[end] - values[begin]) > SPIKE * noise[end])

@@ -6,18 +6,9 @@ import pytest
 from stepdiag_ros.effects.base import Form
 from stepdiag_ros.gap.inference.candidates import Candidate, Member, Screen
 from stepdiag_ros.gap.inference.evidence import SIZES, log_mean
-from stepdiag_ros.gap.inference.parity import Parity
+from test.unit.gap.inference.white_space import white_space
 
 N = 60
-
-
-class White:
-    """Readings that are white as they come."""
-
-    rows, factor = np.arange(N), np.eye(N)
-
-    def __call__(self, flat: np.ndarray) -> np.ndarray:
-        return flat
 
 
 @pytest.fixture
@@ -35,9 +26,7 @@ def forms() -> list[Form]:
 
 
 def _screen(forms: list[Form], data: np.ndarray, noise_dof: float) -> Screen:
-    nothing = np.zeros((1, 1))
-    space = Parity(data, N, (N, 0), np.zeros(N, int), np.arange(N), 1.0, [White()], np.zeros((N, 1)), nothing, nothing,
-                   np.zeros((N, 1, 3)))
+    space = white_space(data)
     return Screen(space, [Candidate(form.label, '', form) for form in forms], noise_dof)
 
 

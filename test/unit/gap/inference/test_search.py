@@ -15,25 +15,15 @@ from stepdiag_ros.gap.inference.evidence import SIZES
 from stepdiag_ros.gap.inference.joint import solve, tuned
 from stepdiag_ros.gap.inference.parity import Parity
 from stepdiag_ros.gap.inference.search import HOPELESS, EffectSet, joined, log_prior, probabilities, search
+from test.unit.gap.inference.white_space import white_space
 
 N = 400
 NONE = EffectSet((), 0.0)
 
 
-class White:
-    """Readings that are white as they come."""
-
-    rows, factor = np.arange(N), np.eye(N)
-
-    def __call__(self, flat: np.ndarray) -> np.ndarray:
-        return flat
-
-
 def space(data: np.ndarray) -> Parity:
-    """White data that no machine absorbs anything of; the last quarter is of the spot."""
-    nothing = np.zeros((1, 1))
-    return Parity(data, N, (N, 0), np.repeat([0, 1], [3 * N // 4, N // 4]), np.arange(N), 1.0, [White()],
-                  np.zeros((N, 1)), nothing, nothing, np.zeros((N, 1, 3)))
+    """White data, the last quarter of the spot."""
+    return white_space(data, of_spot=N // 4)
 
 
 def form(label: str, columns: np.ndarray, scale: np.ndarray, process: bool = False) -> Form:

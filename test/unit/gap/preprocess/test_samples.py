@@ -12,6 +12,16 @@ from stepdiag_ros.estimate.samples import clean, quantum
 from stepdiag_ros.gap import diagnose
 
 
+def cleaned(log, values):
+    """What is left of a log with other lengths ``values``, and what is said of it."""
+    return clean(replace(log, displacement=replace(log.displacement, values=values)))
+
+
+def left_out(log):
+    """Numbers of the samples of the lengths that are left out."""
+    return np.flatnonzero(np.isnan(log.displacement.values[:, 0]))
+
+
 def test_a_tidy_log_is_left_as_it_is(case):
     log = case.log(effect_class('servo_settling')(amp=5e-6, tau=0.02))
     found, words = clean(log)
@@ -43,8 +53,8 @@ def test_readings_carried_over_from_before_the_move_are_none(case):
         for k, (lo, _) in enumerate(rows[1::9]):
             at += range(lo, lo + 1 + k % 3)
             values[lo:lo + 1 + k % 3] = values[lo - 1] = values[lo - 3]
-        found, _ = clean(replace(log, displacement=replace(log.displacement, values=values)))
-        assert np.array_equal(np.flatnonzero(np.isnan(found.displacement.values[:, 0])), np.sort(at))
+        found, _ = cleaned(log, values)
+        assert np.array_equal(left_out(found), np.sort(at))
 
 
 @pytest.mark.parametrize('left', [0, 1, 2, 5])
@@ -53,7 +63,7 @@ def test_hardly_any_sample_is_left_as_it_is(case, left):
     log = case.log()
     values = log.displacement.values.copy()
     values[left:] = np.nan
-    found, _ = clean(replace(log, displacement=replace(log.displacement, values=values)))
+    found, _ = cleaned(log, values)
     assert np.array_equal(found.displacement.values, values, equal_nan=True)
 
 
@@ -63,7 +73,7 @@ def test_readings_that_stand_still_are_readings(case):
     values = log.displacement.values.copy()
     for lo, hi in reduce_log(log).displacement_rows:
         values[lo:hi] = values[lo]
-    found, words = clean(replace(log, displacement=replace(log.displacement, values=values)))
+    found, words = cleaned(log, values)
     assert np.isfinite(found.displacement.values).all() and not words
 
 
@@ -89,8 +99,8 @@ def test_lone_spikes_are_found_at_the_ends_of_dwells_too(case):
     for k, (lo, hi) in enumerate(table.displacement_rows[::5]):
         at.append((lo, hi - 1, (lo + hi) // 2)[k % 3])
     values[at] += 3e-7
-    found, _ = clean(replace(log, displacement=replace(log.displacement, values=values)))
-    assert np.array_equal(np.flatnonzero(np.isnan(found.displacement.values[:, 0])), np.sort(at))
+    found, _ = cleaned(log, values)
+    assert np.array_equal(left_out(found), np.sort(at))
 
 
 @pytest.mark.parametrize('hertz', [2.0, 5.0, 8.0, 12.0])
@@ -100,7 +110,7 @@ def test_the_crest_of_a_swing_that_dies_away_is_no_spike(case, hertz):
     for k, (lo, hi) in enumerate(reduce_log(log).displacement_rows):
         since = (log.displacement.time_ns[lo:hi] - log.displacement.time_ns[lo]) * 1e-9 + 0.02 * (k % 7) / 7.0
         values[lo:hi, 0] += 5e-6 * np.exp(-since / 0.1) * np.sin(2.0 * np.pi * hertz * since + k)
-    found, words = clean(replace(log, displacement=replace(log.displacement, values=values)))
+    found, words = cleaned(log, values)
     assert np.isfinite(found.displacement.values).all() and not words
 
 
@@ -112,8 +122,8 @@ def test_a_spike_that_was_read_twice_is_one(case):
         at += [lo, lo + 1, (lo + hi) // 2, (lo + hi) // 2 + 1]
         for first in at[-4::2]:
             values[first:first + 2] = values[first] + 1e-6
-    found, _ = clean(replace(log, displacement=replace(log.displacement, values=values)))
-    assert np.array_equal(np.flatnonzero(np.isnan(found.displacement.values[:, 0])), np.sort(at))
+    found, _ = cleaned(log, values)
+    assert np.array_equal(left_out(found), np.sort(at))
 
 
 def test_repeated_readings_are_left_out_but_not_readings_in_steps(case):
