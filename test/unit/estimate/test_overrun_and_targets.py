@@ -96,7 +96,9 @@ def test_without_a_detector_the_angles_are_open_and_the_rest_comes_back():
     assert named & ALL == {'EAX', 'ECZ', 'EC0Y', 'EB0Z'}
     known = {name for name in CURVES if believed.curve(name)[2].max() < 6e-6}
     assert known == {'EXX', 'EBX', 'ECX', 'EYY', 'EZY', 'EAY', 'ECY', 'EXZ', 'EYZ', 'EZZ', 'EAZ', 'EBZ'}
-    assert all(found[name] < 1e-9 for name in known), found
+    # The open roll, known to a milliradian, meets readings of 0.1 µm in normal equations: rounding costs the angles
+    # beside it some nanoradians, differently with each version of the libraries: 1 nm on an arm of 0.1 m is 1e-8 rad.
+    assert all(found[name] < (1e-8 if name[1] in 'ABC' else 1e-9) for name in known), found
     log = simulate_log(cell)
     assert {log.spot.setup_names[k] for k in np.unique(log.spot.setup)} == set(EDGES)
 
