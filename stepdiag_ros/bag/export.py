@@ -5,7 +5,7 @@ cut into blocks that do.
 """
 
 import heapq
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -25,18 +25,21 @@ from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.model.log import CalibrationLog, Samples, ScalarSeries, StepEvents
 
 _NS = 1_000_000_000
+PROGRESS_MESSAGES = 1000
 #: log time [ns], relative topic, stamp [ns], message
 _Message = tuple[int, str, int, bytes]
 
 
 def write_log(log: CalibrationLog, path: str | Path, block_samples: int | None = None,
               namespace: str | None = None, compression: str = 'zstd',
-              custom_data: dict[str, str] | None = None) -> Path:
+              custom_data: dict[str, str] | None = None,
+              progress: Callable[[int, int], None] = lambda _done, _total: None) -> Path:
     """Write ``log`` as the rosbag2 directory ``path``; returns it.
 
     ``block_samples`` caps the samples of a block (``None``: the log's own blocks);
     ``namespace`` defaults to the log's own, else ``/cell1``.  A block is logged when
-    its last sample is complete, as a recorder would receive it.
+    its last sample is complete, as a recorder would receive it.  ``progress(done, total)`` hears now and then how many
+    seconds of the log are written.
     """
     if block_samples is not None and block_samples < 1:
         raise StepdiagError(f'{path}: blocks of {block_samples} samples cannot be; give at least 1')
@@ -61,8 +64,11 @@ def write_log(log: CalibrationLog, path: str | Path, block_samples: int | None =
                           LATCHED if relative == DESCRIPTION else RELIABLE)
         sequence = dict.fromkeys(streams, 0)
         merged = heapq.merge(*streams.values(), key=lambda message: message[0])
+        begin, end = (log.steps.time_ns[[0, -1]].tolist() if len(log.steps) else (0, 1))
         for log_time, relative, stamp, data in merged:
             sequence[relative] += 1
+            if sequence[relative] % PROGRESS_MESSAGES == 0:
+                progress(round((log_time - begin) / _NS), round((end - begin) / _NS))
             bag.write(f'{prefix}/{relative}', data, log_time, stamp, sequence[relative])
     return Path(path)
 

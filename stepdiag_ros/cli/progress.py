@@ -17,11 +17,12 @@ class Bar:
     """Shows how far something is; writes to ``stream`` (stderr), so that stdout stays clean.
 
     ``quiet`` shows nothing.  On a terminal one line is rewritten; in a file a line is
-    written every ten seconds.
+    written every ten seconds.  Work that is done within ``after_s`` shows nothing either.
     """
 
-    def __init__(self, title: str, quiet: bool = False, stream: TextIO | None = None):
+    def __init__(self, title: str, quiet: bool = False, stream: TextIO | None = None, after_s: float = 0.0):
         self._title, self._quiet = title, quiet
+        self._from_s = time.monotonic() + after_s
         self._stream = sys.stderr if stream is None else stream
         self._terminal = self._stream.isatty()
         self._last_s = float('-inf')
@@ -32,6 +33,8 @@ class Bar:
         if self._quiet:
             return
         now = time.monotonic()
+        if now < self._from_s:
+            return
         if not self._terminal and now - self._last_s < PLAIN_PERIOD_S and done < total:
             return
         self._last_s = now

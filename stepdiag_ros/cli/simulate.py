@@ -12,11 +12,14 @@ import dataclasses
 import shutil
 from pathlib import Path
 
+from stepdiag_ros.cli.progress import Bar
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.guard.jsontext import to_json
 
 NAME = 'simulate'
 HELP = 'write the log of a virtual cell without running the graph'
+LONG_S = 2.0
+"""Work shorter than this needs no progress."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -60,9 +63,12 @@ def run(args: argparse.Namespace) -> int:
         if not (args.out / 'metadata.yaml').is_file():
             raise StepdiagError(f'{args.out}: exists and is no bag; choose another name')
         shutil.rmtree(args.out)
+    bar = Bar('simulating', quiet=args.json, after_s=LONG_S)
     log = simulate_log(cell, setups=tuple(args.setups) if args.setups else None, rate=args.rate,
-                       in_motion=False if args.dwell_only else None)
-    write_log(log, args.out)
+                       in_motion=False if args.dwell_only else None,
+                       progress=lambda done, total: bar.show(done, total, 'sampling'))
+    write_log(log, args.out, progress=lambda done, total: bar.show(done, total, f'writing {args.out}'))
+    bar.close()
     if args.truth is not None:
         args.truth.write_text(to_json(truth(cell)) + '\n', encoding='utf-8')
     seconds = (int(log.steps.time_ns[-1]) - int(log.steps.time_ns[0])) * 1e-9

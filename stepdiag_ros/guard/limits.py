@@ -46,10 +46,15 @@ LENGTH_M = 100.0
 ANGLE_RAD = 1.0
 """Of a misalignment."""
 BEAM_ANGLE_RAD = 3.2
+BY_UNIT = {'m': LENGTH_M, 'rad': ANGLE_RAD, 's': 86_400.0, '°C': 200.0, '°C/h': 100.0}
+"""Of what a cell file states in a unit, either sign, where its key says nothing narrower."""
+EFFECT_TIMES = 1000.0
+"""Of an effect's parameter: so many times beyond the range in which such effects are usually drawn, to either side."""
+IN_POSITION_M = 1.0e-12
 SLOWEST = 1.0e-9
 """Of feed, acceleration and jerk [m/s, m/s², m/s³]: with less no axis arrives in a lifetime."""
-NUMBER = 1.0e15
-"""Any number of a cell file."""
+NUMBER, SMALLEST = 1.0e15, 1.0e-30
+"""Any number of a cell file; what is smaller is 0."""
 NOISE = 1.0
 """Standard deviation [m or rad] that a maker of a log may believe in."""
 NAME_LETTERS = 200
@@ -66,8 +71,10 @@ NAMES_LISTED = 3
 LOG_S = 1.0e8
 """Of one log: three years."""
 
-SIMULATED_SAMPLES = 10_000_000
-"""Of one sensor in a simulated log: three hours of dwells at 1 kHz."""
+SIMULATED_SAMPLES = 3_000_000
+"""Of one sensor in a simulated log, some 150 bytes each: fifty minutes of dwells at 1 kHz."""
+SIMULATED_READINGS = 300_000
+"""Of each sensor of the air in a simulated log: three days with one a second."""
 
 # Measured values.  What is beyond is no reading of these instruments.
 DISPLACEMENT_M = 1000.0

@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from stepdiag_ros.effects import effect_class, effects_in_file
-from stepdiag_ros.effects.base import Effect
+from stepdiag_ros.effects.base import Effect, Parameter
 from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.guard import limits
 from stepdiag_ros.guard.files import real
 from stepdiag_ros.virtual.cell import Cell
 from stepdiag_ros.virtual.draw import normals, uniforms
@@ -66,6 +67,22 @@ def _create(cell: Cell, name: str, values: dict) -> Effect:
         raise StepdiagError(f'{where}: {path} holds no effect named {name!r}; call it in the cell as it '
                             'calls itself')
     try:
-        return kind(**values)
-    except (ValueError, TypeError) as error:
+        effect = kind(**values)
+    except (ValueError, TypeError, OverflowError) as error:
         raise StepdiagError(f'{where}: {error}') from None
+    for parameter in effect.parameters:
+        _check_size(where, parameter, getattr(effect, parameter.name))
+    return effect
+
+
+def _check_size(where: str, parameter: Parameter, value: np.ndarray | float) -> None:
+    """Raises where a value is no size that such an effect could have: light and machine would be nowhere."""
+    most = limits.EFFECT_TIMES * max(abs(parameter.low), abs(parameter.high)) or 1.0
+    # What is never zero, like a radius or a time constant; times and frequencies are not negative either.
+    least = max(parameter.low, 0.0) / limits.EFFECT_TIMES
+    signed = not (least and parameter.unit in ('s', 'Hz'))
+    for part in np.atleast_1d(value).tolist():
+        if not least <= (abs(part) if signed else part) <= most:
+            either = ', of either sign' if signed else ''
+            raise StepdiagError(f'{where}: {parameter.name} is {part:g}; give {least:g} to {most:g} '
+                                f'{parameter.unit}{either}')

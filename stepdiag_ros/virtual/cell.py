@@ -227,7 +227,8 @@ def _cell(top: Reader) -> Cell:
     motion = _fill(Motion, keys.get('motion'), {
         'feed': {'above': 0.0, 'minimum': limits.SLOWEST, 'unit': 'm/s'},
         'acceleration': {'above': 0.0, 'minimum': limits.SLOWEST, 'unit': 'm/s²'},
-        'jerk': {'above': 0.0, 'minimum': limits.SLOWEST, 'unit': 'm/s³'}, 'in_position': {'above': 0.0, 'unit': 'm'},
+        'jerk': {'above': 0.0, 'minimum': limits.SLOWEST, 'unit': 'm/s³'},
+        'in_position': {'minimum': limits.IN_POSITION_M, 'unit': 'm'},
         'settling': {'minimum': 0.0, 'unit': 's'}, 'dwell': {'above': 0.0, 'unit': 's'},
         'stand': {'minimum': 0.0, 'maximum': 3600.0, 'unit': 's'}, 'mount': {'minimum': 0.0, 'unit': 's'}})
     description = Description(machine, plan, setups, _noise(keys.get('noise')),
@@ -320,7 +321,7 @@ def _way(keys: Mapping[str, Reader]) -> Way:
 
 
 def _noise(node: Reader | None) -> Noise:
-    return _fill(Noise, node, {key: {'minimum': 0.0} for key in vars(Noise())})
+    return _fill(Noise, node, {key: {'minimum': 0.0, 'maximum': limits.NOISE} for key in vars(Noise())})
 
 
 SPREAD: dict[str, dict] = {'dof': {'above': 2.0}, 'correlation': {'minimum': -0.999, 'maximum': 0.999}}
@@ -353,6 +354,10 @@ def _fill(kind: type, node: Reader | None, rules: dict[str, dict]) -> Any:
                    for key, child in node.mapping(tuple(rules)).items()})
 
 
+MOST_DRIFT = {'temperature': 100.0, 'pressure': 1.0e4, 'humidity': 1.0}
+"""Of the air, an hour [K, Pa, 1]."""
+
+
 def _air(node: Reader | None) -> Air:
     if node is None or node.is_null:
         return Air()
@@ -362,12 +367,12 @@ def _air(node: Reader | None) -> Air:
     for key, rule in {'temperature': {'minimum': -20.0, 'maximum': 60.0, 'unit': '°C'},
                       'pressure': {'minimum': 5.0e4, 'maximum': 1.2e5, 'unit': 'Pa'},
                       'humidity': {'minimum': 0.0, 'maximum': 1.0},
-                      'period': {'above': 0.0, 'unit': 's'}}.items():
+                      'period': {'minimum': 1.0e-3, 'unit': 's'}}.items():
         if key in keys:
             given[key] = keys[key].number(**rule)
     if 'drift' in keys:
-        for key, child in keys['drift'].mapping(('temperature', 'pressure', 'humidity')).items():
-            given[f'{key}_drift'] = child.number()
+        for key, child in keys['drift'].mapping(tuple(MOST_DRIFT)).items():
+            given[f'{key}_drift'] = child.number(minimum=-MOST_DRIFT[key], maximum=MOST_DRIFT[key])
     if 'compensated' in keys:
         given['compensated'] = keys['compensated'].boolean()
     if 'sensors' in keys:
@@ -412,7 +417,7 @@ def _instruments(node: Reader | None, name: str, setups: tuple[str, ...]) -> Ins
         if 'mode' in keys:
             detector['mode'] = keys['mode'].text(('stream', 'poll'))
         if 'rotation' in keys:
-            detector['rotation'] = keys['rotation'].number(unit='rad')
+            detector['rotation'] = keys['rotation'].number(minimum=-3.2, maximum=3.2, unit='rad')
         for key, unit in (('gain', '1'), ('zero', 'm')):
             if key in keys:
                 detector[key] = keys[key].vector(2, unit=unit)
@@ -523,9 +528,9 @@ def _sampling(node: Reader | None) -> Sampling:
     given: dict[str, Any] = {}
     for key in ('interferometer', 'psd'):
         if key in keys:
-            given[key] = keys[key].number(above=0.0, maximum=50_000.0, unit='Hz')
+            given[key] = keys[key].number(minimum=0.1, maximum=50_000.0, unit='Hz')
     if 'block' in keys:
-        given['block'] = keys['block'].number(above=0.0, unit='s')
+        given['block'] = keys['block'].number(above=0.0, maximum=60.0, unit='s')
     if 'in_motion' in keys:
         given['in_motion'] = keys['in_motion'].boolean()
     return Sampling(**given)

@@ -54,20 +54,20 @@ def geometry(node: 'Reader | None', seed: int, description: Description) -> Geom
             square[name] = sizes['squareness'] * float(normals(own_seed, f'square/{name}', 0, 1)[0, 0])
     if 'curves' in keys:
         for name, child in keys['curves'].mapping(CURVES).items():
-            curves[name] = _given(child)
+            curves[name] = _given(child, 'rad' if name[1] in 'ABC' else 'm')
     if 'squareness' in keys:
         square |= {name: child.number(unit='rad')
                    for name, child in keys['squareness'].mapping(SQUARENESS).items()}
     return GeometricErrors(curves, square)
 
 
-def _given(node: 'Reader') -> Curve:
+def _given(node: 'Reader', unit: str) -> Curve:
     keys = node.mapping(('position', 'value'))
     for needed in ('position', 'value'):
         if needed not in keys:
             raise node.fail(f'the key {needed!r} is missing; a curve has position and value')
     position = np.array([item.number(unit='m') for item in keys['position'].items()])
-    value = np.array([item.number() for item in keys['value'].items()])
+    value = np.array([item.number(unit=unit) for item in keys['value'].items()])
     if len(position) != len(value) or len(position) < 1:
         raise keys['value'].fail(f'has {len(value)} numbers and position has {len(position)}; '
                                  'give one value for each position')

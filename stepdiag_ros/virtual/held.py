@@ -5,7 +5,7 @@ effect a little later.  The spot is that of the beam alone: sensor noise is far 
 what an effect does to the detector does not act back on the beam here.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -13,23 +13,26 @@ from stepdiag_ros.model.regulation import DEADBAND, PERIOD_S, Regulator, aim_of,
 from stepdiag_ros.virtual.steering import SteeringHistory
 from stepdiag_ros.virtual.world import World
 
+PART_NS = round(1000 * PERIOD_S * 1e9)
+"""Between two words of progress: whole periods."""
 EFFECT_NS = 6_000_000
 """From the end of a period to the effect of its command: a packet's way, the loop's, and the mirrors'."""
 
 
-def hold_beams(world: World, runs: Sequence[tuple[str, int, int]]) -> None:
-    """Give ``world`` the beam's angles during ``runs`` (setup, begin and end [ns]) in order of time; without a setup
-    that regulates its beam it stays as it is."""
-    setups = world.cell.description.setups
-    if not any(setups[setup].regulated for setup, _, _ in runs):
+def hold_beams(world: World, runs: Sequence[tuple[str, int, int]],
+               held: Callable[[int], None] = lambda _ns: None) -> None:
+    """Give ``world`` the beam's angles during ``runs`` (setup, begin and end [ns]) in order of time, all of setups that
+    regulate their beam; without any it stays as it is.  ``held(ns)`` hears now and then of what has been done since."""
+    if not runs:
         return
     world.steering, regulators = SteeringHistory(), {}
     for setup, begin, end in runs:
-        if setups[setup].regulated:
-            if setup not in regulators:
-                regulators = {setup: _regulator(world, setup)}   # mounted anew
-                world.steering.command(begin - EFFECT_NS, _taken(world, regulators[setup].command))
-            _hold(world, setup, regulators[setup], begin, end)
+        if setup not in regulators:
+            regulators = {setup: _regulator(world, setup)}   # mounted anew
+            world.steering.command(begin - EFFECT_NS, _taken(world, regulators[setup].command))
+        for part in range(begin, end, PART_NS):
+            _hold(world, setup, regulators[setup], part, min(part + PART_NS, end))
+            held(min(PART_NS, end - part))
 
 
 def _regulator(world: World, setup: str) -> Regulator:

@@ -4,7 +4,7 @@ It runs the plan as the sequencer does: setup by setup, for each repeat a forwar
 a backward run; each run resets the interferometer at its first stop.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -75,25 +75,44 @@ class Visit:
     again: float | None = None
 
 
+class Steps:
+    """Adds up what is done, in nanoseconds of the machine's time, and tells ``progress`` in seconds."""
+
+    def __init__(self, total_ns: int, progress: Callable[[int, int], None]):
+        self._ns, self._total_ns, self._progress = 0, total_ns, progress
+
+    def done(self, ns: int) -> None:
+        self._ns += ns
+        self._progress(self._ns // 10 ** 9, self._total_ns // 10 ** 9)
+
+
 def simulate_log(cell: Cell, start_ns: int = START_NS, setups: tuple[str, ...] | None = None,
                  rate: float | None = None, in_motion: bool | None = None,
                  effects: Sequence[Effect] | None = None,
-                 visits: Mapping[str, Visit] | None = None) -> CalibrationLog:
+                 visits: Mapping[str, Visit] | None = None,
+                 progress: Callable[[int, int], None] = lambda _done, _total: None) -> CalibrationLog:
     """The log of a calibration of ``cell``.
 
     ``setups``: which, in which order (all); ``rate`` [Hz] of both sensors and ``in_motion``
     override the cell's sampling; ``effects`` act instead of those that the cell names; ``visits``: setups
-    that are measured otherwise than the cell says.  The same cell gives the same log, bit by bit.
+    that are measured otherwise than the cell says; ``progress(done, total)`` hears of it in seconds.
+    The same cell gives the same log, bit by bit.
     """
     history = History()
     runs = execute(cell, history, start_ns, setups or cell.setup_names, visits)
-    world = World(cell, history, start_ns, effects)
-    hold_beams(world, [(run.setup, int(run.move_ns[0]), int(run.done_ns[-1])) for run in runs])
     moving = cell.sampling.in_motion if in_motion is None else in_motion
     spans = [(run, *span) for run in runs for span in _spans(run, moving)]
+    held = [(run.setup, int(run.move_ns[0]), int(run.done_ns[-1])) for run in runs
+            if cell.description.setups[run.setup].regulated]
+    sampled_ns, held_ns = (sum(end - begin for *_, begin, end in parts) for parts in (spans, held))
+    _refuse_too_many(cell, 1e-9 * max(sampled_ns * (rate or max(cell.sampling.interferometer, cell.sampling.psd)),
+                                      held_ns / PERIOD_S))
+    world = World(cell, history, start_ns, effects)
+    steps = Steps(2 * sampled_ns + held_ns, progress)
+    hold_beams(world, held, steps.done)
     memory: dict = {}
-    displacement = _displacement(world, spans, rate or cell.sampling.interferometer, memory)
-    spot = _spot(world, spans, rate or cell.sampling.psd, memory)
+    displacement = _displacement(world, spans, rate or cell.sampling.interferometer, memory, steps.done)
+    spot = _spot(world, spans, rate or cell.sampling.psd, memory, steps.done)
     return CalibrationLog(cell.description, _events(cell, runs), displacement, spot,
                           _environment(world, start_ns, int(runs[-1].done_ns[-1])),
                           source=f'simulated from {cell.source}',
@@ -182,13 +201,12 @@ def _refuse_too_many(cell: Cell, samples: float) -> None:
                             'steps or repeats, or let the axes move faster (feed, acceleration, jerk)')
 
 
-def _collect(world: World, spans: list, rate: float, columns: int, look) -> Samples:
+def _collect(world: World, spans: list, rate: float, columns: int, look, done: Callable[[int], None]) -> Samples:
     """Lay the samples of all spans end to end; ``look(times, run, first)`` gives values, health, index."""
     names = world.cell.setup_names
-    count = sum((end - begin) * 1e-9 * rate for _, begin, end in spans)
-    _refuse_too_many(world.cell, count)
     parts, first, blocks = [], 0, 0
     for run, begin, end in spans:
+        done(end - begin)
         times, block = _grid(world, begin, end, rate)
         values, health, index = look(times, run, first)
         padded = np.full((len(times), columns), np.nan)
@@ -201,7 +219,7 @@ def _collect(world: World, spans: list, rate: float, columns: int, look) -> Samp
     return Samples(times, values, health, index, names, setup, block)
 
 
-def _displacement(world: World, spans: list, rate: float, memory: dict) -> Samples:
+def _displacement(world: World, spans: list, rate: float, memory: dict, done: Callable[[int], None]) -> Samples:
     setups = world.cell.description.setups
     beams = max(len(s.beams) for s in setups.values())
     late_ns = round(world.clock_offset('interferometer') * 1e9)
@@ -218,10 +236,10 @@ def _displacement(world: World, spans: list, rate: float, memory: dict) -> Sampl
         values = world.displacement.readings(reading.length - begin, first, begin)
         quality = np.where(world.displacement.dark(first, len(times)), 0.0, np.rint(reading.quality))
         return values, quality, reading.index
-    return _collect(world, spans, rate, beams, look)
+    return _collect(world, spans, rate, beams, look, done)
 
 
-def _spot(world: World, spans: list, rate: float, memory: dict) -> Samples:
+def _spot(world: World, spans: list, rate: float, memory: dict, done: Callable[[int], None]) -> Samples:
     late_ns = round(world.clock_offset('psd') * 1e9)
     setups = world.cell.description.setups
     spans = [span for span in spans if setups[span[0].setup].sees_spot]
@@ -236,7 +254,7 @@ def _spot(world: World, spans: list, rate: float, memory: dict) -> Samples:
             dark |= (np.abs(reading.spot) > 0.5 * world.cell.instruments.detector.length).any(axis=1)
         return (np.where(dark[:, None], np.nan, world.spot.readings(reading.spot, first)),
                 np.where(dark, 2.0 * DARK_V, reading.intensity), np.ones(len(times)))
-    return _collect(world, spans, rate, 2, look)
+    return _collect(world, spans, rate, 2, look, done)
 
 
 def _angles(world: World, spans: list) -> Samples:
@@ -286,6 +304,10 @@ def _events(cell: Cell, runs: list[Run]) -> StepEvents:
 def _environment(world: World, begin: int, end: int) -> dict[str, ScalarSeries]:
     cell = world.cell
     period_ns = int(cell.air.period * 1e9)
+    if (readings := (end - begin) // period_ns) > limits.SIMULATED_READINGS:
+        raise StepdiagError(f'{cell.source}: each sensor of the air would be read {readings:.2g} times, more often '
+                            f'than {limits.SIMULATED_READINGS:.0g}; lengthen air.period, or shorten motion.mount and '
+                            'the dwells')
     times = np.arange(begin, end + 1, period_ns, dtype=np.int64)
     seen = environment(cell.air, (times - begin) * 1e-9, world.effects)
     topics = {'temperature': ['air_temperature'], 'pressure': ['air_pressure'], 'humidity': ['humidity'],

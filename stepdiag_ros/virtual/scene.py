@@ -194,4 +194,4 @@ def _to_mirror(path: Path, offset: tuple[float, float]) -> Path:
         if meeting.body == MIRROR:
             return (*path[:number], replace(meeting, action='stop'))
     raise ValueError(f'the beam at offset {offset} m does not reach the mirror; '
-                     'check the bodies that stand in the light')
+                     'check standoff, psd_offset and beams, and the bodies that stand in the light')

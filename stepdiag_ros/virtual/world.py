@@ -13,6 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stepdiag_ros.effects.base import Effect, Moment
+from stepdiag_ros.errors import StepdiagError
+from stepdiag_ros.model.description import Setup
 from stepdiag_ros.model.log import NONE
 from stepdiag_ros.model.machine import compose, rotation
 from stepdiag_ros.model.regulation import steered, steering_frame
@@ -50,6 +52,15 @@ class Reading:
     index: np.ndarray
 
 
+def _scene(cell: Cell, setup: Setup) -> SensorScene:
+    # A standoff of 0 was not stated: no mirror stands in the laser.
+    try:
+        return SensorScene.of_setup(cell.description.machine,
+                                    replace(setup, standoff=setup.standoff or UNTOLD_STANDOFF))
+    except ValueError as error:
+        raise StepdiagError(f'{cell.source}: setups.{setup.name}: {error}') from None
+
+
 class World:
     """A cell in motion.  ``epoch_ns`` is the time at which drifts begin; ``effects`` act instead of
     those that the cell names.  ``displacement``, ``spot``: what the sensors add (:class:`SensorNoise`).  ``steering``:
@@ -60,10 +71,7 @@ class World:
         self.cell, self.history, self.epoch_ns = cell, history, epoch_ns
         self.steering: SteeringHistory | None = None
         description = cell.description
-        # A standoff of 0 was not stated: no mirror stands in the laser.
-        self._scenes = {name: SensorScene.of_setup(description.machine,
-                                                   replace(setup, standoff=setup.standoff or UNTOLD_STANDOFF))
-                        for name, setup in description.setups.items() if not setup.follows}
+        self._scenes = {name: _scene(cell, setup) for name, setup in description.setups.items() if not setup.follows}
         self.effects = create_effects(cell) if effects is None else list(effects)
         self._draws = {effect.name: Draws(cell.seed, effect.name) for effect in self.effects}
         self._known = 0
@@ -188,8 +196,10 @@ class World:
             psd_zero=cell.psd_zero[setup], ambient=moment.index)
         walk = np.linalg.norm(seen.spot - np.array(cell.psd_zero[setup]), axis=1)
         moment.length, moment.spot = seen.distance, seen.spot
-        moment.quality = CONTRAST * np.exp(-(walk / WALK_LIMIT) ** 2)
-        moment.intensity = np.full(len(walk), cell.instruments.detector.sum_voltage)
+        # What is turned away so far that it never meets the detector's plane is no light there, and none comes back.
+        lit = np.isfinite(walk)
+        moment.quality = CONTRAST * np.exp(-np.where(lit, walk / WALK_LIMIT, np.inf) ** 2)
+        moment.intensity = np.where(lit, cell.instruments.detector.sum_voltage, 0.0)
         self._act('after_light', moment)
         return Reading(moment.length, moment.spot, moment.quality, moment.intensity, moment.divided)
 

@@ -103,7 +103,10 @@ class Reader:
 
     def number(self, minimum: float | None = None, above: float | None = None,
                maximum: float | None = None, unit: str = '') -> float:
-        """A finite number; ``minimum`` may be reached, ``above`` may not."""
+        """A finite number; ``minimum`` may be reached, ``above`` may not; what is not bounded is by its unit."""
+        if (most := limits.BY_UNIT.get(unit)) is not None:
+            maximum = most if maximum is None else maximum
+            minimum = -most if minimum is None and above is None else minimum
         given = self.node.value if isinstance(self.node, yaml.ScalarNode) else 'not a number'
         try:
             value = float(given)
@@ -111,13 +114,15 @@ class Reader:
             value = math.nan
         if abs(value) > limits.NUMBER:
             value = math.nan
+        elif abs(value) < limits.SMALLEST:
+            value = 0.0
         bounds = [f'of at least {minimum:g}' if minimum is not None else '',
                   f'above {above:g}' if above is not None else '',
                   f'of at most {maximum:g}' if maximum is not None else '']
         if not math.isfinite(value) or (minimum is not None and value < minimum) \
                 or (above is not None and value <= above) \
                 or (maximum is not None and value > maximum):
-            wanted = ' '.join(b for b in bounds if b)
+            wanted = ' and '.join(b for b in bounds if b)
             raise self.fail(f'is {given[:60]!r}; give a number{" " + wanted if wanted else ""}'
                             f'{f" [{unit}]" if unit else ""}')
         return value
@@ -132,6 +137,4 @@ class Reader:
         items = self.items()
         if len(items) != size:
             raise self.fail(f'has {len(items)} items; give {size} numbers [{unit}]')
-        most = {'m': limits.LENGTH_M, 'rad': limits.ANGLE_RAD}.get(unit)
-        return tuple(item.number(above=above, minimum=None if most is None or above is not None else -most,
-                                 maximum=most, unit=unit) for item in items)
+        return tuple(item.number(above=above, unit=unit) for item in items)
