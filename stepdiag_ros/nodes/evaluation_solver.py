@@ -10,9 +10,8 @@ import sys
 import traceback
 from dataclasses import replace
 
-from std_srvs.srv import Trigger
-
 from stepdiag_msgs.msg import GeometricErrors
+from stepdiag_msgs.srv import Evaluate
 from stepdiag_ros.bag.shown import ERRORS
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate import evaluate
@@ -31,7 +30,7 @@ class EvaluationSolver(ListenerNode):
         self.text('evaluate_when_done', True, 'evaluate by itself when a calibration has succeeded')
         self._publisher = self.create_lifecycle_publisher(
             GeometricErrors, ERRORS, reliable(1, latched=True), qos_overriding_options=overridable())
-        self.create_service(Trigger, 'evaluate', self._on_evaluate)
+        self.create_service(Evaluate, 'evaluate', self._on_evaluate)
         self._last = 'nothing evaluated yet'
         self._failed = False
 
@@ -39,15 +38,14 @@ class EvaluationSolver(ListenerNode):
         if self.value('evaluate_when_done'):
             self._evaluate()
 
-    def _on_evaluate(self, _request, response: Trigger.Response) -> Trigger.Response:
+    def _on_evaluate(self, _request, response: Evaluate.Response) -> Evaluate.Response:
         """Waits for the result; messages are kept meanwhile, the raw subscription has a thread of its own."""
-        response.success, response.message = self._evaluate()
-        return response
+        return self._evaluate()
 
-    def _evaluate(self) -> tuple[bool, str]:
-        """Evaluate and publish; (success, the document or what is wrong)."""
+    def _evaluate(self) -> Evaluate.Response:
+        """Evaluate and publish."""
         if self.state != 'active':
-            return False, f'{self.get_name()} is not active'
+            return Evaluate.Response(success=False, message=f'{self.get_name()} is not active')
         with self.working():
             try:
                 log = self.whole_log()
@@ -58,16 +56,18 @@ class EvaluationSolver(ListenerNode):
                 # The solver lives on, and keeps what it receives, whatever a log does to the evaluation.
                 self.get_logger().error(traceback.format_exc())
                 return self._refuse(f'the evaluation failed: {type(error).__name__}: {error}')
-            self._publisher.publish(errors_message(solution, int(log.steps.time_ns[-1])))
+            errors = errors_message(solution, int(log.steps.time_ns[-1]))
+            self._publisher.publish(errors)
             self._last, self._failed = f'{solution.status}, reduced chi2 {solution.reduced_chi2}', False
             if solution.status != GOOD:
                 self.get_logger().warning('; '.join([solution.status, *map(str, solution.sanity)]))
-            return True, to_json(solution.to_json_dict(), indent=None)
+            return Evaluate.Response(success=True, errors=errors,
+                                     document=to_json(solution.to_json_dict(), indent=None))
 
-    def _refuse(self, why: str) -> tuple[bool, str]:
+    def _refuse(self, why: str) -> Evaluate.Response:
         self._last, self._failed = why, True
         self.get_logger().error(why)
-        return False, why
+        return Evaluate.Response(success=False, message=why)
 
     def health(self) -> Health:
         listening = self.health_of_listening()

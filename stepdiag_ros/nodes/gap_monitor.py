@@ -17,9 +17,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from rclpy.utilities import remove_ros_args
-from std_srvs.srv import Trigger
 
 from stepdiag_msgs.msg import GapReport, GeometricErrors
+from stepdiag_msgs.srv import Diagnose
 from stepdiag_ros.bag.shown import ERRORS_SO_FAR, GAP
 from stepdiag_ros.effects import all_effects
 from stepdiag_ros.errors import StepdiagError
@@ -75,7 +75,7 @@ class GapMonitor(ListenerNode):
             GapReport, GAP, reliable(1, latched=True), qos_overriding_options=overridable())
         self._so_far = self.create_lifecycle_publisher(
             GeometricErrors, ERRORS_SO_FAR, reliable(1, latched=True), qos_overriding_options=overridable())
-        self.create_service(Trigger, 'diagnose', self._on_diagnose)
+        self.create_service(Diagnose, 'diagnose', self._on_diagnose)
         # Of the present log: what still computes for an earlier one finds its own set.
         self._stop = threading.Event()
         self._leaving: Leaving | None = None
@@ -127,34 +127,36 @@ class GapMonitor(ListenerNode):
         if self.value('diagnose_when_done'):
             self._diagnose()
 
-    def _on_diagnose(self, _request, response: Trigger.Response) -> Trigger.Response:
-        response.success, response.message = self._diagnose()
-        return response
+    def _on_diagnose(self, _request, response: Diagnose.Response) -> Diagnose.Response:
+        return self._diagnose()
 
-    def _diagnose(self) -> tuple[bool, str]:
-        """Diagnose and publish; (success, gap.json or what is wrong)."""
+    def _diagnose(self) -> Diagnose.Response:
+        """Diagnose and publish."""
         stop = self._stop
         if self.state != 'active':
-            return False, f'{self.get_name()} is not active'
+            return Diagnose.Response(success=False, message=f'{self.get_name()} is not active')
         with self.working():
             try:
                 diagnosis = diagnose(self.whole_log(), self._effects)
                 if stop.is_set():
-                    return False, 'another log was begun meanwhile; stepdiag gap diagnoses the bag of this one'
+                    return Diagnose.Response(success=False, message='another log was begun meanwhile; stepdiag gap '
+                                                                    'diagnoses the bag of this one')
             except StepdiagError as error:
                 return self._failed(str(error))
             except Exception as error:
                 # The measuring goes on whatever the diagnosis stumbles over; say it and keep it.
                 self.get_logger().error(traceback.format_exc())
                 return self._failed(f'the diagnosis failed: {type(error).__name__}: {error}')
-            self._publisher.publish(report_message(diagnosis, time.time_ns()))
+            report = report_message(diagnosis, time.time_ns())
+            self._publisher.publish(report)
             self._fault_of_work, self._verdict = '', diagnosis.verdict
-            return True, to_json(diagnosis.to_json_dict(), indent=None)
+            return Diagnose.Response(success=True, report=report,
+                                     document=to_json(diagnosis.to_json_dict(), indent=None))
 
-    def _failed(self, why: str) -> tuple[bool, str]:
+    def _failed(self, why: str) -> Diagnose.Response:
         self._fault_of_work = why
         self.get_logger().error(why)
-        return False, why
+        return Diagnose.Response(success=False, message=why)
 
     def health(self) -> Health:
         listening = self.health_of_listening()

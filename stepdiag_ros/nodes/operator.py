@@ -34,7 +34,7 @@ from unique_identifier_msgs.msg import UUID
 
 from stepdiag_msgs.action import RunStepDiagonal
 from stepdiag_msgs.msg import RecorderStatus
-from stepdiag_msgs.srv import NameLog
+from stepdiag_msgs.srv import Evaluate, NameLog
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.nodes.futures import ended
 from stepdiag_ros.nodes.patience import Patience
@@ -413,10 +413,10 @@ class Operator:
 
     def evaluate(self, timeout_s: float = 300.0) -> dict[str, Any]:
         """Have the solver evaluate now; the document of ``stepdiag evaluate --json``."""
-        answer = self._call(Trigger, 'evaluate', Trigger.Request(), timeout_s)
+        answer = self._call(Evaluate, 'evaluate', Evaluate.Request(), timeout_s)
         if not answer.success:
             raise StepdiagError(answer.message)
-        return json.loads(answer.message)
+        return json.loads(answer.document)
 
     # -- waiting -----------------------------------------------------------------
 

@@ -68,7 +68,7 @@ def _create(cell: Cell, name: str, values: dict) -> Effect:
                             'calls itself')
     try:
         effect = kind(**values)
-    except (ValueError, TypeError, OverflowError) as error:
+    except (ValueError, TypeError) as error:
         raise StepdiagError(f'{where}: {error}') from None
     for parameter in effect.parameters:
         _check_size(where, parameter, getattr(effect, parameter.name))

@@ -80,6 +80,9 @@ class Reader:
         if self.node.tag.endswith(':bool'):
             return self.boolean()
         if self.node.style is None:
+            if len(self.node.value) > limits.INTEGER_DIGITS and self.node.tag.endswith(':int'):
+                raise self.fail(f'is a whole number of {len(self.node.value)} digits; give at most '
+                                f'{limits.INTEGER_DIGITS}')
             for convert in (int, float):
                 try:
                     return convert(self.node.value)

@@ -168,7 +168,8 @@ def test_a_new_log_waits_for_no_diagnosis_of_the_last_one(ros_domain, monkeypatc
         assert not ending.is_alive()
         found.set()
         work.join(60.0)
-        assert said == [(False, 'another log was begun meanwhile; stepdiag gap diagnoses the bag of this one')]
+        assert [(answer.success, answer.message) for answer in said] == [
+            (False, 'another log was begun meanwhile; stepdiag gap diagnoses the bag of this one')]
     finally:
         found.set()
         node.cleanup()
