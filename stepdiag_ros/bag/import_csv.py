@@ -212,12 +212,17 @@ def build(table: Table, letter: str, name: str, cadence_s: float, notes: list[st
     return Import(log, tuple(notes))
 
 
+LEAST_TRAVEL_M = 1.0e-6
+"""Of a positioning test: what is less is rounding, or another unit."""
+
+
 def _grid(target: np.ndarray, name: str) -> np.ndarray:
     """Evenly spaced stops (n,) [m] behind the targets."""
     unique = np.unique(target)
     span = unique[-1] - unique[0]
-    if not span > 0:
-        raise StepdiagError(f'{name}: all targets are alike; a positioning test needs at least two')
+    if not span > LEAST_TRAVEL_M:
+        raise StepdiagError(f'{name}: all targets are alike to a micrometre; a positioning test needs at least two; '
+                            'check their unit')
     # Targets a thousandth of the travel apart are one stop, written with other digits.
     levels = unique[np.concatenate([[True], np.diff(unique) > span * 1e-3])]
     grid = np.linspace(levels[0], levels[-1], len(levels))

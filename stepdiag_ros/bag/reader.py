@@ -44,6 +44,7 @@ from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.guard import limits
 from stepdiag_ros.model.description import Description
 from stepdiag_ros.model.log import CalibrationLog, Samples, ScalarSeries, StepEvents
+from stepdiag_ros.model.path import stops
 
 _MAIN = (DESCRIPTION, STEP, DISPLACEMENT)
 
@@ -119,7 +120,8 @@ def build_log(source: BagSource, tables: Tables, namespace: str | None = None,
         tables_of[relative] = table
     setup_names = tuple(description.setups)
     steps, notes = _steps(tables_of[STEP], setup_names)
-    warnings += notes
+    steps, more = _in_plan(steps, description)
+    warnings += notes + more
     warnings += _repeated(steps.run_ids)
     offsets = {sensor: clock.until(int(steps.time_ns[-1])) for sensor, clock in measured.items()} if len(steps) else {}
     warnings += put_on_one_clock(mine, offsets)
@@ -282,13 +284,30 @@ def _steps(table: TopicTable, setup_names: tuple[str, ...]) -> tuple[StepEvents,
         setup_names=setup_names, setup=setup[good], commanded=commanded[good], **numbers)
     if len(np.unique(np.stack([events.run, events.setup, events.repeat, events.direction]), axis=1).T) > limits.RUNS:
         raise StepdiagError(f'{table.topic}: holds more than {limits.RUNS} traverses; no calibration has so many')
-    far = ~(np.abs(events.commanded) <= limits.LENGTH_M)
-    events.commanded[far] = np.nan
-    odd = int(far.any(axis=1).sum())
-    if odd:
-        warnings.append(f'{table.topic}: {odd} event(s) carry a commanded position that is NaN, '
-                        'infinite or far away; the plan\'s position stands')
     return events, warnings
+
+
+def _in_plan(events: StepEvents, description: Description) -> tuple[StepEvents, list[str]]:
+    """The events, the plan's position where one carries none that can be."""
+    far = ~(np.abs(events.commanded) <= limits.LENGTH_M).all(axis=1)
+    if not far.any():
+        return events, []
+    known = far.copy()
+    for row in np.flatnonzero(far):
+        positions = stops(description, events.setup_names[events.setup[row]]).positions
+        known[row] = 0 <= events.index[row] < len(positions)
+        if known[row]:
+            events.commanded[row] = positions[events.index[row]]
+    lost = far & ~known
+    words = [f'{STEP}: {int(known.sum())} event(s) carry a commanded position that is NaN, infinite or far away; the '
+             "plan's position stands"] if known.any() else []
+    if lost.any():
+        words.append(f'{STEP}: left out {int(lost.sum())} event(s) that carry no possible commanded position and no '
+                     'index of the plan')
+        events = replace(events, **{name: getattr(events, name)[~lost] for name in
+                                    ('time_ns', 'run', 'setup', 'repeat', 'direction', 'index', 'axis', 'commanded',
+                                     'phase')})
+    return events, words
 
 
 def _no_steps(setup_names: tuple[str, ...]) -> StepEvents:

@@ -27,6 +27,7 @@ from stepdiag_ros.bag.summary import summarise
 from stepdiag_ros.bag.writer import BagWriter
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.model.log import DWELL, CalibrationLog
+from stepdiag_ros.model.path import stops
 
 SECOND = 1_000_000_000
 
@@ -486,6 +487,23 @@ def test_nan_in_samples(tmp_path, small_log, bad):
     assert np.array_equal(log.displacement.values, d.values[keep])
     assert np.array_equal(log.displacement.time_ns, d.time_ns[keep])
     assert warned(log, 'displacement: left out 2 of 50 samples that are NaN, infinite or far beyond any reading')
+
+
+@pytest.mark.parametrize('bad', [np.nan, np.inf, 1e300])
+def test_a_stop_without_a_possible_position_is_at_the_plans(tmp_path, small_log, bad):
+    commanded, index = small_log.steps.commanded.copy(), small_log.steps.index.copy()
+    at = 4
+    commanded[at, 1] = bad
+    spoilt = replace(small_log, steps=replace(small_log.steps, commanded=commanded))
+    log = read_log(raw_bag(tmp_path / 'bag', messages_of(spoilt)))
+    setup = log.steps.setup_names[log.steps.setup[at]]
+    np.testing.assert_array_equal(log.steps.commanded[at], stops(log.description, setup).positions[index[at]])
+    assert warned(log, 'sequencer/step: 1 event(s) carry a commanded position', "the plan's position stands")
+    index[at] = 100
+    spoilt = replace(spoilt, steps=replace(spoilt.steps, index=index))
+    log = read_log(raw_bag(tmp_path / 'no_index', messages_of(spoilt)))
+    assert len(log.steps) == len(index) - 1 and np.isfinite(log.steps.commanded).all()
+    assert warned(log, 'sequencer/step: left out 1 event(s)', 'no index of the plan')
 
 
 def test_nan_in_environment(tmp_path, small_log):
