@@ -29,6 +29,7 @@ from stepdiag_ros.gap.constants import (
 from stepdiag_ros.gap.diagnosis import AXIS_LIKE, Diagnosis, Found
 from stepdiag_ros.gap.experiment_design.advice import advise
 from stepdiag_ros.gap.experiment_design.competing_models import competing_models, confused, separations
+from stepdiag_ros.gap.inference.candidates import Candidate
 from stepdiag_ros.gap.inference.discrepancy import residual
 from stepdiag_ros.gap.inference.evidence import prior_sigma_of
 from stepdiag_ros.gap.inference.joint import Joint, unexplained
@@ -82,7 +83,8 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
     outside = {f.name: f.probability for f in beside}
     found = sorted([*found, *beside], key=lambda f: -f.probability)
     # Of several patterns the first explains the most.
-    unmodelled = next((screen.candidates[m.candidate].form.label for m in best.members if m.effect == UNKNOWN), '')
+    unmodelled = next((_pattern(screen.candidates[m.candidate], effects) for m in best.members
+                       if m.effect == UNKNOWN), '')
     unmodelled = unmodelled or (UNTIMED if untimed else '')
     before, instead = disturbances.words({name: names.get(name, 0.0) for name in best.key})
     unmodelled = before or unmodelled or instead
@@ -109,6 +111,12 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
         log.warnings + observation.table.warnings + ((beyond_range,) if beyond_range else ()) + left_out + tuple(unlit)
         + stated(joint, disturbances.quanta) + ((no_metres,) if no_metres else ()), sets, screen, words, run,
         separations(sets, doubtful), hint, len(effects) + 1, no_metres)
+
+
+def _pattern(candidate: Candidate, effects: Mapping[str, Effect]) -> str:
+    """What has no name, in words; where it does what an effect does, but of another size, as what does so."""
+    imitated = effects[candidate.effect].imitated_by + ': ' if candidate.effect in effects else ''
+    return imitated + candidate.form.label
 
 
 def _well_timed(log: CalibrationLog) -> tuple[CalibrationLog, Observation, Mapping[str, Timing | None],

@@ -61,7 +61,7 @@ class EffectSet:
     @cached_property
     def penalty(self) -> float:
         """Log prior odds against what has no name among the members."""
-        return next((m.penalty for m in self.members if m.effect == UNKNOWN), 0.0)
+        return max((m.penalty for m in self.members if m.effect == UNKNOWN), default=0.0)
 
     @property
     def claimed_from(self) -> float:
@@ -128,7 +128,7 @@ def _in_place(screen: Screen, sets: Iterable[EffectSet]) -> Iterator[EffectSet]:
 
 def _with_imitations(screen: Screen, sets: Iterable[EffectSet]) -> Iterator[EffectSet]:
     """The sets, the sizes that physics allows of their effects weighed, and besides them those in which what has no
-    name does what an effect does, of any size."""
+    name does what an effect does, of any size: alone, or where it does more besides, all of it."""
     sets = list(sets)
     within = max(found.log_bayes for found in sets) - HOPELESS
     for found in sets:
@@ -140,10 +140,9 @@ def _with_imitations(screen: Screen, sets: Iterable[EffectSet]) -> Iterator[Effe
         evidence = sum(known[k].size_evidence(screen.candidates[found.members[k].candidate].form,
                                               *screen.sizes(found.members, k)) for k in restricted)
         yield replace(found, log_bayes=found.log_bayes + evidence)
-        if UNKNOWN not in found.key:
-            yield replace(found, members=tuple(
-                replace(m, effect=UNKNOWN, penalty=IMITATION_PENALTY)
-                if k in restricted else m for k, m in enumerate(found.members)))
+        yield replace(found, members=tuple(
+            replace(m, effect=UNKNOWN, penalty=IMITATION_PENALTY)
+            if k in restricted else m for k, m in enumerate(found.members)))
 
 
 def _repeated(screen: Screen, found: EffectSet) -> Iterator[EffectSet]:

@@ -279,6 +279,21 @@ def test_what_a_set_must_bring_does_not_depend_on_the_order_of_names(one, other)
     assert not earned[frozenset('a')].refused and not earned[frozenset('b')].refused
 
 
+def test_what_has_no_name_may_do_what_an_effect_does_and_more():
+    """Two jumps that are no counts beside a large bend without a name: one cause without a name, not two."""
+    rng = np.random.default_rng(5)
+    place = np.linspace(-1.0, 1.0, N)
+    steps = [(np.arange(N) >= at).astype(float) for at in (N // 3, N // 2)]
+    data = 12.0 * place**2 + 16.9 * steps[0] - 14.7 * steps[1] + rng.normal(size=N)
+    slips = [Candidate('count_slip', '', form(f'from stop {k} on', 1e7 * step[None], np.full(1, 1e-6)))
+             for k, step in enumerate(steps)]
+    bend = Candidate(UNKNOWN, 'bend', form('bend', place[None]**2, np.full(1, 10.0)))
+    screen = Screen(space(data), [*slips, bend], 1e9, frozenset({'count_slip'}), effects={'count_slip': CountSlip()})
+    found = search(screen)
+    assert found[0].key == {UNKNOWN} and len(found[0].members) == 3
+    assert probabilities(found, 19)[0].get('count_slip', 0.0) < 0.1
+
+
 @pytest.mark.parametrize(('jump', 'counted'), [(5 * 316.4e-9, True), (1.69e-6, False)])
 def test_a_slip_is_a_whole_number_of_counts(jump, counted):
     """A jump known to a few nanometres that is no multiple of λ/4 is no slip; what jumps then has no name."""
