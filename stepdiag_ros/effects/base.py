@@ -36,7 +36,7 @@ class Parameter:
 
 # ---- how it acts ------------------------------------------------------------------------------
 
-@dataclass
+@dataclass(repr=False)
 class Moment:
     """The virtual cell at ``n`` times, on its way from command to reading; an effect changes it.
 
@@ -83,7 +83,7 @@ class Moment:
 
 # ---- how it appears ---------------------------------------------------------------------------
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class StopView:
     """A log's stops as an effect sees them; ``n`` stops, ``c = beams + 2`` channels, ``b`` bins a dwell.
 
@@ -163,7 +163,7 @@ class StopView:
         return np.zeros((k, *self.reading.shape))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Form:
     """One way in which an effect may appear, linear in ``k`` coefficients.
 

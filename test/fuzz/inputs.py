@@ -124,8 +124,8 @@ def odd_effect(rng: random.Random) -> str:
         lines = text.splitlines()
         at = rng.randrange(len(lines))
         how = rng.random()
-        if how < 0.5:
-            places = list(re.finditer(r"[\w.]+\([^()]*\)|\d[\d.e-]*|'[^']*'|(?<=[=(, ])\w[\w.]*", text))
+        if how < 0.5:     # not what is assigned to: whoever overwrites numpy has overwritten it
+            places = list(re.finditer(r"[\w.]+\([^()]*\)|\d[\d.e-]*|'[^']*'|(?<=[=(, ])\w[\w.]*(?![\w.]| =)", text))
             place = rng.choice(places)
             text = text[:place.start()] + rng.choice(EXPRESSIONS) + text[place.end():]
         elif how < 0.8:

@@ -5,8 +5,8 @@ few columns beats it.  What physics may do beside the vocabulary is therefore of
 parameters too: readings bent at long range, the spot that leaks into the length, a head that is
 twisted by the direction of motion, a guideway that changes its shape with time, a detector that is sheared or has
 another gain on one side of its middle, a standoff that is not as described, readings that follow the light received
-(a beam cut by the mirror's edge), a mirror's arm or a laser's stand that rings after each move.  None has a name here;
-which of them a log shows is reported in its label.
+(a beam cut by the mirror's edge), a mirror's arm or a laser's stand that rings after each move, a mirror that slips in
+its mount.  None has a name here; which of them a log shows is reported in its label.
 """
 
 from collections.abc import Iterator
@@ -17,7 +17,7 @@ import numpy as np
 from stepdiag_ros.effects.base import Effect, Form, StopView
 from stepdiag_ros.effects.fading import fading_columns, last_arrivals, swing_means
 from stepdiag_ros.effects.timeforms import drift_form, time_profiles
-from stepdiag_ros.gap.alternatives.unmodelled import NAME, pattern_form
+from stepdiag_ros.gap.alternatives.unmodelled import NAME, pattern_form, point_jumps
 from stepdiag_ros.model.machine import AXES, CURVES
 
 KNEES = (0.2, 0.35, 0.5, 0.65, 0.8)
@@ -48,7 +48,7 @@ def beyond_families(view: StopView) -> dict[str, list[Form]]:
     """The forms by family; each counts as one effect does, however many forms it has."""
     families = {'range': _at_long_range(view), 'leak': _leak(view), 'twist': _twist(view), 'bow': _bow(view),
                 'detector': _detector(view), 'standoff': _standoff(view), 'light': _light(view),
-                'ring': _ringing(view)}
+                'ring': _ringing(view), 'slip': point_jumps(view, 'mirror', view.by_mirror, 1e-5)}
     forms = {family: list(found) for family, found in families.items()}
     return {family: found for family, found in forms.items() if found}
 

@@ -25,7 +25,7 @@ MOST_JUMPS = 500
 def unknown_families(view: StopView) -> dict[str, list[Form]]:
     """All unmodelled patterns of a log by family; families count alike, however many they are."""
     return {'places': list(_static(view)), 'times': list(_in_time(view)),
-            'jumps': list(_jumps(view)), 'mirror': list(_mirror_jumps(view)),
+            'jumps': list(_jumps(view)), 'tool': list(point_jumps(view, 'tool point', view.by_shift, 1e-6)),
             'dwells': list(_inside(view)), 'lengths': list(_lengths(view)),
             'channels': list(_between_channels(view))}
 
@@ -166,16 +166,14 @@ def _jumps(view: StopView) -> Iterator[Form]:
                                standing(_after(view, i)), columns, scale)
 
 
-def _mirror_jumps(view: StopView) -> Iterator[Form]:
-    """The mirror, the beam or the tool point jumps and stays for the rest of the setup."""
+def point_jumps(view: StopView, what: str, derivative: np.ndarray, scale: float) -> Iterator[Form]:
+    """What acts by a ``derivative`` (k, n, c) jumps and stays for the rest of the setup."""
     for i in _beginnings(view):
         after = _after(view, i)
-        where = f'{view.run_ids[view.run[i]]} stop {view.index[i]}'
-        for label, derivative, scale in (('mirror', view.by_mirror, 1e-5),
-                                         ('tool point', view.by_shift, 1e-6)):
-            columns = Made(derivative.shape, _times, derivative, after)
-            yield Form(f'{label}: jump at {where}', columns,
-                       tuple(str(k) for k in range(len(columns))), np.full(len(columns), scale))
+        columns = Made(derivative.shape, _times, derivative, after)
+        yield Form(f'{what}: jump at {view.run_ids[view.run[i]]} stop {view.index[i]}', columns,
+                   tuple(str(k) for k in range(len(columns))), np.full(len(columns), scale),
+                   of_one_arrival=len(after) == 1)
 
 
 def _stretched(distance: np.ndarray, shape: tuple[int, int], at: np.ndarray) -> np.ndarray:
