@@ -140,9 +140,11 @@ def _with_imitations(screen: Screen, sets: Iterable[EffectSet]) -> Iterator[Effe
         evidence = sum(known[k].size_evidence(screen.candidates[found.members[k].candidate].form,
                                               *screen.sizes(found.members, k)) for k in restricted)
         yield replace(found, log_bayes=found.log_bayes + evidence)
-        yield replace(found, members=tuple(
-            replace(m, effect=UNKNOWN, penalty=IMITATION_PENALTY)
-            if k in restricted else m for k, m in enumerate(found.members)))
+        # As forms of one cause each of them must bring what a further form must.
+        if UNKNOWN not in found.key or all(m.log_bayes >= MEMBER_ALARM for m in found.members):
+            yield replace(found, members=tuple(
+                replace(m, effect=UNKNOWN, penalty=IMITATION_PENALTY)
+                if k in restricted else m for k, m in enumerate(found.members)))
 
 
 def _repeated(screen: Screen, found: EffectSet) -> Iterator[EffectSet]:
