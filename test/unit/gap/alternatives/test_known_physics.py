@@ -9,7 +9,7 @@ from stepdiag_ros.effects import effect_class
 from stepdiag_ros.effects.base import Effect
 from stepdiag_ros.effects.cyclic_nonlinearity import CONTROLS, WAVELENGTHS
 from stepdiag_ros.gap.alternatives.known_physics import BEARINGS, beyond_families
-from stepdiag_ros.gap.alternatives.unmodelled import inconsistent_forms
+from stepdiag_ros.gap.alternatives.unmodelled import inconsistent_forms, unknown_families
 from stepdiag_ros.gap.constants import SCATTER_ALARM
 from stepdiag_ros.gap.summary.cross_validation import CrossValidation, excess_forecast
 
@@ -89,6 +89,17 @@ def test_columns_fit_their_log(case):
         for form in forms:
             assert form.columns.shape[1:] == view.reading.shape, family
             assert np.all(np.isfinite(form.columns)) and np.any(form.columns), form.label
+
+
+def test_a_mirror_that_slips_is_physics_and_no_shapeless_pattern(case):
+    """Two columns that hold from a stop to the end of its setup; at e⁸ against a creep took its place."""
+    view = case.observe().view
+    forms = beyond_families(view)['slip']
+    assert len(forms) == len(view.time) and all(len(form.names) == 2 for form in forms)
+    shapeless = [form.label for family in unknown_families(view).values() for form in family]
+    assert not [label for label in shapeless if label.startswith('mirror: jump')]
+    # At the last stop of a setup it does no more than an error of one arrival.
+    assert sum(form.of_one_arrival for form in forms) == len(set(view.setup))
 
 
 def test_a_leak_between_two_bearings_is_followed(case):
