@@ -26,6 +26,7 @@ from stepdiag_ros.model.log import CalibrationLog, Samples, ScalarSeries, StepEv
 
 _NS = 1_000_000_000
 PROGRESS_MESSAGES = 1000
+"""Of one topic, between two words of progress."""
 #: log time [ns], relative topic, stamp [ns], message
 _Message = tuple[int, str, int, bytes]
 
@@ -38,8 +39,8 @@ def write_log(log: CalibrationLog, path: str | Path, block_samples: int | None =
 
     ``block_samples`` caps the samples of a block (``None``: the log's own blocks);
     ``namespace`` defaults to the log's own, else ``/cell1``.  A block is logged when
-    its last sample is complete, as a recorder would receive it.  ``progress(done, total)`` hears now and then how many
-    seconds of the log are written.
+    its last sample is complete, as a recorder would receive it.  ``progress(done, total)`` is told now and then how
+    many seconds of the log are written.
     """
     if block_samples is not None and block_samples < 1:
         raise StepdiagError(f'{path}: blocks of {block_samples} samples cannot be; give at least 1')

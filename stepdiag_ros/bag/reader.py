@@ -119,9 +119,8 @@ def build_log(source: BagSource, tables: Tables, namespace: str | None = None,
                                 'without it nothing can be evaluated')
         tables_of[relative] = table
     setup_names = tuple(description.setups)
-    steps, notes = _steps(tables_of[STEP], setup_names)
-    steps, more = _in_plan(steps, description)
-    warnings += notes + more
+    steps, notes = _steps(tables_of[STEP], description)
+    warnings += notes
     warnings += _repeated(steps.run_ids)
     offsets = {sensor: clock.until(int(steps.time_ns[-1])) for sensor, clock in measured.items()} if len(steps) else {}
     warnings += put_on_one_clock(mine, offsets)
@@ -242,8 +241,9 @@ def _ordered(table: TopicTable) -> tuple[np.ndarray, np.ndarray, list[str]]:
     return stamp, order_of(stamp, sequence, number), warnings
 
 
-def _steps(table: TopicTable, setup_names: tuple[str, ...]) -> tuple[StepEvents, list[str]]:
+def _steps(table: TopicTable, description: Description) -> tuple[StepEvents, list[str]]:
     """Events of ``sequencer/step`` in order; those that cannot be are left out."""
+    setup_names = tuple(description.setups)
     if not table.groups:
         return _no_steps(setup_names), [f'{table.topic}: left out {table.malformed} message(s) '
                                         'that do not hold their type']
@@ -271,6 +271,11 @@ def _steps(table: TopicTable, setup_names: tuple[str, ...]) -> tuple[StepEvents,
     same = np.zeros(len(stamp), bool)
     same[1:] = np.logical_and.reduce([c[1:] == c[:-1] for c in (stamp, *columns.values())])
     drop(same, 'that the log holds twice')
+    planned = _by_plan(commanded, setup, columns['index'], description)
+    drop(~np.isfinite(planned).all(axis=1), 'that carry no possible commanded position and no index of the plan')
+    if odd := int((good & (planned != commanded).any(axis=1)).sum()):
+        warnings.append(f'{table.topic}: {odd} event(s) carry a commanded position that is NaN, infinite or far away; '
+                        "the plan's position stands")
     run_names, run = text(columns['run_id'])
     first = np.full(len(run_names), len(run), np.intp)
     np.minimum.at(first, run[good], np.flatnonzero(good))
@@ -281,33 +286,21 @@ def _steps(table: TopicTable, setup_names: tuple[str, ...]) -> tuple[StepEvents,
     numbers = {key: columns[key][good].astype(np.int64) for key in ('repeat', 'direction', 'index', 'axis', 'phase')}
     events = StepEvents(
         time_ns=stamp[good], run_ids=tuple(run_names[k] for k in present), run=renumber[run][good],
-        setup_names=setup_names, setup=setup[good], commanded=commanded[good], **numbers)
+        setup_names=setup_names, setup=setup[good], commanded=planned[good], **numbers)
     if len(np.unique(np.stack([events.run, events.setup, events.repeat, events.direction]), axis=1).T) > limits.RUNS:
         raise StepdiagError(f'{table.topic}: holds more than {limits.RUNS} traverses; no calibration has so many')
     return events, warnings
 
 
-def _in_plan(events: StepEvents, description: Description) -> tuple[StepEvents, list[str]]:
-    """The events, the plan's position where one carries none that can be."""
-    far = ~(np.abs(events.commanded) <= limits.LENGTH_M).all(axis=1)
-    if not far.any():
-        return events, []
-    known = far.copy()
-    for row in np.flatnonzero(far):
-        positions = stops(description, events.setup_names[events.setup[row]]).positions
-        known[row] = 0 <= events.index[row] < len(positions)
-        if known[row]:
-            events.commanded[row] = positions[events.index[row]]
-    lost = far & ~known
-    words = [f'{STEP}: {int(known.sum())} event(s) carry a commanded position that is NaN, infinite or far away; the '
-             "plan's position stands"] if known.any() else []
-    if lost.any():
-        words.append(f'{STEP}: left out {int(lost.sum())} event(s) that carry no possible commanded position and no '
-                     'index of the plan')
-        events = replace(events, **{name: getattr(events, name)[~lost] for name in
-                                    ('time_ns', 'run', 'setup', 'repeat', 'direction', 'index', 'axis', 'commanded',
-                                     'phase')})
-    return events, words
+def _by_plan(commanded: np.ndarray, setup: np.ndarray, index: np.ndarray, description: Description) -> np.ndarray:
+    """Positions (m, 3) [m], the plan's where one cannot be; NaN where the plan has none for setup and index either."""
+    far = ~(np.abs(commanded) <= limits.LENGTH_M).all(axis=1)
+    mended = np.where(far[:, None], np.nan, commanded)
+    for number in np.unique(setup[far & (setup >= 0)]):
+        positions = stops(description, tuple(description.setups)[number]).positions
+        rows = np.flatnonzero(far & (setup == number) & (index >= 0) & (index < len(positions)))
+        mended[rows] = positions[index[rows]]
+    return mended
 
 
 def _no_steps(setup_names: tuple[str, ...]) -> StepEvents:

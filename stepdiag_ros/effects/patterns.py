@@ -15,8 +15,6 @@ BETWEEN_SETUPS = 0.1
 def follow(view: StopView, profile: TimeProfile, signature: np.ndarray, names: tuple[str, ...], scale: float,
            units: str = 'm', label: str = '', begun: bool = False) -> Form:
     """:func:`~stepdiag_ros.effects.timeforms.drift_form` with one typical size for all coefficients."""
-    if stranger := next((name for name in names if not isinstance(name, str)), None):
-        raise TypeError(f'names holds a {type(stranger).__name__}; give a text for each row of the signature')
     return drift_form(view, profile, signature, names, np.full(len(names), scale), label, units, begun)
 
 

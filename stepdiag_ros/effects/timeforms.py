@@ -150,6 +150,8 @@ def drift_form(view: StopView, profile: TimeProfile, signature: np.ndarray, name
     of the profile.  ``begun``: it may have acted before the log began, which no reading shows and the errors of the
     machine do: as much as in the log may have been there all the while.
     """
+    if stranger := next((name for name in names if not isinstance(name, str)), None):
+        raise TypeError(f'names holds a {type(stranger).__name__}; give a text for each row of the signature')
     count = len(profile.values)
     n, c = view.reading.shape
     columns = Made((count * len(signature), n, c), following, profile.values, signature)

@@ -354,10 +354,6 @@ def _fill(kind: type, node: Reader | None, rules: dict[str, dict]) -> Any:
                    for key, child in node.mapping(tuple(rules)).items()})
 
 
-MOST_DRIFT = {'temperature': 100.0, 'pressure': 1.0e4, 'humidity': 1.0}
-"""Of the air, an hour [K, Pa, 1]."""
-
-
 def _air(node: Reader | None) -> Air:
     if node is None or node.is_null:
         return Air()
@@ -371,8 +367,8 @@ def _air(node: Reader | None) -> Air:
         if key in keys:
             given[key] = keys[key].number(**rule)
     if 'drift' in keys:
-        for key, child in keys['drift'].mapping(tuple(MOST_DRIFT)).items():
-            given[f'{key}_drift'] = child.number(minimum=-MOST_DRIFT[key], maximum=MOST_DRIFT[key])
+        for key, child in keys['drift'].mapping(tuple(limits.AIR_DRIFT)).items():
+            given[f'{key}_drift'] = child.number(minimum=-limits.AIR_DRIFT[key], maximum=limits.AIR_DRIFT[key])
     if 'compensated' in keys:
         given['compensated'] = keys['compensated'].boolean()
     if 'sensors' in keys:

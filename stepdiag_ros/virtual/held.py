@@ -22,7 +22,7 @@ EFFECT_NS = 6_000_000
 def hold_beams(world: World, runs: Sequence[tuple[str, int, int]],
                held: Callable[[int], None] = lambda _ns: None) -> None:
     """Give ``world`` the beam's angles during ``runs`` (setup, begin and end [ns]) in order of time, all of setups that
-    regulate their beam; without any it stays as it is.  ``held(ns)`` hears now and then of what has been done since."""
+    regulate their beam; without any it stays as it is.  ``held(ns)`` is told now and then what has been done since."""
     if not runs:
         return
     world.steering, regulators = SteeringHistory(), {}

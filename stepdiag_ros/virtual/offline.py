@@ -75,7 +75,7 @@ class Visit:
     again: float | None = None
 
 
-class Steps:
+class Progress:
     """Adds up what is done, in nanoseconds of the machine's time, and tells ``progress`` in seconds."""
 
     def __init__(self, total_ns: int, progress: Callable[[int, int], None]):
@@ -95,7 +95,7 @@ def simulate_log(cell: Cell, start_ns: int = START_NS, setups: tuple[str, ...] |
 
     ``setups``: which, in which order (all); ``rate`` [Hz] of both sensors and ``in_motion``
     override the cell's sampling; ``effects`` act instead of those that the cell names; ``visits``: setups
-    that are measured otherwise than the cell says; ``progress(done, total)`` hears of it in seconds.
+    that are measured otherwise than the cell says; ``progress(done, total)`` is told of it in seconds.
     The same cell gives the same log, bit by bit.
     """
     history = History()
@@ -108,11 +108,11 @@ def simulate_log(cell: Cell, start_ns: int = START_NS, setups: tuple[str, ...] |
     _refuse_too_many(cell, 1e-9 * max(sampled_ns * (rate or max(cell.sampling.interferometer, cell.sampling.psd)),
                                       held_ns / PERIOD_S))
     world = World(cell, history, start_ns, effects)
-    steps = Steps(2 * sampled_ns + held_ns, progress)
-    hold_beams(world, held, steps.done)
+    made = Progress(2 * sampled_ns + held_ns, progress)
+    hold_beams(world, held, made.done)
     memory: dict = {}
-    displacement = _displacement(world, spans, rate or cell.sampling.interferometer, memory, steps.done)
-    spot = _spot(world, spans, rate or cell.sampling.psd, memory, steps.done)
+    displacement = _displacement(world, spans, rate or cell.sampling.interferometer, memory, made.done)
+    spot = _spot(world, spans, rate or cell.sampling.psd, memory, made.done)
     return CalibrationLog(cell.description, _events(cell, runs), displacement, spot,
                           _environment(world, start_ns, int(runs[-1].done_ns[-1])),
                           source=f'simulated from {cell.source}',

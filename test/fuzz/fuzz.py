@@ -57,6 +57,8 @@ class Fuzzer:
                 if fault := harness.judge(outcome, len(data)):
                     said.append(f'{command}: {what}: {fault}')
                     self._keep(data, ending, command, fault)
+                elif outcome.status < 0:
+                    break      # it asks for long work; the next command would be asked for the same
         return said
 
     def _keep(self, data: bytes, ending: str, command: str, fault: str) -> None:
@@ -97,7 +99,7 @@ class Fuzzer:
             self.try_file(inputs.odd_log(rng, self.sound[rng.choice(('diagonals', 'ways'))]), '.mcap', few, 'odd log')
         elif kind == 'cell':
             text = inputs.odd_yaml(rng, rng.choice((bags.CELL, bags.WAYS)))
-            self.try_file(text.encode('utf-8', 'surrogatepass'), '.yaml', ('simulate',), 'cell')
+            self.try_file(text.encode('utf-8', 'surrogatepass'), '.yaml', ('simulate shown', 'simulate'), 'cell')
         elif kind == 'effect':
             self.try_file(inputs.odd_effect(rng).encode('utf-8', 'surrogatepass'), '.py',
                           (rng.choice(harness.EFFECT_COMMANDS),), 'effect file')

@@ -97,7 +97,8 @@ def arguments(command: str, given: Path, folder: Path) -> list[str]:
             'budget': ['uncertainty', sound, '--budget', bag, '--json'],
             'replay': ['replay', bag, '--json'], 'uncertainty': ['uncertainty', bag, '--json'],
             'import': ['import', bag, '--to', str(folder / 'imported'), '--json'],
-            'simulate': ['simulate', bag, '--out', str(folder / 'made')]}[command]
+            'simulate': ['simulate', bag, '--out', str(folder / 'made'), '--json'],
+            'simulate shown': ['simulate', bag, '--out', str(folder / 'shown')]}[command]
 
 
 def run(argv: list[str]) -> Outcome:
@@ -171,7 +172,7 @@ def judge(outcome: Outcome, size: int) -> str:
     if '.py' in ' '.join(outcome.argv):
         outcome = replace(outcome, err=PYTHON_WARNING.sub('', outcome.err))
     if outcome.status == -signal.SIGXCPU and PROGRESS.search(outcome.err) and outcome.memory <= MEMORY:
-        return ''     # asked for long work, and shows how far it is
+        return ''     # it was asked for long work, and shows how far it is
     if outcome.status < 0:
         return f'ended by signal {-outcome.status} after {outcome.cpu_s:.0f} s and {outcome.memory >> 20} MiB'
     if 'Traceback' in outcome.err or outcome.status not in STATUSES:

@@ -240,6 +240,8 @@ def test_the_gap_monitor_publishes_its_report_when_all_is_measured(cell, live, e
     assert {curve.name: (list(curve.position), list(curve.value), list(curve.sigma)) for curve in errors.curves} == {
         name: (one['position_m'], one['value'], one['sigma'])
         for name, one in document['errors'].items() if 'position_m' in one}
+    for message in (report, errors):    # curves are numbers with names, not a text in a text
+        assert 'json' not in message.get_fields_and_field_types()
     # The services answer with the same messages; the bag is closed, and what the solver holds has not changed.
     answer = operator._call(Evaluate, 'evaluate', Evaluate.Request(), 300.0)
     assert answer.success and str(answer.errors) == str(errors) and json.loads(answer.document) == document

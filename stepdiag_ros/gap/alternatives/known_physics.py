@@ -17,7 +17,7 @@ import numpy as np
 from stepdiag_ros.effects.base import Effect, Form, StopView
 from stepdiag_ros.effects.fading import fading_columns, last_arrivals, swing_means
 from stepdiag_ros.effects.timeforms import drift_form, time_profiles
-from stepdiag_ros.gap.alternatives.unmodelled import NAME, pattern_form, point_jumps
+from stepdiag_ros.gap.alternatives.unmodelled import NAME, lasting_jumps, pattern_form
 from stepdiag_ros.model.machine import AXES, CURVES
 
 KNEES = (0.2, 0.35, 0.5, 0.65, 0.8)
@@ -48,7 +48,7 @@ def beyond_families(view: StopView) -> dict[str, list[Form]]:
     """The forms by family; each counts as one effect does, however many forms it has."""
     families = {'range': _at_long_range(view), 'leak': _leak(view), 'twist': _twist(view), 'bow': _bow(view),
                 'detector': _detector(view), 'standoff': _standoff(view), 'light': _light(view),
-                'ring': _ringing(view), 'slip': point_jumps(view, 'mirror', view.by_mirror, 1e-5)}
+                'ring': _ringing(view), 'slip': lasting_jumps(view, 'mirror', view.by_mirror, 1e-5)}
     forms = {family: list(found) for family, found in families.items()}
     return {family: found for family, found in forms.items() if found}
 

@@ -25,7 +25,7 @@ MOST_JUMPS = 500
 def unknown_families(view: StopView) -> dict[str, list[Form]]:
     """All unmodelled patterns of a log by family; families count alike, however many they are."""
     return {'places': list(_static(view)), 'times': list(_in_time(view)),
-            'jumps': list(_jumps(view)), 'tool': list(point_jumps(view, 'tool point', view.by_shift, 1e-6)),
+            'jumps': list(_jumps(view)), 'tool': list(lasting_jumps(view, 'tool point', view.by_shift, 1e-6)),
             'dwells': list(_inside(view)), 'lengths': list(_lengths(view)),
             'channels': list(_between_channels(view))}
 
@@ -166,7 +166,7 @@ def _jumps(view: StopView) -> Iterator[Form]:
                                standing(_after(view, i)), columns, scale)
 
 
-def point_jumps(view: StopView, what: str, derivative: np.ndarray, scale: float) -> Iterator[Form]:
+def lasting_jumps(view: StopView, what: str, derivative: np.ndarray, scale: float) -> Iterator[Form]:
     """What acts by a ``derivative`` (k, n, c) jumps and stays for the rest of the setup."""
     for i in _beginnings(view):
         after = _after(view, i)
