@@ -71,20 +71,15 @@ class Brought:
             white, absorbed = _at_the_stops(space, [forms[i] for i in some], stops, first)
             along[first:first + white.shape[1]] = white.T @ data[:space.stops]
             for i in some:
-                mine, form = slices[i], forms[i]
-                at = slice(mine.start - first, mine.stop - first)
-                gram = white[:, at].T @ white[:, at] - absorbed[:, at].T @ absorbed[:, at]
-                if form.inside is not None:
-                    bins = _rounded(space.bin_part(np.asarray(form.inside)) * form.scale)
-                    gram += bins.T @ bins
-                    along[mine] += bins.T @ data[space.stops:space.size]
-                    _add(inside, bins, space.stops, mine.start)
-                if form.by_reading is not None:
-                    slopes = _rounded(space.own_rows(form))
-                    corrections[i] = slopes.T @ slopes
-                    along[mine] += slopes.T @ data[space.size:]
-                    _add(own, slopes, space.size, mine.start)
-                grams.append(gram)
+                at = slice(slices[i].start - first, slices[i].stop - first)
+                grams.append(white[:, at].T @ white[:, at] - absorbed[:, at].T @ absorbed[:, at])
+            bent = [i for i in some if forms[i].inside is not None]
+            for i, gram in _below(space.stops, inside, [space.bin_part(np.asarray(forms[i].inside)) * forms[i].scale
+                                                        for i in bent], bent, slices, data, along):
+                grams[i] += gram
+            read = [i for i in some if forms[i].by_reading is not None]
+            corrections.update(_below(space.size, own, [space.own_rows(forms[i]) for i in read], read, slices, data,
+                                      along))
         return cls(tuple(g.block() for g in (*stops, *inside)), tuple(g.block() for g in own), slices, grams, along,
                    corrections)
 
@@ -148,19 +143,34 @@ def _rounded(columns: np.ndarray) -> np.ndarray:
     return columns.astype(KEPT).astype(float)
 
 
-def _add(blocks: Sequence[_Gathering], columns: np.ndarray, above: int, begin: int) -> None:
-    """Columns (m, k), whose rows lie below ``above`` others and which begin at ``begin``, to those blocks of some
-    rows in which they are more than rounding."""
-    if not blocks:
+def _below(above: int, blocks: Sequence[_Gathering], parts: Sequence[np.ndarray], numbers: Sequence[int],
+           slices: Sequence[slice], data: np.ndarray, along: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
+    """Gather what some forms, by their ``numbers``, do in rows below ``above`` others, ``parts`` (m, k) each, and add
+    their products with the ``data`` there to ``along``; each number with the products (k, k) of its part with itself.
+    """
+    if not parts or not len(parts[0]):
         return
+    columns = _rounded(np.concatenate(parts, axis=1))
+    places = np.concatenate([np.arange(slices[i].start, slices[i].stop) for i in numbers])
+    along[places] += columns.T @ data[above:above + len(columns)]
+    _gather(blocks, columns, above, places)
+    ends = np.cumsum([0, *(part.shape[1] for part in parts)]).tolist()
+    for i, begin, end in zip(numbers, ends, ends[1:], strict=False):
+        mine = columns[:, begin:end]
+        yield i, mine.T @ mine
+
+
+def _gather(blocks: Sequence[_Gathering], columns: np.ndarray, above: int, places: np.ndarray) -> None:
+    """Columns (m, k) at ``places`` (k,), whose rows lie below ``above`` others, to those blocks of some rows in which
+    they are more than rounding."""
     large = np.abs(columns)
     least = ROUNDING * large.max(axis=0, initial=0.0)
     order = np.concatenate([block.rows for block in blocks]) - above
     starts = np.cumsum([0, *(len(block.rows) for block in blocks[:-1])])
     for block, there in zip(blocks, np.maximum.reduceat(large[order], starts, axis=0) > least, strict=True):
-        places = np.flatnonzero(there)
-        if len(places):
-            block.put(columns[np.ix_(block.rows - above, places)], places + begin)
+        mine = np.flatnonzero(there)
+        if len(mine):
+            block.put(columns[np.ix_(block.rows - above, mine)], places[mine])
 
 
 def _at_the_stops(space: Parity, forms: Sequence[Form], stops: Sequence[_Gathering],
