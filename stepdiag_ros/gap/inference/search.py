@@ -115,13 +115,20 @@ def search(screen: Screen) -> list[EffectSet]:
 
 
 def _in_place(screen: Screen, sets: Iterable[EffectSet]) -> Iterator[EffectSet]:
-    """The sets, of those worth it each form's discrepancy at what the form does beside all the others."""
-    best = 0.0
+    """The sets, of those worth it each form's discrepancy at what the form does beside all the others.
+
+    A last member that brings too little to be worth a thought leaves the others where they are without it.
+    """
+    best, placed = 0.0, {}
     for found in sorted(sets, key=lambda s: -s.log_bayes):
-        if len(found.members) > 1 and found.log_bayes > best - BEYOND_REACH:
-            members = tuple(screen.in_place(found.members))
-            more = sum(m.log_bayes for m in members) - sum(m.log_bayes for m in found.members)
-            found = replace(found, members=members, log_bayes=found.log_bayes + more)
+        count = next((k for k in range(len(found.members), 0, -1) if found.members[k - 1].log_bayes >= GAIN), 0)
+        mattering = found.members[:count]
+        if count > 1 and found.log_bayes > best - BEYOND_REACH:
+            if mattering not in placed:
+                placed[mattering] = tuple(screen.in_place(mattering))
+            members = placed[mattering]
+            more = sum(m.log_bayes for m in members) - sum(m.log_bayes for m in mattering)
+            found = replace(found, members=members + found.members[count:], log_bayes=found.log_bayes + more)
         best = max(best, found.log_bayes)
         yield found
 

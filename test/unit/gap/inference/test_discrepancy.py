@@ -54,3 +54,24 @@ def test_sets_are_compared_with_their_discrepancies_in_place(cause_and_parts):
     bare = [replace(m, at=()) for m in both.members]
     assert both.log_bayes == pytest.approx(sum(m.log_bayes for m in both.members))
     assert [m.at for m in both.members] == [m.at for m in screen.in_place(bare)]
+
+
+def test_what_brings_nothing_leaves_the_others_where_they_are(cause_and_parts, monkeypatch):
+    """Any effect beside the right ones makes a set of its own; put in place each anew, they took half of a search."""
+    data, columns = cause_and_parts
+    rng = np.random.default_rng(5)
+    idle = {f'idle {k}': column / np.linalg.norm(column) for k, column in enumerate(rng.normal(size=(6, N)))}
+    placed = []
+    in_place = Screen.in_place
+    monkeypatch.setattr(Screen, 'in_place', lambda self, members: placed.append(members) or in_place(self, members))
+    found = search(screen_of(data, columns | idle))
+    assert placed and not any(member.effect in idle for members in placed for member in members)
+    assert len(placed) == len(set(placed))
+    both = next(s for s in found if s.names == ('left', 'right'))
+    beside = [s for s in found if len(s.members) == 3]
+    assert beside
+    for more in beside:
+        # … so that what the third brings is counted from the same place.
+        assert more.members[:2] == both.members
+        assert more.log_bayes - both.log_bayes == pytest.approx(more.members[2].log_bayes)
+        assert more.refused
