@@ -9,7 +9,7 @@ from stepdiag_ros.gap.alternatives.unmodelled import NAME as UNKNOWN
 from stepdiag_ros.gap.constants import CONFUSED
 from stepdiag_ros.gap.diagnosis import AXIS_LIKE, Diagnosis, Found
 from stepdiag_ros.gap.inference.search import NOTHING
-from stepdiag_ros.gap.summary.cross_validation import Distance, cross_validated
+from stepdiag_ros.gap.summary.cross_validation import CrossValidation, Distance, cross_validated
 from stepdiag_ros.gap.summary.margins import AT_REST, MOVING, SETTLING
 from stepdiag_ros.gap.summary.volume import VolumeChange
 from stepdiag_ros.model.machine import CURVES, SQUARENESS
@@ -223,8 +223,12 @@ def _lower(text: str) -> str:
 def closed_share(diagnosis: Diagnosis) -> float | None:
     """Share of the gap's variance above the floor that is gone; None where there was none."""
     gap = diagnosis.cross_validation
+    return _closed(gap) if gap.before_m > gap.floor_m else None
+
+
+def _closed(gap: CrossValidation) -> float:
     before, after = gap.before_m**2 - gap.floor_m**2, gap.after_m**2 - gap.floor_m**2
-    return float(np.clip(1.0 - max(after, 0.0) / before, 0.0, 1.0)) if before > 0.0 else None
+    return float(np.clip(1.0 - max(after, 0.0) / before, 0.0, 1.0)) if before > 0.0 else 0.0
 
 
 def how_far(diagnosis: Diagnosis) -> str:
@@ -237,8 +241,7 @@ def how_far(diagnosis: Diagnosis) -> str:
         return (f'The readings at the stops differ by {micrometres(gap.before_m)} (noise alone, with what it adds: '
                 f'{micrometres(gap.floor_m)}); it has no pattern that the simulator could be given.')
     if diagnosis.unmodelled and not diagnosis.effects and (closed_share(diagnosis) or 0.0) < LEAST_CLOSED:
-        return (f'The gap stays: {micrometres(gap.before_m)} before and {micrometres(gap.after_m)} after (noise alone: '
-                f'{micrometres(gap.floor_m)}), for what was seen in one part of the log does not predict another.')
+        return f'The gap {_stays(gap)}.'
     if diagnosis.unmodelled and not diagnosis.effects:
         return (f'Unmodelled structure brings the gap from {micrometres(gap.before_m)} to '
                 f'{micrometres(gap.after_m)} (noise alone: {micrometres(gap.floor_m)}). It describes the trouble; '
@@ -261,9 +264,17 @@ def how_far(diagnosis: Diagnosis) -> str:
         rest = (f'the residual is {gap.after_m / max(gap.floor_m, 1e-300):.1f} times the noise; what was fitted leaves '
                 f'the forecast uncertain by {micrometres(gap.gap.sigma)}')
     where = ' of the spot' if gap.channel == 'spot' else ''
-    return (f'With {"it" if len(diagnosis.effects) == 1 else "them"} in the simulator the gap{where} falls from '
-            f'{micrometres(gap.before_m)} to {micrometres(gap.after_m)} (noise alone: '
+    with_it = f'With {"it" if len(diagnosis.effects) == 1 else "them"} in the simulator the gap{where}'
+    if (share or 0.0) < LEAST_CLOSED:
+        return f'{with_it} {_stays(gap)}; {rest}.'
+    return (f'{with_it} falls from {micrometres(gap.before_m)} to {micrometres(gap.after_m)} (noise alone: '
             f'{micrometres(gap.floor_m)}): {closed_percent(share or 0.0)} of it is gone, {rest}.')
+
+
+def _stays(gap: CrossValidation) -> str:
+    """That a gap does not fall on what was held out, in a clause."""
+    return (f'stays: {micrometres(gap.before_m)} before and {micrometres(gap.after_m)} after (noise alone: '
+            f'{micrometres(gap.floor_m)}), for what was seen in one part of the log does not predict another')
 
 
 def over_setups_words(diagnosis: Diagnosis) -> str:
@@ -275,8 +286,14 @@ def over_setups_words(diagnosis: Diagnosis) -> str:
         return (f'Where whole setups are held out, each predicted from the others, they differ by '
                 f'{micrometres(over.before_m)} (noise alone: {micrometres(over.floor_m)}; no other setup tells how a '
                 'setup\'s own laser and mirror are mounted).')
-    return (f'Where whole setups are held out, each predicted from the others, the gap falls from '
-            f'{micrometres(over.before_m)} to {micrometres(over.after_m)} (noise alone: {micrometres(over.floor_m)}).')
+    held_out = 'Where whole setups are held out, each predicted from the others, the gap'
+    if over.before_m**2 < HARDLY * over.floor_m**2:
+        return (f'{held_out} hardly shows: {micrometres(over.before_m)} before and {micrometres(over.after_m)} after '
+                f'(noise alone: {micrometres(over.floor_m)}).')
+    if _closed(over) < LEAST_CLOSED:
+        return f'{held_out} {_stays(over)}.'
+    return (f'{held_out} falls from {micrometres(over.before_m)} to {micrometres(over.after_m)} (noise alone: '
+            f'{micrometres(over.floor_m)}).')
 
 
 def _expected(gap: Distance) -> str:

@@ -8,7 +8,7 @@ from stepdiag_ros.effects import VOCABULARY
 from stepdiag_ros.gap.diagnosis import Found
 from stepdiag_ros.gap.summary.cross_validation import CrossValidation, Distance
 from stepdiag_ros.report import words
-from stepdiag_ros.report.gap_words import how_far, size_words
+from stepdiag_ros.report.gap_words import how_far, over_setups_words, size_words
 
 
 @pytest.mark.parametrize(('value', 'unit', 'sigma', 'said'), [
@@ -70,6 +70,22 @@ def test_what_is_left_is_not_said_to_be_noise_beside_more_than_noise(after, sigm
     found = SimpleNamespace(cross_validation=validation, verdict='explained', unmodelled='', effects=[active],
                             joint=SimpleNamespace(active=[active]))
     assert how_far(found).endswith(said), how_far(found)
+
+
+@pytest.mark.parametrize(('before', 'after', 'said'), [
+    (1.26e-6, 1.55e-6, 'stays: 1.26 µm before and 1.55 µm after'),
+    (1.26e-6, 4e-7, 'falls from 1.26 µm to 0.400 µm'),
+    (2.9e-7, 3.3e-7, 'hardly shows: 0.290 µm before and 0.330 µm after')])
+def test_a_gap_that_grows_does_not_fall(before, after, said):
+    """A drift by its own amount in each run is in the fit and forecasts no other run."""
+    validation = CrossValidation(2.0, 1.0, 200, 100.0, 'each repeat', {'displacement': Distance(
+        before, after, 2.8e-7, 8e-6)})
+    active = SimpleNamespace(effect=SimpleNamespace(name='structural_thermal_drift'))
+    found = SimpleNamespace(cross_validation=validation, over_setups=validation, verdict='explained', unmodelled='',
+                            effects=[active], joint=SimpleNamespace(active=[active]))
+    assert f'predicted from the others, the gap {said}' in over_setups_words(found)
+    if 'hardly' not in said:
+        assert f'in the simulator the gap {said}' in how_far(found)
 
 
 def test_setups_are_described():
