@@ -159,17 +159,14 @@ class Screen:
         if self.modulations is None:
             return None
         values = np.array(member.at) if member.at else before.coefficients(mine)[0]
+        if DISCREPANCY_SHARE * np.linalg.norm(mine @ values) < LEAST:
+            return None
         form = self.candidates[member.candidate].form
         sizes = values * member.size * form.scale
-        acts = np.tensordot(sizes, form.columns, axes=1)
         inside = None if form.inside is None else np.tensordot(sizes, form.inside, axes=1)
-        if DISCREPANCY_SHARE * self.parity.raw_size(acts, inside) < LEAST:
-            return None
-        own = discrepancy_of(self.parity, acts, inside, self.modulations)
-        if np.linalg.norm(own) < LEAST:
-            return None
         below = np.zeros((len(self.data) - self.parity.size, len(self.modulations)))
-        return np.concatenate([own, below])
+        return np.concatenate([discrepancy_of(
+            self.parity, np.tensordot(sizes, form.columns, axes=1), inside, self.modulations), below])
 
     def sizes(self, members: Sequence[Member], number: int) -> tuple[np.ndarray, np.ndarray]:
         """Coefficients (k,) of the member ``number`` of some, all others free, and their standard deviations, in its

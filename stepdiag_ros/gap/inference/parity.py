@@ -200,12 +200,6 @@ class Parity:
         expected = len(mine) - float(np.sum(self._basis[mine]**2))
         return min(1.0, float(np.sum(self.data[mine]**2)) / expected) if len(mine) else 1.0
 
-    def raw_size(self, columns: np.ndarray, inside: np.ndarray | None) -> float:
-        """Norm, in standard deviations, of what is added to the stops (n, c) [m] and, if anything, inside the dwells
-        (n, b, c) [m], that included which the fit can imitate."""
-        bins = 0.0 if inside is None else float(np.linalg.norm(self.bin_part(inside[None])))
-        return float(np.hypot(np.linalg.norm(self.white_part(columns[None])), bins))
-
     def project(self, form: Form) -> np.ndarray:
         """What a form looks like here, per unit of its ``scale``: (N, k)."""
         result = np.zeros((self.size, len(form.columns)))

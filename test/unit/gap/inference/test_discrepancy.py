@@ -14,14 +14,12 @@ N = 400
 NONE = EffectSet((), 0.0)
 
 
-def screen_of(data: np.ndarray, columns: dict[str, np.ndarray], hidden: np.ndarray | None = None) -> Screen:
-    """One form of one column (n,) for each name, with twenty slow waves as what its discrepancy may follow; ``hidden``
-    (n,): a direction that the machine can imitate."""
+def screen_of(data: np.ndarray, columns: dict[str, np.ndarray]) -> Screen:
+    """One form of one column (n,) for each name, with twenty slow waves as what its discrepancy may follow."""
     waves = np.cos(np.pi * np.arange(1, 21)[:, None] * np.linspace(0.0, 1.0, N)) * np.sqrt(2.0 / 20.0)
     forms = [Candidate(name, '', Form(name, column[None, :, None], ('size',), np.ones(1)))
              for name, column in columns.items()]
-    space = white_space(data)
-    return Screen(space if hidden is None else replace(space, _basis=hidden[:, None]), forms, 1e9, modulations=waves)
+    return Screen(white_space(data), forms, 1e9, modulations=waves)
 
 
 @pytest.fixture
@@ -56,21 +54,6 @@ def test_sets_are_compared_with_their_discrepancies_in_place(cause_and_parts):
     bare = [replace(m, at=()) for m in both.members]
     assert both.log_bayes == pytest.approx(sum(m.log_bayes for m in both.members))
     assert [m.at for m in both.members] == [m.at for m in screen.in_place(bare)]
-
-
-def test_a_form_may_err_by_a_share_of_what_the_machine_hides_of_it_too():
-    """Else two forms that share a cause between them are exact, each being too faint in what is seen."""
-    rng = np.random.default_rng(7)
-    hidden, seen = np.ones(N) / np.sqrt(N), np.zeros(N)
-    seen[::2], seen[1::2] = 1.0 / np.sqrt(N), -1.0 / np.sqrt(N)
-    data = 12.0 * seen + rng.normal(size=N)
-    brought = {}
-    for much in (0.0, 300.0):
-        screen = screen_of(data - hidden * (hidden @ data), {'cause': much / 12.0 * hidden + seen}, hidden)
-        member = screen.by_effect()['cause']
-        brought[much] = screen.with_discrepancy((member,)).log_bayes - member.log_bayes
-    assert brought[0.0] == 0.0
-    assert brought[300.0] < -5.0
 
 
 def test_what_brings_nothing_leaves_the_others_where_they_are(cause_and_parts, monkeypatch):
