@@ -21,7 +21,7 @@ import numpy as np
 from scipy import linalg
 
 from stepdiag_ros.errors import StepdiagError
-from stepdiag_ros.estimate.correlated import fifth_of, of_mean
+from stepdiag_ros.estimate.correlated import fifth_of, not_rounding, of_mean
 from stepdiag_ros.estimate.reduce import MOVED_M, StopTable
 from stepdiag_ros.estimate.triangular import forward
 from stepdiag_ros.model.description import Noise
@@ -133,39 +133,47 @@ def sensor_noise(table: StopTable, belief: Noise) -> np.ndarray:
         for setup in np.unique(table.setup):
             rows = table.setup == setup
             for k in range(scatter.shape[1]):
-                own = scatter[rows, k]
-                own = own[np.isfinite(own)]
+                own = np.flatnonzero(rows & np.isfinite(scatter[:, k]))
                 if len(own) > 2:
-                    pooled[rows, k] = np.median(own)
+                    pooled[rows, k] = np.median(scatter[own, k]) / _of_median(float(np.median(count[own])))
         if parts is not None:
-            each = fifth_of(count)
-            pooled *= [of_mean(loud, each) for loud in _slow(parts / np.maximum(pooled, FLOOR_M)[:, :, None], table)]
+            each, slow = fifth_of(count), _slow(parts / np.maximum(pooled, FLOOR_M)[:, :, None], table)
+            own = not_rounding(np.median(pooled, axis=0), np.array(table.quanta or np.zeros(beams + 2))[columns])
+            # Beams of one instrument, the two axes of one detector, are alike in this.
+            pooled *= of_mean(float(np.sqrt(np.mean(slow**2))), each, np.isfinite(parts).sum(), float(np.mean(own)))
         result[:, columns] = pooled / np.sqrt(np.maximum(count, 1))[:, None]
     if table.disturbed is not None:
         result = np.sqrt(result**2 + table.disturbed)
     return np.maximum(result, FLOOR_M)
 
 
+def _of_median(count: float) -> float:
+    """What the median of the scatters of dwells of ``count`` samples is of their root mean square: as of χ² (E. B.
+    Wilson and M. M. Hilferty, PNAS 17, 1931) with the freedom that differences of independent neighbours have."""
+    freedom = 2.0 * (count - 1.0)**2 / (3.0 * count - 4.0)
+    return (1.0 - 2.0 / (9.0 * freedom))**1.5
+
+
 def _slow(parts: np.ndarray, table: StopTable) -> np.ndarray:
-    """Factor (c,), at least one, by which ``parts`` (n, c, p), in units of a sample's noise, scatter more than those of
-    independent samples; what moves of one kind leave in all their dwells is no noise."""
+    """Factor (c,) by which ``parts`` (n, c, p), in units of a sample's noise, scatter more than those of independent
+    samples; what moves of one kind leave in all their dwells is no noise."""
     kind = np.unique(np.stack([table.setup, table.axis, table.direction]), axis=1, return_inverse=True)[1].ravel()
     rest = np.full(parts.shape, np.nan)
     for number in np.unique(kind):
         rows = np.flatnonzero((kind == number) & np.isfinite(parts).all(axis=(1, 2)))
         if len(rows) >= LEAST_ALIKE:
             rest[rows] = (parts[rows] - parts[rows].mean(axis=0)) * np.sqrt(len(rows) / (len(rows) - 1.0))
-    return np.array([loudness(rest[:, c]) for c in range(parts.shape[1])])
+    return np.array([loudness(rest[:, c], 0.0) for c in range(parts.shape[1])])
 
 
-def loudness(values: np.ndarray) -> float:
-    """Factor, at least one, by which ``values``, NaN where there is none, are larger than normal ones of size one;
-    squares are held to ``LOUDEST`` times the quiet majority's."""
+def loudness(values: np.ndarray, least: float = 1.0) -> float:
+    """Factor, at ``least`` so much, by which ``values``, NaN where there is none, are larger than normal ones of size
+    one; squares are held to ``LOUDEST`` times the quiet majority's."""
     square = values[np.isfinite(values)]**2
-    if not len(square):
+    if not square.any():
         return 1.0
     quiet = float(np.median(square)) / MEDIAN_SQUARE
-    return max(1.0, float(np.sqrt(np.mean(np.minimum(square, LOUDEST * quiet)))))
+    return max(least, float(np.sqrt(np.mean(np.minimum(square, LOUDEST * quiet)))))
 
 
 def arrivals(table: StopTable) -> np.ndarray:

@@ -14,7 +14,7 @@ import numpy as np
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate.correlated import FIFTHS, SLOPE_AND_BEND, fifths_contrasts
 from stepdiag_ros.estimate.on_centre import on_centre
-from stepdiag_ros.estimate.samples import clean
+from stepdiag_ros.estimate.samples import clean, quantum
 from stepdiag_ros.model.log import DONE, DWELL, MOVE, STOOD, CalibrationLog, Samples
 
 MOVED_M = 1e-6
@@ -42,6 +42,7 @@ class StopTable:
     independent; None where no samples are known.
     ``displacement_rows``, ``spot_rows`` (n, 2): the dwell's samples are ``[first, last)`` of the log.
     ``intensity`` (n,) [V] and ``refractive_index`` (n,): means over the dwell.
+    ``quanta`` (beams + 2) [m]: steps in which readings of lengths and spots move, 0 where in none; () where not known.
     ``disturbed`` (n, beams + 2) [m²]: variance of the means by what is known to disturb them besides; None: nothing is.
     ``wander`` (n,) [m²]: power per e-fold of frequency of noise as 1/f on the lengths; None: there is none.
     ``hop`` (n,) [m]: by what the lengths hop between two states, ``hops_per_s`` times a second; None: they do not.
@@ -76,6 +77,7 @@ class StopTable:
     hops_per_s: float = 0.0
     displacement_parts: np.ndarray | None = None
     spot_parts: np.ndarray | None = None
+    quanta: tuple[float, ...] = ()
 
     def __len__(self) -> int:
         return len(self.run)
@@ -149,7 +151,9 @@ def reduce_log(log: CalibrationLog, cut: bool = False) -> StopTable:
         lengths.mean, lengths.scatter, lengths.count, lengths.rows,
         spots.mean, spots.scatter, spots.count, spots.rows,
         spots.health, _index_everywhere(lengths, events.run[first]), tuple(warnings),
-        displacement_parts=lengths.parts, spot_parts=spots.parts)
+        displacement_parts=lengths.parts, spot_parts=spots.parts,
+        quanta=tuple(step for part, samples in ((lengths, log.displacement), (spots, log.spot))
+                     for step in quantum(samples, part.rows, events.run[first]).tolist()))
     if not np.isfinite(table.displacement).any() and not np.isfinite(table.spot).any():
         raise StepdiagError(f'{log.source}: no dwell of sequencer/step holds a sample of '
                             'interferometer/displacement or psd/spot; check the stamps of both')

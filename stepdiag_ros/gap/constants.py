@@ -40,8 +40,9 @@ CONTROL_SHARE = 0.2
 """Share of what an effect's negative controls explain by which a name must beat them."""
 CONFUSED = 3.0
 """Sets closer than this in log evidence (odds of 20) are indistinguishable."""
-VIBRATION_ALARM = 6.0
-"""Least log evidence of lines in the dwells' spectrum; white noise passes it about once in 10⁵ logs."""
+VIBRATION_ALARM = 10.0
+"""Least log evidence of lines in the dwells' spectrum: white noise passes 2 in one channel of a hundred, 4 in one of
+600, 6 in one of 3000 (of 14,000 drawn), so this in about one of 10⁵."""
 COHERENT_ALARM = 12.0
 """Least log evidence of lines that keep their phase from dwell to dwell; of logs without any one in twenty shows 4,
 one in 10⁵ this."""

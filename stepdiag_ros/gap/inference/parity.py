@@ -15,7 +15,7 @@ import numpy as np
 from scipy import linalg
 
 from stepdiag_ros.effects.base import Form
-from stepdiag_ros.estimate.correlated import SLOPE_AND_BEND, contrasts, fifth_of, of_bend
+from stepdiag_ros.estimate.correlated import SLOPE_AND_BEND, contrasts
 from stepdiag_ros.estimate.enhanced import Fit
 from stepdiag_ros.estimate.noise import NoiseModel, Whitener, loudness, whiteners
 from stepdiag_ros.estimate.triangular import forward
@@ -32,6 +32,8 @@ ALONE = 10.0
 BY_FAR = 3.0
 FOLDED = 1e-3
 """Growth of a length with its reading below which no counter could have counted it."""
+LEAST_DIFFERENCES = 8
+"""Differences of slopes that tell nothing yet of how rough these are."""
 LEAST_ALIKE = 3
 """Fewest dwells of one kind from which their typical size is estimated: the median of three stands one that errs."""
 
@@ -275,8 +277,8 @@ def _inside(observation: Observation, bins: np.ndarray,
     noise; and what they are held to."""
     values = contrast @ bins / observation.bin_sigma[:, None, :]
     rough = np.ones(values.shape[1:])
-    rough[0] = _roughness(values[:, 0], observation)
-    rough[1] = _bending(values, observation)
+    for degree in range(SLOPE_AND_BEND):
+        rough[degree] = _roughness(values[:, degree], observation)
     typical = _typical(values, observation)
     rough = np.hypot(rough, DISCREPANCY * typical)
     return values / rough, rough, CLIP * np.maximum(typical.max(axis=1, keepdims=True) / rough, 1.0)
@@ -289,14 +291,6 @@ def _loudness(values: np.ndarray) -> np.ndarray:
     is taken from the others.
     """
     return np.array([loudness(values[:, SLOPE_AND_BEND:, c]) for c in range(values.shape[2])])
-
-
-def _bending(values: np.ndarray, observation: Observation) -> np.ndarray:
-    """Factor (c,) by which noise bends the dwells more than the contrasts (n, h, c) beyond the bend say, for samples
-    that go with those before them."""
-    table, channels = observation.table, values.shape[2]
-    counts = [table.displacement_count] * (channels - 2) + [table.spot_count] * 2
-    return np.array([of_bend(loud, fifth_of(count)) for loud, count in zip(_loudness(values), counts, strict=True)])
 
 
 def _typical(values: np.ndarray, observation: Observation) -> np.ndarray:
@@ -336,26 +330,21 @@ def _median(values: np.ndarray) -> np.ndarray:
     return np.where(absent, 0.0, np.nanmedian(np.where(absent, 0.0, values), axis=0))
 
 
-def _roughness(slope: np.ndarray, observation: Observation) -> np.ndarray:
-    """Factor (c,) by which the dwells' slopes (n, c) scatter above the sensors' noise.
+def _roughness(values: np.ndarray, observation: Observation) -> np.ndarray:
+    """Factor (c,) by which the dwells' slopes or bends (n, c) scatter above the sensors' noise.
 
     A drift that wanders changes its rate from stop to stop: a form with a smooth profile predicts the
-    slopes only so well, whatever the sensor could see.  Taken from second differences between stops
+    slopes only so well, whatever the sensor could see; and samples that go with those before them slope and bend
+    more than those beyond a bend tell.  Taken from second differences between stops
     that the same axis led to, in which smooth profiles and settling cancel.
     """
     table = observation.table
-    parts = []
+    parts = [np.empty((0, values.shape[1]))]
     for run in np.unique(table.run):
         for axis in range(3):
-            mine = slope[(table.run == run) & (table.axis == axis)]
+            mine = values[(table.run == run) & (table.axis == axis)]
             if len(mine) >= 4:
                 parts.append(np.diff(mine, n=2, axis=0) / np.sqrt(6.0))
-    if not parts:
-        return np.ones(slope.shape[1])
-    second = np.abs(np.concatenate(parts))
-    result = np.ones(slope.shape[1])
-    for c in range(slope.shape[1]):
-        own = second[np.isfinite(second[:, c]), c]
-        if len(own) > 8:
-            result[c] = max(1.0, float(np.median(own)) / 0.6745)
-    return result
+    second = np.concatenate(parts)
+    enough = np.isfinite(second).sum(axis=0) > LEAST_DIFFERENCES
+    return np.array([loudness(mine) if told else 1.0 for mine, told in zip(second.T, enough, strict=True)])

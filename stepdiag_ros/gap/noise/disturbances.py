@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from stepdiag_ros.estimate.samples import quantum
 from stepdiag_ros.gap.noise.dwell_spectrum import DwellSpectrum, dwell_spectrum
 from stepdiag_ros.gap.noise.mode_hops import ModeHops, mode_hops
 from stepdiag_ros.gap.preprocess.observe import Observation
@@ -36,8 +35,7 @@ def disturbed(log: CalibrationLog, observation: Observation) -> tuple[Observatio
     table = observation.table
     distance = observation.view.distance.mean(axis=1)
     samples = dwell_spectrum(log, table, distance)
-    quanta = np.concatenate([quantum(log.displacement, table.displacement_rows, table.run),
-                             quantum(log.spot, table.spot_rows, table.run)])
+    quanta = np.array(table.quanta)
     if quanta.any():
         observation = _with_steps(observation, quanta)
     observation = _with_spectrum(observation, samples)

@@ -87,10 +87,22 @@ def test_sensor_noise_is_scatter_over_root_of_samples(case):
     description, table, *_ = case
     seen = sensor_noise(replace(table, displacement_scatter=np.full_like(table.displacement, 4e-9)),
                         description.noise)
-    assert np.allclose(seen[:, 0], 4e-10)
-    assert np.allclose(seen[:, 1:], description.noise.spot / 10.0)     # no scatter seen: belief
+    # The median of what hundred samples' neighbours differ by is half a percent below its root mean square.
+    assert seen[:, 0] == pytest.approx(4.02e-10, rel=2e-3)
+    assert seen[:, 1:] == pytest.approx(description.noise.spot / 10.0)     # no scatter seen: belief
     quiet = sensor_noise(replace(table, spot_scatter=np.zeros_like(table.spot)), description.noise)
     assert np.all(quiet[:, 1:] == FLOOR_M)
+
+
+@pytest.mark.parametrize('count', [3, 6, 20])
+def test_the_scatter_of_short_dwells_is_their_root_mean_square(case, count):
+    description, table, *_ = case
+    drawn = np.random.default_rng(8).normal(0.0, 4e-9, (len(table), count))
+    scatter = np.sqrt(np.mean(np.diff(drawn, axis=1)**2, axis=1) / 2.0)
+    alike = replace(table, displacement_scatter=scatter[:, None], displacement_parts=None,
+                    displacement_count=np.full(len(table), count), setup=np.zeros_like(table.setup))
+    seen = sensor_noise(alike, description.noise)
+    assert np.median(seen[:, 0]) == pytest.approx(4e-9 / np.sqrt(count), rel=0.06)
 
 
 def test_an_axis_rests_on_one_arrival_until_it_moves(case):
