@@ -277,8 +277,9 @@ def _inside(observation: Observation, bins: np.ndarray,
     noise; and what they are held to."""
     values = contrast @ bins / observation.bin_sigma[:, None, :]
     rough = np.ones(values.shape[1:])
+    loud = _loudness(values)   # by that all contrasts are divided besides
     for degree in range(SLOPE_AND_BEND):
-        rough[degree] = _roughness(values[:, degree], observation)
+        rough[degree] = np.maximum(_roughness(values[:, degree], observation) / loud, 1.0)
     typical = _typical(values, observation)
     rough = np.hypot(rough, DISCREPANCY * typical)
     return values / rough, rough, CLIP * np.maximum(typical.max(axis=1, keepdims=True) / rough, 1.0)

@@ -11,6 +11,7 @@ from stepdiag_ros.gap.inference.candidates import Candidate, Screen
 from stepdiag_ros.gap.inference.parity import contrasts, parity
 from stepdiag_ros.gap.inference.select_effects import noise_of
 from stepdiag_ros.gap.preprocess.observe import observe
+from stepdiag_ros.virtual.cell import parse_cell
 from stepdiag_ros.virtual.offline import Visit, simulate_log
 
 
@@ -48,6 +49,17 @@ def test_null_data_are_white(case):
     space = _space(case.observe())
     assert 0.85 < np.sum(space.data[:space.stops]**2) / space.dof[0] < 1.15
     assert 0.8 < np.sum(space.data[space.stops:]**2) / space.dof[1] < 1.25
+
+
+@pytest.mark.parametrize('dwell', [0.12, 0.6])
+def test_slopes_and_bends_of_samples_that_are_alike_are_white(case, dwell):
+    """Of six samples the contrasts beyond a bend hardly tell of a bend; of thirty they tell, and it counts once."""
+    text = case.text.replace('dwell: 0.6', f'dwell: {dwell}') + 'noise_law: {spot: {correlation: 0.77}}\n'
+    space = _space(observe(simulate_log(parse_cell(text))))
+    degree, channel = np.unravel_index(space._bin_places, space._bin_present.shape)[1:]
+    inside = space.data[space.stops:]
+    for which in (0, 1):
+        assert 0.7 < np.mean(inside[(degree == which) & (channel > 0)]**2) < 1.2
 
 
 def test_each_setup_has_its_own_noise_inside_the_dwells(case):
