@@ -223,12 +223,7 @@ def _lower(text: str) -> str:
 def closed_share(diagnosis: Diagnosis) -> float | None:
     """Share of the gap's variance above the floor that is gone; None where there was none."""
     gap = diagnosis.cross_validation
-    return _closed(gap) if gap.before_m > gap.floor_m else None
-
-
-def _closed(gap: CrossValidation) -> float:
-    before, after = gap.before_m**2 - gap.floor_m**2, gap.after_m**2 - gap.floor_m**2
-    return float(np.clip(1.0 - max(after, 0.0) / before, 0.0, 1.0)) if before > 0.0 else 0.0
+    return 1.0 - gap.gap.left if gap.before_m > gap.floor_m else None
 
 
 def how_far(diagnosis: Diagnosis) -> str:
@@ -290,7 +285,7 @@ def over_setups_words(diagnosis: Diagnosis) -> str:
     if over.before_m**2 < HARDLY * over.floor_m**2:
         return (f'{held_out} hardly shows: {micrometres(over.before_m)} before and {micrometres(over.after_m)} after '
                 f'(noise alone: {micrometres(over.floor_m)}).')
-    if _closed(over) < LEAST_CLOSED:
+    if 1.0 - over.gap.left < LEAST_CLOSED:
         return f'{held_out} {_stays(over)}.'
     return (f'{held_out} falls from {micrometres(over.before_m)} to {micrometres(over.after_m)} (noise alone: '
             f'{micrometres(over.floor_m)}).')

@@ -17,22 +17,14 @@ from stepdiag_msgs.srv import NameLog
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.nodes import base, bringup
 from stepdiag_ros.nodes.base import StepdiagNode, reliable
-from stepdiag_ros.nodes.patience import Patience
 from stepdiag_ros.virtual import faults
 
 NODES = ('recorder', 'evaluation_solver', 'gap_monitor', 'interferometer_driver', 'psd_driver', 'step_sequencer')
 
 
 def call(cell, kind, name, request):
-    """The answer of a service that a client has just found; asked again, for a server that has not found the client yet
-    answers nobody."""
-    client, asked = cell.operator.node.create_client(kind, name), []
-    assert client.wait_for_service(timeout_sec=30.0)
-    for _ in range(15):
-        asked.append(client.call_async(request))
-        if Patience(2.0).until(lambda: any(future.done() for future in asked)):
-            return next(future.result() for future in asked if future.done())
-    raise AssertionError(f'{name} does not answer')
+    """The answer of a service; asked again, for a server that has not found its client yet answers nobody."""
+    return cell.operator._call_until_answered(kind, name, request, 30.0)
 
 
 @pytest.mark.parametrize('node', NODES)

@@ -74,12 +74,12 @@ class Brought:
                 at = slice(slices[i].start - first, slices[i].stop - first)
                 grams.append(white[:, at].T @ white[:, at] - absorbed[:, at].T @ absorbed[:, at])
             bent = [i for i in some if forms[i].inside is not None]
-            for i, gram in _below(space.stops, inside, [space.bin_part(np.asarray(forms[i].inside)) * forms[i].scale
-                                                        for i in bent], bent, slices, data, along):
+            parts = [space.bin_part(np.asarray(forms[i].inside)) * forms[i].scale for i in bent]
+            for i, gram in _below(space.stops, inside, parts, bent, slices, data, along).items():
                 grams[i] += gram
             read = [i for i in some if forms[i].by_reading is not None]
-            corrections.update(_below(space.size, own, [space.own_rows(forms[i]) for i in read], read, slices, data,
-                                      along))
+            parts = [space.own_rows(forms[i]) for i in read]
+            corrections |= _below(space.size, own, parts, read, slices, data, along)
         return cls(tuple(g.block() for g in (*stops, *inside)), tuple(g.block() for g in own), slices, grams, along,
                    corrections)
 
@@ -144,20 +144,17 @@ def _rounded(columns: np.ndarray) -> np.ndarray:
 
 
 def _below(above: int, blocks: Sequence[_Gathering], parts: Sequence[np.ndarray], numbers: Sequence[int],
-           slices: Sequence[slice], data: np.ndarray, along: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
+           slices: Sequence[slice], data: np.ndarray, along: np.ndarray) -> dict[int, np.ndarray]:
     """Gather what some forms, by their ``numbers``, do in rows below ``above`` others, ``parts`` (m, k) each, and add
-    their products with the ``data`` there to ``along``; each number with the products (k, k) of its part with itself.
-    """
+    their products with the ``data`` there to ``along``; by number the products (k, k) of each part with itself."""
     if not parts or not len(parts[0]):
-        return
+        return {}
     columns = _rounded(np.concatenate(parts, axis=1))
     places = np.concatenate([np.arange(slices[i].start, slices[i].stop) for i in numbers])
     along[places] += columns.T @ data[above:above + len(columns)]
     _gather(blocks, columns, above, places)
-    ends = np.cumsum([0, *(part.shape[1] for part in parts)]).tolist()
-    for i, begin, end in zip(numbers, ends, ends[1:], strict=False):
-        mine = columns[:, begin:end]
-        yield i, mine.T @ mine
+    each = np.split(columns, np.cumsum([part.shape[1] for part in parts])[:-1], axis=1)
+    return {i: mine.T @ mine for i, mine in zip(numbers, each, strict=True)}
 
 
 def _gather(blocks: Sequence[_Gathering], columns: np.ndarray, above: int, places: np.ndarray) -> None:

@@ -41,10 +41,10 @@ class Case:
     def log(self, *effects: Effect) -> CalibrationLog:
         return simulate_log(self.cell, effects=list(effects))
 
-    def untidy(self, law: str, *effects: Effect, seed: int = 11) -> CalibrationLog:
-        """A log whose noise follows the cell file's ``noise_law``."""
-        text = TEXT.replace('seed: 11', f'seed: {seed}') + f'noise_law: {law}\n'
-        return simulate_log(parse_cell(text), effects=list(effects))
+    def untidy(self, law: str, *effects: Effect, seed: int = 11, dwell: float = 0.6) -> CalibrationLog:
+        """A log whose noise follows the cell file's ``noise_law``; ``dwell`` [s]."""
+        text = TEXT.replace('seed: 11', f'seed: {seed}').replace('dwell: 0.6', f'dwell: {dwell}')
+        return simulate_log(parse_cell(f'{text}noise_law: {law}\n'), effects=list(effects))
 
     def observe(self, *effects: Effect) -> Observation:
         return observe(self.log(*effects))

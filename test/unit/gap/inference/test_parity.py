@@ -11,7 +11,6 @@ from stepdiag_ros.gap.inference.candidates import Candidate, Screen
 from stepdiag_ros.gap.inference.parity import contrasts, parity
 from stepdiag_ros.gap.inference.select_effects import noise_of
 from stepdiag_ros.gap.preprocess.observe import observe
-from stepdiag_ros.virtual.cell import parse_cell
 from stepdiag_ros.virtual.offline import Visit, simulate_log
 
 
@@ -54,8 +53,7 @@ def test_null_data_are_white(case):
 @pytest.mark.parametrize('dwell', [0.12, 0.6])
 def test_slopes_and_bends_of_samples_that_are_alike_are_white(case, dwell):
     """Of six samples the contrasts beyond a bend hardly tell of a bend; of thirty they tell, and it counts once."""
-    text = case.text.replace('dwell: 0.6', f'dwell: {dwell}') + 'noise_law: {spot: {correlation: 0.77}}\n'
-    space = _space(observe(simulate_log(parse_cell(text))))
+    space = _space(observe(case.untidy('{spot: {correlation: 0.77}}', dwell=dwell)))
     degree, channel = np.unravel_index(space._bin_places, space._bin_present.shape)[1:]
     inside = space.data[space.stops:]
     for which in (0, 1):

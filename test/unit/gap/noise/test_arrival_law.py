@@ -148,12 +148,12 @@ def test_spread_widens_only_what_it_says(case):
 def test_a_dwells_mean_is_as_uncertain_as_samples_leave_it(case, alike, step, dwell, within):
     """Samples that go with those before them, in steps of so many times their noise, 30 a dwell and fewer: against what
     the means truly err by, the same cell once with silent sensors.  Six samples hardly tell how alike they are."""
-    text = case.text.replace('dwell: 0.6', f'dwell: {dwell}')
     laws = ', '.join(f'{name}: {{correlation: {alike}, quantum: {step * sigma}}}'
                      for name, sigma in (('displacement', 5e-9), ('spot', 2e-7)))
-    loud = reduce_log(simulate_log(parse_cell(f'{text}noise_law: {{{laws}}}\n')))
+    loud = reduce_log(case.untidy(f'{{{laws}}}', dwell=dwell))
     silent = reduce_log(simulate_log(parse_cell(
-        text.replace('displacement: 5.0e-9', 'displacement: 0.0').replace('spot: 2.0e-7', 'spot: 0.0'))))
+        case.text.replace('displacement: 5.0e-9', 'displacement: 0.0').replace('spot: 2.0e-7', 'spot: 0.0')
+        .replace('dwell: 0.6', f'dwell: {dwell}'))))
     truly = np.concatenate([loud.displacement - silent.displacement, loud.spot - silent.spot], axis=1).std(axis=0)
     said = sensor_noise(loud, case.cell.description.noise).mean(axis=0)
     np.testing.assert_allclose(said, truly, rtol=within)
