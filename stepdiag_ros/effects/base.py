@@ -10,6 +10,7 @@ against the other.
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -147,6 +148,11 @@ class StopView:
         """Stops (k,) of each watch: a long dwell that was cut, its first piece and those that go on standing."""
         begins = np.flatnonzero(self.axis != STOOD)
         return [watch for watch in np.split(np.arange(len(self.axis)), begins[1:]) if len(watch) > 1]
+
+    @cached_property
+    def off_middle(self) -> np.ndarray:
+        """Times (n, b) [s] of the bins from the middle of their dwell: along these a slow drift is a slope."""
+        return self.bin_time - self.bin_time.mean(axis=1, keepdims=True)
 
     @property
     def beams(self) -> int:

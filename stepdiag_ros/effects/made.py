@@ -46,6 +46,22 @@ class Made(NDArrayOperatorsMixin):
             for a, b in zip(self._parts, other._parts, strict=True))
 
 
+class Product(Made):
+    """Functions (p, n) of stops or times times a signature (m, n, c), each with each: (p·m, n, c); with a ``course``
+    (n, b) of each besides, (p·m, n, b, c)."""
+
+    def __init__(self, functions: np.ndarray, signature: np.ndarray, course: np.ndarray | None = None):
+        n, c = signature.shape[1:]
+        inner = (n, c) if course is None else (n, course.shape[1], c)
+        super().__init__((len(functions) * len(signature), *inner), _product, functions, signature, course)
+        self.functions, self.signature, self.course = functions, signature, course
+
+
+def _product(functions: np.ndarray, signature: np.ndarray, course: np.ndarray | None) -> np.ndarray:
+    whole = np.einsum('tn,anc->tanc', functions, signature).reshape(-1, *signature.shape[1:])
+    return whole if course is None else whole[:, :, None, :] * course[None, :, :, None]
+
+
 def joined(parts: Sequence[Any]) -> Made:
     """Arrays, one behind the other along their first axis."""
     return Made((sum(len(part) for part in parts), *parts[0].shape[1:]), lambda *given: np.concatenate(given), *parts)

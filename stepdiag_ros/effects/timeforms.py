@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stepdiag_ros.effects.base import Form, StopView
-from stepdiag_ros.effects.made import Made
+from stepdiag_ros.effects.made import Product
 
 MOST_WAVES = 40
 STOPS_A_WAVE = 8
@@ -131,17 +131,6 @@ def with_constant(profile: TimeProfile) -> TimeProfile:
                   profile.shape, retune, None if profile.sizes is None else np.concatenate([[1.0], profile.sizes]))
 
 
-def following(profile: np.ndarray, signature: np.ndarray) -> np.ndarray:
-    """A signature (m, n, c) times each function (p, n) of a profile: (p·m, n, c)."""
-    return np.einsum('tn,anc->tanc', profile, signature).reshape(-1, *signature.shape[1:])
-
-
-def _following_inside(rates: np.ndarray, signature: np.ndarray, bin_time: np.ndarray) -> np.ndarray:
-    """The same inside the dwells (p·m, n, b, c), at the profile's ``rates`` (p, n) [1/s] from the dwell's middle."""
-    away = bin_time - bin_time.mean(axis=1, keepdims=True)
-    return following(rates, signature)[:, :, None, :] * away[None, :, :, None]
-
-
 def drift_form(view: StopView, profile: TimeProfile, signature: np.ndarray, names: tuple[str, ...],
                scale: np.ndarray, label: str = '', units: str = 'm', begun: bool = False) -> Form:
     """A signature (m, n, c) that follows a profile: columns at the stops and the slope inside the dwells.
@@ -153,14 +142,10 @@ def drift_form(view: StopView, profile: TimeProfile, signature: np.ndarray, name
     if stranger := next((name for name in names if not isinstance(name, str)), None):
         raise TypeError(f'names holds a {type(stranger).__name__}; give a text for each row of the signature')
     count = len(profile.values)
-    n, c = view.reading.shape
-    columns = Made((count * len(signature), n, c), following, profile.values, signature)
-    inside = Made((count * len(signature), n, view.bin_time.shape[1], c), _following_inside,
-                  profile.rates, signature, view.bin_time)
-    return Form(f'{label}{", " if label else ""}{profile.label}', columns,
+    return Form(f'{label}{", " if label else ""}{profile.label}', Product(profile.values, signature),
                 tuple(f'{name}{i or ""}' for i in range(count) for name in names),
                 (np.tile(scale, count) if profile.sizes is None else np.outer(profile.sizes, scale).ravel()),
-                units, inside, profile.shape,
+                units, Product(profile.rates, signature, view.off_middle), profile.shape,
                 None if profile.retune is None else lambda shape: drift_form(
                     view, profile.retune(shape), signature, names, scale, label, units, begun),
                 process=profile.sizes is not None,

@@ -19,6 +19,7 @@ each was taken to have is what tails add to the log evidence (as expectation pro
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from scipy import linalg, special
@@ -116,8 +117,10 @@ def weighed(noise: NoiseModel, found: Sequence[Errors], stops: int,
             middle, wide = errors.mean[mine] / learnt * before, errors.variance[mine] / learnt * before**2
             total = wide[:, None] + 1.0 / WEIGHTS
             logs = _log_share(law.dof) - 0.5 * np.log(total) - 0.5 * middle[:, None]**2 / total
-            top = special.logsumexp(logs, axis=1)
-            share = np.exp(logs - top[:, None])
+            peak = logs.max(axis=1)
+            share = np.exp(logs - peak[:, None])
+            whole = share.sum(axis=1)
+            share, top = share / whole[:, None], peak + np.log(whole)
             plain = wide + before**2
             evidence += float(np.sum(top + 0.5 * np.log(plain) + 0.5 * middle**2 / plain))
             own = 1.0 / (WEIGHTS + 1.0 / wide[:, None])
@@ -131,6 +134,7 @@ def weighed(noise: NoiseModel, found: Sequence[Errors], stops: int,
             np.concatenate([errors.latent.source for errors in found]))
 
 
+@lru_cache
 def _log_share(dof: float) -> np.ndarray:
     """Logarithm of the share (k,) of errors that have each of ``WEIGHTS``: the gamma distribution on that grid."""
     logs = 0.5 * dof * np.log(WEIGHTS) - 0.5 * dof * WEIGHTS

@@ -12,15 +12,20 @@ def forward(factor: np.ndarray, right: np.ndarray) -> np.ndarray:
     return _solved(linalg.lapack.dtrtrs, factor, right)
 
 
+def backward(factor: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """``L⁻ᵀ b`` of a lower factor (n, n) for ``right`` (n, k)."""
+    return _solved(linalg.lapack.dtrtrs, factor, right, trans=1)
+
+
 def whole(factor: np.ndarray, right: np.ndarray) -> np.ndarray:
     """``(LLᵀ)⁻¹ b`` of a lower Cholesky factor (n, n) for ``right`` (n,) or (n, k)."""
     return _solved(linalg.lapack.dpotrs, factor, right)
 
 
-def _solved(solve, factor: np.ndarray, right: np.ndarray) -> np.ndarray:
+def _solved(solve, factor: np.ndarray, right: np.ndarray, **options: int) -> np.ndarray:
     if not right.size:
         return np.zeros(right.shape)
-    result, info = solve(factor, right if right.ndim > 1 else right[:, None], lower=1)
+    result, info = solve(factor, right if right.ndim > 1 else right[:, None], lower=1, **options)
     if info:
         raise linalg.LinAlgError(f'singular matrix: element {info} of the diagonal is zero')
     return result if right.ndim > 1 else result[:, 0]

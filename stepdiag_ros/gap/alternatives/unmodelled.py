@@ -11,8 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from stepdiag_ros.effects.base import Form, StopView
-from stepdiag_ros.effects.made import Made
-from stepdiag_ros.effects.timeforms import following
+from stepdiag_ros.effects.made import Made, Product
 from stepdiag_ros.gap.preprocess.observe import channels
 
 NAME = 'unknown'
@@ -131,8 +130,7 @@ def _in_time(view: StopView) -> Iterator[Form]:
             profiles = ([(view.run == run).astype(float) * view.run_time / 30.0 for run in runs]
                        if run_wise else list(slow))
             profiles = [c for c in profiles if np.any(c)]
-            columns = Made((len(profiles) * len(derivative), *view.reading.shape), following, np.array(profiles),
-                           derivative)
+            columns = Product(np.array(profiles), derivative)
             yield Form(f'{label}: wandering {"inside the runs" if run_wise else "in time"}', columns,
                        tuple(str(i) for i in range(len(columns))), np.full(len(columns), scale))
 

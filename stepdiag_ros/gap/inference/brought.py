@@ -4,7 +4,8 @@ A log of n stops has ten thousand columns.  Many live in one run or one setup, m
 tilt them; written out they would take a hundred times the memory of the log.  So forms are brought over some at a time,
 and of their columns only the runs, and the degrees of contrast inside the dwells, are kept in which they do something.
 They are kept in single precision: a form that is right to some per cent may be rounded to 10⁻⁷.  It is rounded before
-anything is worked out from it, so that all products are those of the rounded form.
+anything is worked out from it, so that all products are those of the rounded form.  Of what drifts, half of all
+columns and full ones, nothing is kept but the factors (:mod:`~stepdiag_ros.gap.inference.factored`).
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -14,6 +15,7 @@ from itertools import pairwise
 import numpy as np
 
 from stepdiag_ros.effects.base import Form
+from stepdiag_ros.gap.inference.factored import Factored, is_factored
 from stepdiag_ros.gap.inference.parity import Parity
 
 KEPT = np.float32
@@ -47,11 +49,12 @@ class Brought:
 
     ``slices``: where each form's columns lie among all ``width``.  Projected: products ``grams`` (k, k) of each form's
     columns with each other and ``along`` (K,) of all with the data, those of the correction in the latter alone and, by
-    form, in ``corrections`` (k, k).
+    form, in ``corrections`` (k, k).  ``factored``: the forms that stand in no block.
     """
 
     blocks: tuple[Block, ...]
     own: tuple[Block, ...]
+    factored: Factored
     slices: Sequence[slice]
     grams: Sequence[np.ndarray]
     along: np.ndarray
@@ -66,22 +69,35 @@ class Brought:
         inside = [_Gathering(space.stops + rows) for rows in space.inside_runs]
         own = [_Gathering(space.size + rows) for rows in space.own_runs if len(rows)]
         along, grams, corrections = np.zeros(edges[-1]), [], {}
-        for some in _some_at_a_time(slices, len(data)):
-            first = slices[some[0]].start
-            white, absorbed = _at_the_stops(space, [forms[i] for i in some], stops, first)
-            along[first:first + white.shape[1]] = white.T @ data[:space.stops]
+        factored = Factored(space, {slices[i].start: form for i, form in enumerate(forms) if is_factored(form)})
+        from_data, from_fit = factored.back(data[:, None]), factored.back(space._basis)
+        for some in _some_at_a_time(slices, len(data), [is_factored(form) for form in forms]):
+            part = slice(slices[some[0]].start, slices[some[-1]].stop)
+            mine = [forms[i] for i in some]
+            if is_factored(mine[0]):
+                white = space.white_part(np.concatenate([np.asarray(f.columns) * f.scale[:, None, None] for f in mine]))
+                absorbed = np.zeros((space._basis.shape[1], white.shape[1]))
+                for place, product in factored.times(from_fit, [slices[i].start for i in some]):
+                    absorbed[:, place - part.start:place - part.start + len(product)] = product.T
+                for place, product in factored.times(from_data, [slices[i].start for i in some]):
+                    along[place:place + len(product)] = product[:, 0]
+            else:
+                white, absorbed = _at_the_stops(space, mine, stops, part.start)
+                along[part] = white.T @ data[:space.stops]
             for i in some:
-                at = slice(slices[i].start - first, slices[i].stop - first)
+                at = slice(slices[i].start - part.start, slices[i].stop - part.start)
                 grams.append(white[:, at].T @ white[:, at] - absorbed[:, at].T @ absorbed[:, at])
-            bent = [i for i in some if forms[i].inside is not None]
+                if is_factored(forms[i]):
+                    grams[i] += factored.grams_inside(slices[i].start)
+            bent = [i for i in some if forms[i].inside is not None and not is_factored(forms[i])]
             parts = [space.bin_part(np.asarray(forms[i].inside)) * forms[i].scale for i in bent]
             for i, gram in _below(space.stops, inside, parts, bent, slices, data, along).items():
                 grams[i] += gram
             read = [i for i in some if forms[i].by_reading is not None]
             parts = [space.own_rows(forms[i]) for i in read]
             corrections |= _below(space.size, own, parts, read, slices, data, along)
-        return cls(tuple(g.block() for g in (*stops, *inside)), tuple(g.block() for g in own), slices, grams, along,
-                   corrections)
+        return cls(tuple(g.block() for g in (*stops, *inside)), tuple(g.block() for g in own), factored, slices, grams,
+                   along, corrections)
 
     @property
     def width(self) -> int:
@@ -93,6 +109,7 @@ class Brought:
             return tuple(a.and_then(b, self.width) for a, b in zip(mine, theirs, strict=True))
 
         return replace(self, blocks=both(self.blocks, other.blocks), own=both(self.own, other.own),
+                       factored=self.factored.and_then(other.factored, self.width),
                        along=np.concatenate([self.along, other.along]))
 
     def columns(self, part: slice, size: int) -> np.ndarray:
@@ -102,15 +119,20 @@ class Brought:
             begin, end = np.searchsorted(block.places, [part.start, part.stop])
             if end > begin:
                 full[np.ix_(block.rows, block.places[begin:end] - part.start)] = block.columns[:, begin:end]
+        self.factored.put(part, full)
         return full
 
     def times(self, directions: np.ndarray, wanted: slice) -> np.ndarray:
-        """Products (r, K) of ``directions`` (M, r) with the ``wanted`` ones of all columns; zero of the others."""
-        result = np.zeros((directions.shape[1], self.width))
+        """Products (K, r) of the ``wanted`` ones of all columns with ``directions`` (M, r); zero of the others."""
+        result = np.zeros((self.width, directions.shape[1]))
         for block in (*self.blocks, *self.own):
             begin, end = np.searchsorted(block.places, [wanted.start, wanted.stop])
             if end > begin:
-                result[:, block.places[begin:end]] += directions[block.rows].T @ block.columns[:, begin:end]
+                result[block.places[begin:end]] += block.columns[:, begin:end].T @ directions[block.rows]
+        some = self.factored.within(wanted)
+        if some:
+            for place, product in self.factored.times(self.factored.back(directions), some):
+                result[place:place + len(product)] = product
         return result
 
 
@@ -188,12 +210,13 @@ def _at_the_stops(space: Parity, forms: Sequence[Form], stops: Sequence[_Gatheri
     return white, absorbed
 
 
-def _some_at_a_time(slices: Sequence[slice], size: int) -> Iterator[list[int]]:
-    """Numbers of neighbouring forms, together with no more columns of ``size`` than are written out at a time."""
+def _some_at_a_time(slices: Sequence[slice], size: int, kinds: Sequence[bool]) -> Iterator[list[int]]:
+    """Numbers of neighbouring forms of one kind, together with no more columns of ``size`` than are written out at a
+    time."""
     some: list[int] = []
     most = max(AT_A_TIME // size, COLUMNS_AT_A_TIME)
     for number, part in enumerate(slices):
-        if some and part.stop - slices[some[0]].start > most:
+        if some and (part.stop - slices[some[0]].start > most or kinds[number] != kinds[some[0]]):
             yield some
             some = []
         some.append(number)

@@ -244,7 +244,7 @@ class Screen:
         overlap = self._brought.times(basis, slice(min(p.start for p in parts), max(p.stop for p in parts)))
         for alike in self._alike:
             chosen = open_[alike.numbers]
-            cross = (overlap[:, alike.places[chosen]] * alike.ratios[chosen]).transpose(1, 2, 0)
+            cross = overlap[alike.places[chosen]] * alike.ratios[chosen][:, :, None]
             gram = alike.grams[chosen] - cross @ cross.transpose(0, 2, 1)
             along = alike.alongs[chosen] - cross @ taken
             judged = judge(gram, along, total, dof, self.noise_dof, correction.of(alike, chosen, cross))

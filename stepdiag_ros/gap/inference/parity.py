@@ -12,13 +12,13 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy import linalg
+from scipy import linalg, sparse
 
 from stepdiag_ros.effects.base import Form
 from stepdiag_ros.estimate.correlated import SLOPE_AND_BEND, contrasts
 from stepdiag_ros.estimate.enhanced import Fit
 from stepdiag_ros.estimate.noise import NoiseModel, Whitener, loudness, whiteners
-from stepdiag_ros.estimate.triangular import forward
+from stepdiag_ros.estimate.triangular import backward, forward
 from stepdiag_ros.gap.preprocess.observe import Observation
 from stepdiag_ros.model.log import STOOD
 
@@ -32,6 +32,8 @@ ALONE = 10.0
 BY_FAR = 3.0
 FOLDED = 1e-3
 """Growth of a length with its reading below which no counter could have counted it."""
+ROUNDING = 1e-9
+"""Share of the largest contrast below which it is rounding."""
 LEAST_DIFFERENCES = 8
 """Differences of slopes that tell nothing yet of how rough these are."""
 LEAST_ALIKE = 3
@@ -117,6 +119,36 @@ class Parity:
         """White contrasts of bins: (k, n, b, c) → (N − stops, k)."""
         white = (self._contrast @ inside) * self._bin_weight
         return white.reshape(len(inside), -1)[:, self._bin_places].T
+
+    def stops_back(self, directions: np.ndarray) -> np.ndarray:
+        """Directions (stops, r) as the readings' whose products with columns are those of the white ones: (n, c, r)."""
+        n, c = len(self._bin_present), self._bin_present.shape[2]
+        result = np.zeros((n * c, directions.shape[1]))
+        for rows, white in zip(self.runs, self._white, strict=True):
+            result[white.rows] = backward(white.factor, directions[rows])
+        return result.reshape(n, c, directions.shape[1])
+
+    def dwells_back(self, course: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        """Directions (N − stops, r) of the contrasts as what goes on inside the dwells by one ``course`` (n, b), the
+        same in all channels: (n, c, r)."""
+        n, _, c = self._bin_present.shape
+        along = self._along(course)
+        there = np.flatnonzero(along)
+        stop, _, channel = np.unravel_index(self._bin_places[there], self._bin_present.shape)
+        sums = sparse.csr_array((along[there], (stop * c + channel, there)), shape=(n * c, len(along)))
+        return (sums @ directions).reshape(n, c, directions.shape[1])
+
+    def dwells_weight(self, course: np.ndarray) -> np.ndarray:
+        """Squares (n, c) of what a ``course`` (n, b) of size one does in the contrasts."""
+        whole = np.zeros(self._bin_present.size)
+        whole[self._bin_places] = self._along(course)**2
+        return whole.reshape(self._bin_present.shape).sum(axis=1)
+
+    def _along(self, course: np.ndarray) -> np.ndarray:
+        """White contrasts (N − stops,) of a ``course`` (n, b), the same in all channels; what is rounding is 0."""
+        contrast = (self._contrast @ course[:, :, None])[:, :, 0]
+        contrast = np.where(np.abs(contrast) > ROUNDING * np.abs(contrast).max(initial=0.0), contrast, 0.0)
+        return (contrast[:, :, None] * self._bin_weight).ravel()[self._bin_places]
 
     @cached_property
     def _bin_places(self) -> np.ndarray:
