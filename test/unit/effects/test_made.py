@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from stepdiag_ros.effects.made import Made, joined
+from stepdiag_ros.effects.made import Made, Product, joined
 
 
 def outer(a, b):
@@ -35,3 +35,13 @@ def test_nothing_is_kept():
     made, calls = Made((1,), lambda: calls.append(1) or np.zeros(1)), []
     np.asarray(made), np.asarray(made)
     assert len(calls) == 2
+
+
+def test_a_product_is_each_function_times_each_row():
+    rng = np.random.default_rng(1)
+    functions, signature, course = rng.random((2, 5)), rng.random((3, 5, 4)), rng.random((5, 6))
+    at_stops, inside = Product(functions, signature), Product(functions, signature, course)
+    assert at_stops.shape == np.asarray(at_stops).shape == (6, 5, 4)
+    assert inside.shape == np.asarray(inside).shape == (6, 5, 6, 4)
+    np.testing.assert_array_equal(at_stops[4], functions[1][:, None] * signature[1])
+    np.testing.assert_array_equal(inside[4], (functions[1][:, None] * signature[1])[:, None] * course[:, :, None])

@@ -7,11 +7,12 @@ from stepdiag_ros.effects import all_effects
 from stepdiag_ros.gap.alternatives.unmodelled import unknown_families
 from stepdiag_ros.gap.inference import brought
 from stepdiag_ros.gap.inference.brought import Brought
+from stepdiag_ros.gap.inference.factored import is_factored
 from stepdiag_ros.gap.inference.joint import fit_jointly
 from stepdiag_ros.gap.inference.select_effects import noise_of
 
-#: Of each stop: two fifths of the 300 kB that all may take.
-MOST_BYTES_A_STOP = 120e3
+#: Of each stop: a sixth of the 300 kB that all may take.
+MOST_BYTES_A_STOP = 50e3
 #: To which columns are rounded, in units of what they are before the fit's share is taken off.
 ROUNDED = 1e-7
 
@@ -32,6 +33,7 @@ def test_columns_products_and_data_are_those_of_each_form_alone(space_and_forms,
     if at_a_time == 1:
         monkeypatch.setattr(brought, 'COLUMNS_AT_A_TIME', 1)
     forms = forms[::37] + [form for form in forms if form.by_reading is not None][:2]
+    assert {is_factored(form) for form in forms} == {True, False}
     data = np.concatenate([space.data, space.own_data])
     found = Brought.into(space, forms, data)
     directions = np.random.default_rng(1).standard_normal((len(data), 3))
@@ -59,3 +61,12 @@ def test_a_stop_takes_little_memory(space_and_forms):
     found = Brought.into(space, forms, np.concatenate([space.data, space.own_data]))
     kept = sum(block.columns.nbytes for block in (*found.blocks, *found.own))
     assert kept / (space.row.max() + 1) < MOST_BYTES_A_STOP
+
+
+def test_what_drifts_stands_in_no_block(space_and_forms):
+    space, forms = space_and_forms
+    found = Brought.into(space, forms, np.concatenate([space.data, space.own_data]))
+    written = np.unique(np.concatenate([block.places for block in (*found.blocks, *found.own)]))
+    drifts = [part for form, part in zip(forms, found.slices, strict=True) if is_factored(form)]
+    assert sum(part.stop - part.start for part in drifts) > found.width / 3
+    assert not any(np.any((written >= part.start) & (written < part.stop)) for part in drifts)
