@@ -185,10 +185,10 @@ def _lengths(view: StopView) -> Iterator[Form]:
     """The unit of length changes: at once from one stop on, or for one stretch of the log."""
     b = view.beams
     ordered = np.argsort(view.time, kind='stable')
-    for place in range(1, len(ordered)):
-        i, before = ordered[place], ordered[place - 1]
-        if view.run[i] == view.run[before] and place % 4:
-            continue
+    begins = [place for place in range(1, len(ordered))
+              if view.run[ordered[place]] != view.run[ordered[place - 1]] or not place % 4]
+    for place in begins[::max(1, -(-len(begins) // MOST_JUMPS))]:
+        i = ordered[place]
         yield Form(f'length: another unit from {view.run_ids[view.run[i]]} stop {view.index[i]} on',
                    Made((1, *view.reading.shape), _stretched, view.distance, view.reading.shape, ordered[place:]),
                    ('0',), np.full(1, 1e-6))

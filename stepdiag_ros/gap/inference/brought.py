@@ -8,7 +8,7 @@ anything is worked out from it, so that all products are those of the rounded fo
 columns and full ones, nothing is kept but the factors (:mod:`~stepdiag_ros.gap.inference.factored`).
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -63,41 +63,11 @@ class Brought:
     @classmethod
     def into(cls, space: Parity, forms: Sequence[Form], data: np.ndarray) -> 'Brought':
         """Bring ``forms`` over; ``data`` (M,): those of the space, and below them those of the correction."""
-        edges = np.cumsum([0, *(len(form.columns) for form in forms)]).tolist()
-        slices = [slice(begin, end) for begin, end in pairwise(edges)]
-        stops = [_Gathering(np.arange(rows.start, rows.stop)) for rows in space.runs]
-        inside = [_Gathering(space.stops + rows) for rows in space.inside_runs]
-        own = [_Gathering(space.size + rows) for rows in space.own_runs if len(rows)]
-        along, grams, corrections = np.zeros(edges[-1]), [], {}
-        factored = Factored(space, {slices[i].start: form for i, form in enumerate(forms) if is_factored(form)})
-        from_data, from_fit = factored.back(data[:, None]), factored.back(space._basis)
-        for some in _some_at_a_time(slices, len(data), [is_factored(form) for form in forms]):
-            part = slice(slices[some[0]].start, slices[some[-1]].stop)
-            mine = [forms[i] for i in some]
-            if is_factored(mine[0]):
-                white = space.white_part(np.concatenate([np.asarray(f.columns) * f.scale[:, None, None] for f in mine]))
-                absorbed = np.zeros((space._basis.shape[1], white.shape[1]))
-                for place, product in factored.times(from_fit, [slices[i].start for i in some]):
-                    absorbed[:, place - part.start:place - part.start + len(product)] = product.T
-                for place, product in factored.times(from_data, [slices[i].start for i in some]):
-                    along[place:place + len(product)] = product[:, 0]
-            else:
-                white, absorbed = _at_the_stops(space, mine, stops, part.start)
-                along[part] = white.T @ data[:space.stops]
-            for i in some:
-                at = slice(slices[i].start - part.start, slices[i].stop - part.start)
-                grams.append(white[:, at].T @ white[:, at] - absorbed[:, at].T @ absorbed[:, at])
-                if is_factored(forms[i]):
-                    grams[i] += factored.grams_inside(slices[i].start)
-            bent = [i for i in some if forms[i].inside is not None and not is_factored(forms[i])]
-            parts = [space.bin_part(np.asarray(forms[i].inside)) * forms[i].scale for i in bent]
-            for i, gram in _below(space.stops, inside, parts, bent, slices, data, along).items():
-                grams[i] += gram
-            read = [i for i in some if forms[i].by_reading is not None]
-            parts = [space.own_rows(forms[i]) for i in read]
-            corrections |= _below(space.size, own, parts, read, slices, data, along)
-        return cls(tuple(g.block() for g in (*stops, *inside)), tuple(g.block() for g in own), factored, slices, grams,
-                   along, corrections)
+        work, grams = _Bringing(space, forms, data), []
+        for some in _some_at_a_time(work.slices, len(data), [is_factored(form) for form in forms]):
+            grams += work.factors(some) if is_factored(forms[some[0]]) else work.written(some)
+        return cls(tuple(g.block() for g in (*work.stops, *work.inside)), tuple(g.block() for g in work.own),
+                   work.factored, work.slices, grams, work.along, work.corrections)
 
     @property
     def width(self) -> int:
@@ -160,23 +130,88 @@ class _Gathering:
         return Block(self.rows, places, columns)
 
 
+class _Bringing:
+    """Forms on their way into parity space, some neighbouring ones at a time."""
+
+    def __init__(self, space: Parity, forms: Sequence[Form], data: np.ndarray):
+        self._space, self._forms, self._data = space, forms, data
+        edges = np.cumsum([0, *(len(form.columns) for form in forms)]).tolist()
+        self.slices = [slice(begin, end) for begin, end in pairwise(edges)]
+        self.along, self.corrections = np.zeros(edges[-1]), {}
+        self.stops = [_Gathering(np.arange(rows.start, rows.stop)) for rows in space.runs]
+        self.inside = [_Gathering(space.stops + rows) for rows in space.inside_runs]
+        self.own = [_Gathering(space.size + rows) for rows in space.own_runs if len(rows)]
+        self.factored = Factored(space, {self.slices[i].start: f for i, f in enumerate(forms) if is_factored(f)})
+        self._data_back, self._fit_back = self.factored.back(data[:, None]), self.factored.back(space._basis)
+
+    def written(self, some: Sequence[int]) -> list[np.ndarray]:
+        """Gather the columns of some forms; products (k, k) of each one's with each other, the fit's share taken off.
+
+        The data are projected, so are products with them: the columns need not be, which would be the dearest step.
+        Their own products are put right by what the fit absorbs.
+        """
+        space, forms, part = self._space, self._forms, self._part(some)
+        columns = np.concatenate([_at_stops(forms[i]) for i in some])
+        white = np.zeros((space.stops, len(columns)), order='F')
+        absorbed = np.zeros((space._basis.shape[1], len(columns)))
+        for gathering, (rows, there, values) in zip(self.stops, space.white_runs(columns), strict=True):
+            values = _rounded(values)
+            white[rows, there] = values
+            absorbed[:, there] += space.absorbed(values, rows)
+            gathering.put(values, there + part.start)
+        self.along[part] = white.T @ self._data[:space.stops]
+        grams = self._grams(some, white, absorbed)
+        bent = [i for i in some if forms[i].inside is not None]
+        for i, gram in self._below(space.stops, self.inside, bent, lambda form: space.bin_part(
+                np.asarray(form.inside)) * form.scale).items():
+            grams[i] += gram
+        read = [i for i in some if forms[i].by_reading is not None]
+        self.corrections |= self._below(space.size, self.own, read, space.own_rows)
+        return list(grams.values())
+
+    def factors(self, some: Sequence[int]) -> list[np.ndarray]:
+        """The same products of some factored forms, of which nothing is gathered."""
+        space, part, places = self._space, self._part(some), [self.slices[i].start for i in some]
+        white = space.white_part(np.concatenate([_at_stops(self._forms[i]) for i in some]))
+        absorbed = np.zeros((space._basis.shape[1], white.shape[1]))
+        for place, product in self.factored.times(self._fit_back, places):
+            absorbed[:, place - part.start:place - part.start + len(product)] = product.T
+        for place, product in self.factored.times(self._data_back, places):
+            self.along[place:place + len(product)] = product[:, 0]
+        grams = self._grams(some, white, absorbed)
+        return [gram + self.factored.grams_inside(self.slices[i].start) for i, gram in grams.items()]
+
+    def _part(self, some: Sequence[int]) -> slice:
+        return slice(self.slices[some[0]].start, self.slices[some[-1]].stop)
+
+    def _grams(self, some: Sequence[int], white: np.ndarray, absorbed: np.ndarray) -> dict[int, np.ndarray]:
+        first = self._part(some).start
+        at = {i: slice(self.slices[i].start - first, self.slices[i].stop - first) for i in some}
+        return {i: white[:, own].T @ white[:, own] - absorbed[:, own].T @ absorbed[:, own] for i, own in at.items()}
+
+    def _below(self, above: int, blocks: Sequence[_Gathering], numbers: Sequence[int],
+               part_of: Callable[[Form], np.ndarray]) -> dict[int, np.ndarray]:
+        """Gather what some forms, by their ``numbers``, do in rows below ``above`` others, (m, k) by ``part_of``, and
+        add their products with the data there; by number the products (k, k) of each part with itself."""
+        parts = [part_of(self._forms[i]) for i in numbers]
+        if not parts or not len(parts[0]):
+            return {}
+        columns = _rounded(np.concatenate(parts, axis=1))
+        places = np.concatenate([np.arange(self.slices[i].start, self.slices[i].stop) for i in numbers])
+        self.along[places] += columns.T @ self._data[above:above + len(columns)]
+        _gather(blocks, columns, above, places)
+        each = np.split(columns, np.cumsum([part.shape[1] for part in parts])[:-1], axis=1)
+        return {i: mine.T @ mine for i, mine in zip(numbers, each, strict=True)}
+
+
+def _at_stops(form: Form) -> np.ndarray:
+    """Columns (k, n, c) of a form at the stops, in units of its scales."""
+    return np.asarray(form.columns) * form.scale[:, None, None]
+
+
 def _rounded(columns: np.ndarray) -> np.ndarray:
     """Columns as they will be kept."""
     return columns.astype(KEPT).astype(float)
-
-
-def _below(above: int, blocks: Sequence[_Gathering], parts: Sequence[np.ndarray], numbers: Sequence[int],
-           slices: Sequence[slice], data: np.ndarray, along: np.ndarray) -> dict[int, np.ndarray]:
-    """Gather what some forms, by their ``numbers``, do in rows below ``above`` others, ``parts`` (m, k) each, and add
-    their products with the ``data`` there to ``along``; by number the products (k, k) of each part with itself."""
-    if not parts or not len(parts[0]):
-        return {}
-    columns = _rounded(np.concatenate(parts, axis=1))
-    places = np.concatenate([np.arange(slices[i].start, slices[i].stop) for i in numbers])
-    along[places] += columns.T @ data[above:above + len(columns)]
-    _gather(blocks, columns, above, places)
-    each = np.split(columns, np.cumsum([part.shape[1] for part in parts])[:-1], axis=1)
-    return {i: mine.T @ mine for i, mine in zip(numbers, each, strict=True)}
 
 
 def _gather(blocks: Sequence[_Gathering], columns: np.ndarray, above: int, places: np.ndarray) -> None:
@@ -190,24 +225,6 @@ def _gather(blocks: Sequence[_Gathering], columns: np.ndarray, above: int, place
         mine = np.flatnonzero(there)
         if len(mine):
             block.put(columns[np.ix_(block.rows - above, mine)], places[mine])
-
-
-def _at_the_stops(space: Parity, forms: Sequence[Form], stops: Sequence[_Gathering],
-                  begin: int) -> tuple[np.ndarray, np.ndarray]:
-    """White columns (stops, k) of forms and what of them the fit absorbs (r, k); the first are gathered too.
-
-    The data are projected, so are products with them: the columns need not be, which would be the dearest step.
-    Their own products are put right by what the fit absorbs.
-    """
-    columns = np.concatenate([np.asarray(form.columns) * form.scale[:, None, None] for form in forms])
-    white = np.zeros((space.stops, len(columns)), order='F')
-    absorbed = np.zeros((space.absorbed(white[:, :0]).shape[0], len(columns)))
-    for gathering, (rows, there, part) in zip(stops, space.white_runs(columns), strict=True):
-        part = _rounded(part)
-        white[rows, there] = part
-        absorbed[:, there] += space.absorbed(part, rows)
-        gathering.put(part, there + begin)
-    return white, absorbed
 
 
 def _some_at_a_time(slices: Sequence[slice], size: int, kinds: Sequence[bool]) -> Iterator[list[int]]:

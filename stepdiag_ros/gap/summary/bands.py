@@ -21,6 +21,9 @@ from stepdiag_ros.estimate.eigen import eigen
 from stepdiag_ros.gap.inference.joint import Joint, unexplained
 from stepdiag_ros.gap.preprocess.observe import channels
 
+MOST_WAVES = 256
+"""Half waves in the time of a log up to which its bands go: in a log of more than 500 stops what is faster is scatter
+from stop to stop, which is tested as such."""
 ALPHA = 1e-3
 """Probability that any band of a log without a gap stands out, divided over all of them."""
 SEEN = 1e-4
@@ -115,6 +118,6 @@ def _in_time(joint: Joint) -> Iterator[tuple[str, float, float, np.ndarray]]:
     view = joint.observation.view
     span = max(float(np.ptp(view.time)), 1e-9)
     share = (view.time - view.time.min()) / span
-    for numbers in _octaves(len(share) // 2):
+    for numbers in _octaves(min(len(share) // 2, MOST_WAVES)):
         yield ('time', 2.0 * span / float(numbers[-1]), 2.0 * span / float(numbers[0]),
                np.cos(np.pi * numbers[:, None] * share))

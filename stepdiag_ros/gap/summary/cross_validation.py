@@ -190,7 +190,8 @@ def _predicted(joint: Joint, parts: list[np.ndarray], with_effects: bool) -> _Fo
         new = np.setdiff1d(table.run[held], table.run[~held])
         resets = len(new) * beams if np.isfinite(table.displacement[held]).any() else 0
         normal, along = products.without(number)
-        chi2, expected, covariance = _forecast(design[flag], residual[flag], normal + precision, along)
+        chi2, expected, covariance = _forecast(design[flag], residual[flag], products.normals[number],
+                                               normal + precision, along)
         total += chi2
         freedom += int(flag.sum()) - resets
         count += int(flag.sum())
@@ -259,16 +260,20 @@ def _held_out(table) -> tuple[list[np.ndarray], str]:
     return [np.ones(len(table), bool)], 'none: the log is one run'
 
 
-def _forecast(design: np.ndarray, residual: np.ndarray, normal: np.ndarray,
+def _forecast(design: np.ndarray, residual: np.ndarray, own: np.ndarray, normal: np.ndarray,
               along: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
-    """χ² of held-out rows, ``design`` (m, r) and ``residual`` (m,), predicted from the ``normal`` equations (r, r) of
-    the others and their right side ``along`` (r,); what the others say of the unknowns, and its covariance."""
+    """χ² of held-out rows, ``design`` D (m, r) and ``residual`` (m,), their products ``own`` DᵀD (r, r), predicted from
+    the ``normal`` equations N (r, r) of the others and their right side ``along`` (r,); what the others say of the
+    unknowns, and its covariance.
+
+    With d what is left of the rows, dᵀ(1 + DN⁻¹Dᵀ)⁻¹d is the least of |d − Dx|² + xᵀNx: no matrix of m × m is needed.
+    """
     covariance = inverse(normal)
     expected = covariance @ along
     left = residual - design @ expected
-    predicted = np.eye(len(design)) + design @ covariance @ design.T
-    white = linalg.solve_triangular(linalg.cholesky(predicted, lower=True), left, lower=True)
-    return float(white @ white), expected, covariance
+    moved = inverse(normal + own) @ (design.T @ left)
+    left = left - design @ moved
+    return float(left @ left + moved @ normal @ moved), expected, covariance
 
 
 @dataclass(frozen=True)
