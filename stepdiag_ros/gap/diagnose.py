@@ -82,9 +82,9 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
               *([_shaking(effects, disturbances.dwell_spectrum.displacement)] if shakes else [])]
     outside = {f.name: f.probability for f in beside}
     found = sorted([*found, *beside], key=lambda f: -f.probability)
-    # Of several patterns the first explains the most.
-    unmodelled = next((_pattern(screen.candidates[m.candidate], effects) for m in best.members
-                       if m.effect == UNKNOWN), '')
+    nameless = [m for m in best.members if m.effect == UNKNOWN]
+    unmodelled = _pattern(screen.candidates[max(nameless, key=lambda m: m.log_bayes).candidate], effects) \
+        if nameless else ''
     unmodelled = unmodelled or (UNTIMED if untimed else '')
     before, instead = disturbances.words({name: names.get(name, 0.0) for name in best.key})
     unmodelled = before or unmodelled or instead

@@ -242,6 +242,13 @@ def _inside(view: StopView) -> Iterator[Form]:
             inside = Made((b, n, b, view.reading.shape[1]), _put_inside, view.reading.shape, sign, pattern, columns)
             yield Form(f'{name}: inside the dwells, {what}', view.zeros(b),
                        tuple(str(i) for i in range(b)), np.full(b, scale), inside=inside)
+        setups = np.unique(view.setup)
+        on = np.zeros((1, *view.reading.shape))
+        on[0, :, columns] = 1.0
+        slopes = Product((view.setup == setups[:, None]).astype(float), on, view.off_middle)
+        yield Form(f'{name}: inside the dwells, another slope in each setup', view.zeros(len(setups)),
+                   tuple(view.setup_names[k] for k in setups),
+                   np.full(len(setups), scale / max(float(np.ptp(view.off_middle)), 1e-9)), 'm/s', slopes)
 
 
 def inconsistent_forms(view: StopView, forms: list[Form]) -> Iterator[Form]:

@@ -210,3 +210,21 @@ def test_what_rings_in_the_world_rings_in_the_form(case):
     assert np.linalg.norm(left) < 0.06 * np.linalg.norm(moved[keep])
     # About u, v: cosines of 0, sines of 0.8 and −0.6.
     np.testing.assert_allclose(size, 4e-5 * np.array([0.0, 0.8, 0.0, -0.6]), atol=2e-6)
+
+
+class Sinks(Effect):
+    """Z's drive is off while it stands: it sinks in each dwell, and the next move fetches it back."""
+
+    name = 'sinks'
+
+    def before_pose(self, moment):
+        moment.position = moment.position - 7e-7 * np.maximum(moment.since_arrival, 0.0)[:, None] * np.eye(3)[2]
+
+
+def test_what_sinks_in_each_dwell_is_no_drift(case):
+    # Each setup sees it under an angle of its own.
+    found = case.diagnose(Sinks())
+    assert not found.effects, [(e.name, e.probability) for e in found.effects]
+    assert found.verdict == 'unexplained'
+    labels = [found.screen.candidates[m.candidate].form.label for m in found.raw[0].members]
+    assert 'displacement: inside the dwells, another slope in each setup' in labels
