@@ -106,6 +106,22 @@ class Parity:
         there = np.flatnonzero(part.any(axis=0))
         return self.runs[number], there, forward(white.factor, part[:, there])
 
+    def white_at(self, stops: np.ndarray, values: np.ndarray) -> sparse.csc_array:
+        """White columns (stops, m), not yet projected, of what happens at one of ``stops`` (m,) each, ``values`` (m, c)
+        there: a column reaches no further than its run."""
+        channels = self._bin_present.shape[2]
+        rows, columns, parts = [], [], []
+        for number, white in enumerate(self._white):
+            mine = np.flatnonzero(self.run_of_stop[stops] == number)
+            stop, channel = np.divmod(white.rows, channels)
+            part = forward(white.factor, (stop[:, None] == stops[mine]) * values[mine][:, channel].T)
+            at = self.runs[number]
+            rows.append(np.repeat(np.arange(at.start, at.stop), len(mine)))
+            columns.append(np.tile(mine, at.stop - at.start))
+            parts.append(part.ravel())
+        return sparse.csc_array((np.concatenate(parts), (np.concatenate(rows), np.concatenate(columns))),
+                                shape=(self.stops, len(stops)))
+
     def absorbed(self, white: np.ndarray, rows: slice = slice(None)) -> np.ndarray:
         """Coordinates (r, k) of white columns, zero but in ``rows``, in what the fit can imitate."""
         return self._basis[rows].T @ white

@@ -8,13 +8,14 @@ by group, and its tails with those of the normal distribution.
 from collections.abc import Iterator
 
 import numpy as np
-from scipy import special
+from scipy import sparse, special
 
 from stepdiag_ros.effects.base import Form
 from stepdiag_ros.estimate.eigen import eigen
 from stepdiag_ros.gap.constants import SUSPICION
 from stepdiag_ros.gap.inference.evidence import judge, log_mean
 from stepdiag_ros.gap.inference.joint import Joint, unexplained
+from stepdiag_ros.gap.inference.parity import Parity
 
 TAIL = 4.5
 """Standard deviations beyond which a white residual is counted as an outlier."""
@@ -118,17 +119,15 @@ def outliers(joint: Joint) -> tuple[Form, float] | None:
     if len(stops) < LEAST:
         return None
     scale = OUTLIER_SIZE * joint.noise.position
-    columns = np.zeros((len(stops), *view.reading.shape))
-    columns[np.arange(len(stops)), stops] = scale * sign[:, None] * view.by_shift[view.axis[stops], stops]
-    seen = space.stop_part(columns)
-    data = space.data
+    values = sign[:, None] * view.by_shift[view.axis[stops], stops]
+    white, data = space.white_at(stops, scale * values), space.data
     best: tuple[float, float, list[int], str] | None = None
     for side, words in ((0.0, 'off'), (-1.0, 'short'), (1.0, 'too far')):
         picked: list[int] = []
-        most = -np.inf
-        for k in _picks(seen, data[:space.stops], side):
-            picked = [*picked, k]
-            some, count = seen[:, picked], len(picked)
+        some, most = np.zeros((space.stops, 0)), -np.inf
+        for k, seen in _picks(space, white, side):
+            picked, some = [*picked, k], np.column_stack([some, seen])
+            count = len(picked)
             judged = judge((some.T @ some)[None], (some.T @ data[:space.stops])[None], float(data @ data),
                            sum(space.dof), float(sum(joint.noise.dof)))[0].log_bayes
             ways = -float(special.betaln(count + 1, len(stops) - count + 1))
@@ -142,29 +141,36 @@ def outliers(joint: Joint) -> tuple[Form, float] | None:
     if best is None or best[0] < SUSPICION:
         return None
     _, ways, picked, words = best
+    columns = np.zeros((len(picked), *view.reading.shape))
+    columns[np.arange(len(picked)), stops[picked]] = values[picked]
     return Form(f'arrivals are {words} by a random amount until the next move, at {len(picked)} stops',
-                columns[picked] / scale, tuple(str(i) for i in range(len(picked))),
+                columns, tuple(str(i) for i in range(len(picked))),
                 np.full(len(picked), scale)), ways
 
 
-def _picks(columns: np.ndarray, data: np.ndarray, side: float) -> Iterator[int]:
-    """Columns (N, m), the next always the one that takes most off ``data`` (N,) given those before; with a
-    ``side`` only those whose coefficient has its sign."""
-    power = np.sum(columns**2, axis=0)
-    least, left, rest = 0.1 * power, power.copy(), data
-    basis = np.zeros((len(data), 0))
+def _picks(space: Parity, white: sparse.csc_array, side: float) -> Iterator[tuple[int, np.ndarray]]:
+    """Numbers and projected values (stops,) of ``white`` columns (stops, m), the next always the one that takes most
+    off the stops' data given those before; with a ``side`` only those whose coefficient has its sign.
+
+    What products are taken with is projected, so that the columns need not be.
+    """
+    power = white.power(2).sum(axis=0) - np.sum((white.T @ space._basis)**2, axis=1)
+    least, left, rest = 0.1 * power, power.copy(), space.data[:space.stops]
+    basis = np.zeros((space.stops, 0))
     for _ in range(MOST_OUTLIERS):
-        along = columns.T @ rest
+        along = white.T @ rest
         fall = np.where((left > least) & (along * side >= 0.0), along**2 / np.maximum(left, 1e-300), 0.0)
         k = int(np.argmax(fall))
         if fall[k] <= 0.0:
             return
-        yield k
-        new = columns[:, k] - basis @ (basis.T @ columns[:, k])
+        column = white[:, [k]].toarray()
+        seen = (column - space._basis @ space.absorbed(column))[:, 0]
+        yield k, seen
+        new = seen - basis @ (basis.T @ seen)
         new = new / np.linalg.norm(new)
         basis = np.column_stack([basis, new])
         rest = rest - new * float(new @ rest)
-        left = left - (new @ columns) ** 2
+        left = left - (white.T @ new) ** 2
         left[k] = 0.0
 
 
