@@ -220,14 +220,14 @@ class Screen:
         if own is None:
             return members[-1]
         found = before.and_then(mine)
-        cross = found.basis.T @ own
+        cross = found.along(own)
         gain = log_evidence(own.T @ own - cross.T @ cross, own.T @ self.data - cross.T @ found.taken, found.total,
                             self._dof(found), self.noise_dof)
         return replace(members[-1], log_bayes=members[-1].log_bayes + gain)
 
     def _dof(self, found: Explained) -> float:
         """Free dimensions of the data beside what is explained."""
-        return sum(self.parity.dof) - float(np.sum(found.basis[:self.parity.size]**2))
+        return sum(self.parity.dof) - found.spent(self.parity.size)
 
     def judge_all(self, members: Sequence[Member], wanted: Sequence[int]) -> dict[int, Judged]:
         """The ``wanted`` candidates given the set ``members``; what was judged before is remembered."""

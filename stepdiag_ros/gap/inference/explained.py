@@ -23,25 +23,42 @@ LEAST_EXPLAINED = 0.02
 
 @dataclass(frozen=True)
 class Explained:
-    """``data`` z (M,), ``basis`` B (M, r) and ``taken`` Bᵀz (r,)."""
+    """``data`` z (M,), ``blocks`` (M, r) whose columns side by side are B, one for each time it grew, and ``taken``
+    Bᵀz.  Sets that begin alike share blocks."""
 
     data: np.ndarray
-    basis: np.ndarray
+    blocks: tuple[np.ndarray, ...]
     taken: np.ndarray
 
     @classmethod
     def nothing(cls, data: np.ndarray) -> 'Explained':
         """By no effect."""
-        return cls(data, np.zeros((len(data), 0)), np.zeros(0))
+        return cls(data, (), np.zeros(0))
+
+    @property
+    def basis(self) -> np.ndarray:
+        """B (M, r), written out."""
+        return np.concatenate([self.data[:, None][:, :0], *self.blocks], axis=1)
 
     @property
     def total(self) -> float:
         """``zᵀWz``: what is left of the data, squared."""
         return float(self.data @ self.data - self.taken @ self.taken)
 
+    def along(self, columns: np.ndarray) -> np.ndarray:
+        """``Bᵀ`` times columns (M, k)."""
+        return np.concatenate([np.zeros((0, columns.shape[1])), *(block.T @ columns for block in self.blocks)])
+
     def freed(self, columns: np.ndarray) -> np.ndarray:
         """``W`` times columns (M, k)."""
-        return columns - self.basis @ (self.basis.T @ columns)
+        result = columns.copy()
+        for block in self.blocks:
+            result -= block @ (block.T @ columns)
+        return result
+
+    def spent(self, size: int) -> float:
+        """Dimensions among the first ``size`` of the data that are explained."""
+        return sum(float(np.vdot(block[:size], block[:size])) for block in self.blocks)
 
     def and_then(self, columns: np.ndarray) -> 'Explained':
         """With the effect of further columns (M, k), in units of the sizes that they are allowed."""
@@ -49,8 +66,7 @@ class Explained:
         value, vector = eigen(columns.T @ free)
         keep = value > LEAST_EXPLAINED
         more = free @ (vector[:, keep] / np.sqrt(1.0 + value[keep]))
-        return Explained(self.data, np.concatenate([self.basis, more], axis=1),
-                         np.concatenate([self.taken, more.T @ self.data]))
+        return Explained(self.data, (*self.blocks, more), np.concatenate([self.taken, more.T @ self.data]))
 
     def coefficients(self, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Mean (k,) of the coefficients that further columns (M, k) would have, and their covariance (k, k)."""
@@ -60,6 +76,6 @@ class Explained:
 
     def within(self, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Mean (k,) of the coefficients of columns (M, k) that are among what is explained, and their covariance."""
-        along = self.basis.T @ columns
+        along = self.along(columns)
         return columns.T @ self.data - along.T @ self.taken, \
             np.eye(columns.shape[1]) - columns.T @ columns + along.T @ along
