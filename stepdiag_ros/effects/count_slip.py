@@ -22,6 +22,11 @@ WAVELENGTHS = (632.8e-9, 1.53e-6)
 """Of the lasers that interferometers count with [m]: helium-neon, telecom diode."""
 
 
+KNOWN_WAVE = 5e-4
+"""Share to which the unit of a count is known: 632.8 nm are 632.99 nm in vacuum, and a laser's stated wavelength is
+rounded."""
+
+
 def whole_fringes(jump: float, sigma: float) -> float:
     """Log evidence that a jump [m], known to ``sigma`` [m], is a whole number of counts, against any size.
 
@@ -29,7 +34,7 @@ def whole_fringes(jump: float, sigma: float) -> float:
     density, ``q Σ N(jump; kq, σ²)`` against an even one, averaged over the units q that are in use: 0 where the size
     is known less well than to a count, ``ln(q / σ√2π)`` on a tooth, far below nothing between the teeth.
     """
-    sigma = max(sigma, 1e-12)
+    sigma = max(sigma, KNOWN_WAVE * abs(jump), 1e-12)
     logs = []
     for unit in (wave / part for wave in WAVELENGTHS for part in (2.0, 4.0)):
         reach = int(np.ceil(6.0 * sigma / unit)) + 1

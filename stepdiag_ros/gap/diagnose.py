@@ -38,6 +38,7 @@ from stepdiag_ros.gap.inference.search import NOTHING, EffectSet, probabilities
 from stepdiag_ros.gap.noise.disturbances import disturbed
 from stepdiag_ros.gap.noise.incoherent_lines import Vibration
 from stepdiag_ros.gap.noise.scatter import excess_scatter
+from stepdiag_ros.gap.noise.slips_at_rest import words as slip_words
 from stepdiag_ros.gap.noise.stated import noisier, stated
 from stepdiag_ros.gap.noise.two_states import two_states
 from stepdiag_ros.gap.preprocess.clocks import Late, set_clocks
@@ -109,6 +110,7 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
               for s, w in zip(sets, weights, strict=True))[:20],
         groups, observation, joint, clocks, disturbances.dwell_spectrum.displacement, unmodelled,
         log.warnings + observation.table.warnings + ((beyond_range,) if beyond_range else ()) + left_out + tuple(unlit)
+        + tuple(slip_words(observation.table, slip) for slip in disturbances.slips)
         + stated(joint, disturbances.quanta) + ((no_metres,) if no_metres else ()), sets, screen, words, run,
         separations(sets, doubtful), hint, len(effects) + 1, no_metres)
 

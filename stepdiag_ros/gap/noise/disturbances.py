@@ -10,7 +10,8 @@ import numpy as np
 
 from stepdiag_ros.gap.noise.dwell_spectrum import DwellSpectrum, dwell_spectrum
 from stepdiag_ros.gap.noise.mode_hops import ModeHops, mode_hops
-from stepdiag_ros.gap.preprocess.observe import Observation
+from stepdiag_ros.gap.noise.slips_at_rest import SlipAtRest, slips_at_rest, without
+from stepdiag_ros.gap.preprocess.observe import Observation, sane_fit, view_of
 from stepdiag_ros.gap.preprocess.timing import step_noise
 from stepdiag_ros.model.log import CalibrationLog
 
@@ -18,11 +19,12 @@ from stepdiag_ros.model.log import CalibrationLog
 @dataclass(frozen=True)
 class Disturbances:
     """``quanta`` (c,) [m] of the steps in which readings move, 0: none; ``dwell_spectrum`` of the samples inside the
-    dwells; ``mode_hops`` of the laser, None: none."""
+    dwells; ``mode_hops`` of the laser, None: none; ``slips`` of the counter while the axes stood."""
 
     quanta: np.ndarray
     dwell_spectrum: DwellSpectrum
     mode_hops: ModeHops | None
+    slips: tuple[SlipAtRest, ...] = ()
 
     def words(self, names: Mapping[str, float]) -> tuple[str, str]:
         """What disturbs, in words: what goes before a pattern, and what is reported where there is none; ``names``:
@@ -41,8 +43,19 @@ def disturbed(log: CalibrationLog, observation: Observation) -> tuple[Observatio
     observation = _with_spectrum(observation, samples)
     hopping = mode_hops(log.displacement, observation.table, distance)
     if hopping:
-        observation = _with_hops(observation, hopping)
-    return observation, Disturbances(quanta, samples, hopping)
+        return _with_hops(observation, hopping), Disturbances(quanta, samples, hopping)
+    slips = slips_at_rest(log.displacement, table)
+    if slips:
+        observation = _with_slips(observation, slips)
+    return observation, Disturbances(quanta, samples, None, slips)
+
+
+def _with_slips(observation: Observation, slips: tuple[SlipAtRest, ...]) -> Observation:
+    """The observation with the dwells in which the counter slipped as they would be without that."""
+    observation = replace(observation, table=without(observation.table, slips))
+    fit = sane_fit(observation.log, observation.table, observation.fit.theta)
+    return replace(observation, fit=fit, view=view_of(observation.log, observation.table, fit,
+                                                      observation.view.bin_time))
 
 
 def _with_steps(observation: Observation, width: np.ndarray) -> Observation:

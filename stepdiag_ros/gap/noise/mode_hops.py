@@ -52,7 +52,7 @@ class ModeHops:
 
 def mode_hops(samples: Samples, table: StopTable, distance: np.ndarray) -> ModeHops | None:
     """Mode hops, None where none are seen; ``distance`` (n,) [m] of the stops to the mirror."""
-    rows, size, sigma = _steps(samples, table)
+    rows, size, sigma, _ = steps(samples.values.mean(axis=1), table)
     far = distance[rows]
     kept = np.isfinite(far) & (far > 0.0)
     rows, size, sigma, far = rows[kept], np.abs(size[kept]), sigma[kept], far[kept]
@@ -76,9 +76,10 @@ def _common(values: np.ndarray, sigma: np.ndarray) -> tuple[float, float]:
     return mean, float(np.sum(((values - mean) / sigma) ** 2))
 
 
-def _steps(samples: Samples, table: StopTable) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Stops (k,) in whose dwells the displacement steps, the steps (k,) [m], their standard deviations."""
-    values = samples.values.mean(axis=1)
+def steps(values: np.ndarray, table: StopTable,
+          least: float = SUSPICION) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Stops (k,) in whose dwells the displacement ``values`` (N,) of the samples steps, with log evidence above
+    ``least``; the steps (k,) [m], their standard deviations, and the share of each dwell that lies behind its step."""
     found = []
     for row, (lo, hi) in enumerate(table.displacement_rows):
         dwell = values[lo:hi][np.isfinite(values[lo:hi])]
@@ -95,17 +96,15 @@ def _steps(samples: Samples, table: StopTable) -> tuple[np.ndarray, np.ndarray, 
         total = float(np.sum((dwell - sums[-1] / n) ** 2))
         rest = dwell - bend @ (bend.T @ dwell)
         found.append((row, n, bend.shape[1], size[k], weight[k], total - size[k] ** 2 * weight[k],
-                      float(rest @ rest)))
-    if not found:
-        return np.zeros(0, int), np.zeros(0), np.zeros(0)
-    row, n, free, size, weight, step, bent = np.array(found).T
-    level = float(np.median(bent / (n - free)))
+                      float(rest @ rest), 1.0 - before[k] / n))
+    row, n, free, size, weight, step, bent, behind = np.array(found).reshape(-1, 8).T
+    level = float(np.median(bent / (n - free))) if found else 0.0
     if level <= 0.0:
-        return np.zeros(0, int), np.zeros(0), np.zeros(0)
+        return np.zeros(0, int), np.zeros(0), np.zeros(0), np.zeros(0)
     gain = 0.5 * (n + PRIOR_DOF) * np.log((bent + PRIOR_DOF * level)
                                           / (np.maximum(step, 0.0) + PRIOR_DOF * level)) - np.log(n)
-    seen = gain > SUSPICION
-    return row[seen].astype(int), size[seen], np.sqrt(level / weight[seen])
+    seen = gain > least
+    return row[seen].astype(int), size[seen], np.sqrt(level / weight[seen]), behind[seen]
 
 
 def _bend(n: int) -> np.ndarray:
