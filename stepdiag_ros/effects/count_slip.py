@@ -20,8 +20,6 @@ QUARTER = 3.825e-7
 
 WAVELENGTHS = (632.8e-9, 1.53e-6)
 """Of the lasers that interferometers count with [m]: helium-neon, telecom diode."""
-
-
 KNOWN_WAVE = 5e-4
 """Share to which the unit of a count is known: 632.8 nm are 632.99 nm in vacuum, and a laser's stated wavelength is
 rounded."""

@@ -83,9 +83,9 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
               *([_shaking(effects, disturbances.dwell_spectrum.displacement)] if shakes else [])]
     outside = {f.name: f.probability for f in beside}
     found = sorted([*found, *beside], key=lambda f: -f.probability)
-    nameless = [m for m in best.members if m.effect == UNKNOWN]
-    unmodelled = _pattern(screen.candidates[max(nameless, key=lambda m: m.log_bayes).candidate], effects) \
-        if nameless else ''
+    patterns = [m for m in best.members if m.effect == UNKNOWN]
+    unmodelled = _pattern(screen.candidates[max(patterns, key=lambda m: m.log_bayes).candidate], effects) \
+        if patterns else ''
     unmodelled = unmodelled or (UNTIMED if untimed else '')
     before, instead = disturbances.words({name: names.get(name, 0.0) for name in best.key})
     unmodelled = before or unmodelled or instead

@@ -5,7 +5,7 @@ same price of complexity, so that a name must predict the log better than a shap
 does, and what a name leaves behind is noticed although no name fits it.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -138,7 +138,12 @@ def _in_time(view: StopView) -> Iterator[Form]:
 def _beginnings(view: StopView) -> np.ndarray:
     """Stops, in order of time, at which a jump is tried."""
     order = np.argsort(view.time, kind='stable')
-    return order[::max(1, -(-len(order) // MOST_JUMPS))]
+    return _at_most(order)
+
+
+def _at_most(places: Sequence[int]) -> Sequence[int]:
+    """Every one of some places, or every second, third … where they are too many to be tried."""
+    return places[::max(1, -(-len(places) // MOST_JUMPS))]
 
 
 def _after(view: StopView, stop: int) -> np.ndarray:
@@ -187,7 +192,7 @@ def _lengths(view: StopView) -> Iterator[Form]:
     ordered = np.argsort(view.time, kind='stable')
     begins = [place for place in range(1, len(ordered))
               if view.run[ordered[place]] != view.run[ordered[place - 1]] or not place % 4]
-    for place in begins[::max(1, -(-len(begins) // MOST_JUMPS))]:
+    for place in _at_most(begins):
         i = ordered[place]
         yield Form(f'length: another unit from {view.run_ids[view.run[i]]} stop {view.index[i]} on',
                    Made((1, *view.reading.shape), _stretched, view.distance, view.reading.shape, ordered[place:]),
@@ -243,7 +248,7 @@ def _inside(view: StopView) -> Iterator[Form]:
             yield Form(f'{name}: inside the dwells, {what}', view.zeros(b),
                        tuple(str(i) for i in range(b)), np.full(b, scale), inside=inside)
         setups = np.unique(view.setup)
-        on = np.zeros((1, *view.reading.shape))
+        on = view.zeros(1)
         on[0, :, columns] = 1.0
         slopes = Product((view.setup == setups[:, None]).astype(float), on, view.off_middle)
         yield Form(f'{name}: inside the dwells, another slope in each setup', view.zeros(len(setups)),

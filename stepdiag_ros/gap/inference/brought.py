@@ -15,16 +15,13 @@ from itertools import pairwise
 import numpy as np
 
 from stepdiag_ros.effects.base import Form
-from stepdiag_ros.gap.inference.factored import Factored, is_factored
-from stepdiag_ros.gap.inference.parity import Parity
+from stepdiag_ros.gap.inference.factored import AT_A_TIME, Factored, is_factored
+from stepdiag_ros.gap.inference.parity import ROUNDING, Parity
 
 KEPT = np.float32
-ROUNDING = 1e-9
-"""Share of a column's largest value below which its bends are rounding."""
-AT_A_TIME = 1_000_000
-"""Numbers that are written out at a time …"""
 COLUMNS_AT_A_TIME = 128
-"""… or so many columns: of a long log, each run of which is gone through for every lot of columns."""
+"""Columns that are written out at a time, if they are more than ``AT_A_TIME`` numbers: of a long log each run is gone
+through for every lot of columns."""
 
 
 @dataclass(frozen=True)

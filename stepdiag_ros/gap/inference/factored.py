@@ -14,13 +14,14 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import sparse
 
 from stepdiag_ros.effects.base import Form
 from stepdiag_ros.effects.made import Product
 from stepdiag_ros.gap.inference.parity import Parity
 
 AT_A_TIME = 1_000_000
-"""Numbers of a product with a signature that are written out at a time."""
+"""Numbers that are written out at a time."""
 
 
 def is_factored(form: Form) -> bool:
@@ -44,11 +45,11 @@ class Factored:
     def __init__(self, space: Parity, forms: Mapping[int, Form]):
         self._space, self._forms = space, dict(forms)
         self._groups: dict[tuple, list[int]] = {}
-        self._courses: dict[int, np.ndarray] = {}
+        self._courses: dict[int, sparse.csr_array] = {}
         for place, form in self._forms.items():
             self._groups.setdefault((_where(form.columns.signature), _course(form)), []).append(place)
-            if form.inside is not None:
-                self._courses.setdefault(_course(form), form.inside.course)
+            if form.inside is not None and _course(form) not in self._courses:
+                self._courses[_course(form)] = space.dwells_by(form.inside.course)
 
     def and_then(self, other: 'Factored', width: int) -> 'Factored':
         """With those of ``other`` behind ``width`` columns."""
@@ -62,9 +63,9 @@ class Factored:
     def back(self, directions: np.ndarray) -> Back:
         """Directions (M, r), of the stops and perhaps of the contrasts below them, brought back to the readings."""
         space, below = self._space, len(directions) > self._space.stops
-        return Back(space.stops_back(directions[:space.stops]),
-                    {key: space.dwells_back(course, directions[space.stops:space.size])
-                     for key, course in self._courses.items()} if below else {})
+        stops = space.stops_back(directions[:space.stops])
+        return Back(stops, {key: (sums @ directions[space.stops:space.size]).reshape(stops.shape)
+                            for key, sums in self._courses.items()} if below else {})
 
     def times(self, back: Back, places: Iterable[int]) -> Iterator[tuple[int, np.ndarray]]:
         """Products (k, r) of the columns of some forms with directions, and where the first of these is."""
@@ -99,9 +100,10 @@ class Factored:
         form = self._forms[place]
         if form.inside is None:
             return 0.0
-        product, root = form.inside, np.sqrt(self._space.dwells_weight(form.inside.course))
-        columns = np.einsum('tn,anc->tanc', product.functions, product.signature * root).reshape(len(form.scale), -1)
-        columns *= form.scale[:, None]
+        product = form.inside
+        root = np.sqrt(self._courses[_course(form)].power(2).sum(axis=1)).reshape(product.signature.shape[1:])
+        columns = np.asarray(Product(product.functions, product.signature * root)).reshape(len(form.scale), -1)
+        columns = columns * form.scale[:, None]
         return columns @ columns.T
 
     def put(self, part: slice, full: np.ndarray) -> None:

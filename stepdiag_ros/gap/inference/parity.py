@@ -33,7 +33,7 @@ BY_FAR = 3.0
 FOLDED = 1e-3
 """Growth of a length with its reading below which no counter could have counted it."""
 ROUNDING = 1e-9
-"""Share of the largest contrast below which it is rounding."""
+"""Share of the largest contrast, of a column or among those of a course, below which it is rounding."""
 LEAST_DIFFERENCES = 8
 """Differences of slopes that tell nothing yet of how rough these are."""
 LEAST_ALIKE = 3
@@ -109,10 +109,10 @@ class Parity:
     def white_at(self, stops: np.ndarray, values: np.ndarray) -> sparse.csc_array:
         """White columns (stops, m), not yet projected, of what happens at one of ``stops`` (m,) each, ``values`` (m, c)
         there: a column reaches no further than its run."""
-        channels = self._bin_present.shape[2]
+        channels, run = self._bin_present.shape[2], self.run_of_stop[stops]
         rows, columns, parts = [], [], []
         for number, white in enumerate(self._white):
-            mine = np.flatnonzero(self.run_of_stop[stops] == number)
+            mine = np.flatnonzero(run == number)
             stop, channel = np.divmod(white.rows, channels)
             part = forward(white.factor, (stop[:, None] == stops[mine]) * values[mine][:, channel].T)
             at = self.runs[number]
@@ -128,7 +128,10 @@ class Parity:
 
     def stop_part(self, columns: np.ndarray) -> np.ndarray:
         """White, projected columns: (k, n, c) → (stops, k)."""
-        white = self.white_part(columns)
+        return self.projected(self.white_part(columns))
+
+    def projected(self, white: np.ndarray) -> np.ndarray:
+        """White columns (stops, k) without what the fit can imitate."""
         return white - self._basis @ self.absorbed(white)
 
     def bin_part(self, inside: np.ndarray) -> np.ndarray:
@@ -144,27 +147,16 @@ class Parity:
             result[white.rows] = backward(white.factor, directions[rows])
         return result.reshape(n, c, directions.shape[1])
 
-    def dwells_back(self, course: np.ndarray, directions: np.ndarray) -> np.ndarray:
-        """Directions (N − stops, r) of the contrasts as what goes on inside the dwells by one ``course`` (n, b), the
-        same in all channels: (n, c, r)."""
-        n, _, c = self._bin_present.shape
-        along = self._along(course)
-        there = np.flatnonzero(along)
-        stop, _, channel = np.unravel_index(self._bin_places[there], self._bin_present.shape)
-        sums = sparse.csr_array((along[there], (stop * c + channel, there)), shape=(n * c, len(along)))
-        return (sums @ directions).reshape(n, c, directions.shape[1])
-
-    def dwells_weight(self, course: np.ndarray) -> np.ndarray:
-        """Squares (n, c) of what a ``course`` (n, b) of size one does in the contrasts."""
-        whole = np.zeros(self._bin_present.size)
-        whole[self._bin_places] = self._along(course)**2
-        return whole.reshape(self._bin_present.shape).sum(axis=1)
-
-    def _along(self, course: np.ndarray) -> np.ndarray:
-        """White contrasts (N − stops,) of a ``course`` (n, b), the same in all channels; what is rounding is 0."""
+    def dwells_by(self, course: np.ndarray) -> sparse.csr_array:
+        """Sums (n·c, N − stops) that bring directions of the contrasts back to what goes on inside the dwells by one
+        ``course`` (n, b), the same in all channels: its white contrasts, but for rounding."""
         contrast = (self._contrast @ course[:, :, None])[:, :, 0]
         contrast = np.where(np.abs(contrast) > ROUNDING * np.abs(contrast).max(initial=0.0), contrast, 0.0)
-        return (contrast[:, :, None] * self._bin_weight).ravel()[self._bin_places]
+        white = (contrast[:, :, None] * self._bin_weight).ravel()[self._bin_places]
+        there = np.flatnonzero(white)
+        n, _, c = self._bin_present.shape
+        stop, _, channel = np.unravel_index(self._bin_places[there], self._bin_present.shape)
+        return sparse.csr_array((white[there], (stop * c + channel, there)), shape=(n * c, len(white)))
 
     @cached_property
     def _bin_places(self) -> np.ndarray:

@@ -8,10 +8,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from stepdiag_ros.gap.inference.joint import refitted
 from stepdiag_ros.gap.noise.dwell_spectrum import DwellSpectrum, dwell_spectrum
 from stepdiag_ros.gap.noise.mode_hops import ModeHops, mode_hops
 from stepdiag_ros.gap.noise.slips_at_rest import SlipAtRest, slips_at_rest, without
-from stepdiag_ros.gap.preprocess.observe import Observation, sane_fit, view_of
+from stepdiag_ros.gap.preprocess.observe import Observation, sane_fit
 from stepdiag_ros.gap.preprocess.timing import step_noise
 from stepdiag_ros.model.log import CalibrationLog
 
@@ -53,9 +54,7 @@ def disturbed(log: CalibrationLog, observation: Observation) -> tuple[Observatio
 def _with_slips(observation: Observation, slips: tuple[SlipAtRest, ...]) -> Observation:
     """The observation with the dwells in which the counter slipped as they would be without that."""
     observation = replace(observation, table=without(observation.table, slips))
-    fit = sane_fit(observation.log, observation.table, observation.fit.theta)
-    return replace(observation, fit=fit, view=view_of(observation.log, observation.table, fit,
-                                                      observation.view.bin_time))
+    return refitted(observation, sane_fit(observation.log, observation.table, observation.fit.theta))
 
 
 def _with_steps(observation: Observation, width: np.ndarray) -> Observation:

@@ -12,6 +12,7 @@ with the noise that the dwells of the log typically have:
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -107,6 +108,7 @@ def steps(values: np.ndarray, table: StopTable,
     return row[seen].astype(int), size[seen], np.sqrt(level / weight[seen]), behind[seen]
 
 
+@lru_cache
 def _bend(n: int) -> np.ndarray:
     """Orthonormal polynomials (n, k) up to a cubic; in a short dwell up to a parabola."""
     basis, _ = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, n), 4 if n >= 2 * LEAST_SAMPLES - 4 else 3))

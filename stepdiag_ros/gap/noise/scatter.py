@@ -121,11 +121,12 @@ def outliers(joint: Joint) -> tuple[Form, float] | None:
     scale = OUTLIER_SIZE * joint.noise.position
     values = sign[:, None] * view.by_shift[view.axis[stops], stops]
     white, data = space.white_at(stops, scale * values), space.data
+    power = white.power(2).sum(axis=0) - np.sum((white.T @ space._basis)**2, axis=1)
     best: tuple[float, float, list[int], str] | None = None
     for side, words in ((0.0, 'off'), (-1.0, 'short'), (1.0, 'too far')):
         picked: list[int] = []
         some, most = np.zeros((space.stops, 0)), -np.inf
-        for k, seen in _picks(space, white, side):
+        for k, seen in _picks(space, white, power, side):
             picked, some = [*picked, k], np.column_stack([some, seen])
             count = len(picked)
             judged = judge((some.T @ some)[None], (some.T @ data[:space.stops])[None], float(data @ data),
@@ -141,20 +142,21 @@ def outliers(joint: Joint) -> tuple[Form, float] | None:
     if best is None or best[0] < SUSPICION:
         return None
     _, ways, picked, words = best
-    columns = np.zeros((len(picked), *view.reading.shape))
+    columns = view.zeros(len(picked))
     columns[np.arange(len(picked)), stops[picked]] = values[picked]
     return Form(f'arrivals are {words} by a random amount until the next move, at {len(picked)} stops',
                 columns, tuple(str(i) for i in range(len(picked))),
                 np.full(len(picked), scale)), ways
 
 
-def _picks(space: Parity, white: sparse.csc_array, side: float) -> Iterator[tuple[int, np.ndarray]]:
-    """Numbers and projected values (stops,) of ``white`` columns (stops, m), the next always the one that takes most
-    off the stops' data given those before; with a ``side`` only those whose coefficient has its sign.
+def _picks(space: Parity, white: sparse.csc_array, power: np.ndarray,
+           side: float) -> Iterator[tuple[int, np.ndarray]]:
+    """Numbers and projected values (stops,) of ``white`` columns (stops, m), of ``power`` (m,) once projected, the next
+    always the one that takes most off the stops' data given those before; with a ``side`` only those whose coefficient
+    has its sign.
 
     What products are taken with is projected, so that the columns need not be.
     """
-    power = white.power(2).sum(axis=0) - np.sum((white.T @ space._basis)**2, axis=1)
     least, left, rest = 0.1 * power, power.copy(), space.data[:space.stops]
     basis = np.zeros((space.stops, 0))
     for _ in range(MOST_OUTLIERS):
@@ -164,7 +166,7 @@ def _picks(space: Parity, white: sparse.csc_array, side: float) -> Iterator[tupl
         if fall[k] <= 0.0:
             return
         column = white[:, [k]].toarray()
-        seen = (column - space._basis @ space.absorbed(column))[:, 0]
+        seen = space.projected(column)[:, 0]
         yield k, seen
         new = seen - basis @ (basis.T @ seen)
         new = new / np.linalg.norm(new)
