@@ -78,11 +78,11 @@ def _ways(screen: Screen, effects: Mapping[str, Effect], found: EffectSet,
         if member.effect not in doubtful or any(m.effect == member.effect for m in rest):
             continue
         numbers = [i for i, c in enumerate(screen.candidates) if c.effect == member.effect]
-        judged = screen.judge_all(rest, numbers)
+        evidence = screen.judge_all(rest, numbers).log_bayes
         # Of each kind of form one: time constants next to each other say the same.
-        kinds = {kind(screen.candidates[i].form): i for i in sorted(numbers, key=lambda i: judged[i].log_bayes)}
+        kinds = {kind(screen.candidates[i].form): i for i in sorted(numbers, key=lambda i: evidence[i])}
         others = [i for name, i in reversed(kinds.items()) if name != kind(forms[k][1])]
-        ways += [(found.log_bayes + judged[i].log_bayes - judged[member.candidate].log_bayes,
+        ways += [(found.log_bayes + float(evidence[i] - evidence[member.candidate]),
                   [*forms[:k], (effects[member.effect], screen.candidates[i].form), *forms[k + 1:]])
                  for i in others[:OTHER_WAYS]]
     shares = np.exp([BEYOND_LOG * (log - max(log for log, _ in ways)) for log, _ in ways])

@@ -23,8 +23,7 @@ from stepdiag_ros.estimate.solution import Solution
 from stepdiag_ros.estimate.standing import with_standing
 from stepdiag_ros.gap.alternatives.unmodelled import NAME as UNKNOWN
 from stepdiag_ros.gap.constants import FORM_ERROR
-from stepdiag_ros.gap.inference.candidates import Member, Screen, allowed
-from stepdiag_ros.gap.inference.evidence import Judged
+from stepdiag_ros.gap.inference.candidates import Known, Member, Screen
 from stepdiag_ros.gap.inference.joint import (
     Active,
     Joint,
@@ -46,6 +45,7 @@ MOST = 16
 def compositions(screen: Screen, best: EffectSet) -> list[EffectSet]:
     """Sets of as many forms as ``best`` has that explain the log nearly as well, its forms exchanged one by one."""
     forms = Counter(candidate.effect for candidate in screen.candidates)
+    ways = np.log([forms[candidate.effect] for candidate in screen.candidates])
     sets = [best]
     for place, member in enumerate(best.members):
         if member.effect == UNKNOWN and any(m.effect == UNKNOWN for m in best.members[place + 1:]):
@@ -56,13 +56,14 @@ def compositions(screen: Screen, best: EffectSet) -> list[EffectSet]:
             taken = {m.candidate for m in rest}
             fitting = [number for number, candidate in enumerate(screen.candidates)
                        if number not in taken and candidate.effect != UNKNOWN and not candidate.negative_control]
-            judged = screen.judge_all(rest, fitting)
-            evidence = {number: judged[number].log_bayes - float(np.log(forms[screen.candidates[number].effect]))
-                        for number in fitting}
+            known = screen.judge_all(rest, fitting)
+            evidence = known.log_bayes - ways
             now = member.log_bayes - member.penalty if member.effect == UNKNOWN else evidence[member.candidate]
-            others = [EffectSet((*found.members[:place], _as_member(screen, number, judged[number]),
-                                 *found.members[place + 1:]), found.log_bayes - now + evidence[number])
-                      for number in fitting if number != member.candidate]
+            log_bayes = found.log_bayes - now + evidence
+            others = [EffectSet((*found.members[:place], _as_member(screen, number, known),
+                                 *found.members[place + 1:]), float(log_bayes[number]))
+                      for number in fitting if number != member.candidate
+                      and log_bayes[number] > found.log_bayes - WITHIN]
             for larger in (found, *others):
                 key = frozenset(m.candidate for m in larger.members)
                 if key not in grown or grown[key].log_bayes < larger.log_bayes:
@@ -72,10 +73,9 @@ def compositions(screen: Screen, best: EffectSet) -> list[EffectSet]:
     return sets
 
 
-def _as_member(screen: Screen, number: int, judged: Judged) -> Member:
+def _as_member(screen: Screen, number: int, known: Known) -> Member:
     """A candidate as a member of a set."""
-    candidate = screen.candidates[number]
-    return Member(candidate.effect, number, 0.0, allowed(candidate.form, judged))
+    return Member(screen.candidates[number].effect, number, 0.0, screen.allowed(number, known))
 
 
 def averaged_solution(joint: Joint, screen: Screen, best: EffectSet) -> Solution:

@@ -4,10 +4,11 @@ Forms are brought there once, all columns side by side; their products with each
 data and with what a set explains are then small matrices.  What was judged is remembered.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from stepdiag_ros.effects.base import Effect, Form
 from stepdiag_ros.effects.made import Made
@@ -15,7 +16,7 @@ from stepdiag_ros.gap.constants import CONFUSED, CONTROL_SHARE, DISCREPANCY_SHAR
 from stepdiag_ros.gap.inference.brought import Block, Brought
 from stepdiag_ros.gap.inference.discrepancy import LEAST
 from stepdiag_ros.gap.inference.discrepancy import columns as discrepancy_of
-from stepdiag_ros.gap.inference.evidence import SIZES, Judged, judge, log_evidence, log_mean, log_sum
+from stepdiag_ros.gap.inference.evidence import SIZES, judge, log_evidence, log_mean, log_sum
 from stepdiag_ros.gap.inference.explained import Explained
 from stepdiag_ros.gap.inference.parity import Parity, slopes_of
 
@@ -56,11 +57,6 @@ class Member:
     at: tuple[float, ...] = ()
 
 
-def allowed(form: Form, judged: Judged) -> float:
-    """The size that a form's coefficients are allowed in a set: an unknown profile the one that the log shows of it."""
-    return judged.size if form.process else float(SIZES[-1])
-
-
 @dataclass
 class Screen:
     """All candidates of a log in one parity space, ready to be judged given a set.
@@ -84,7 +80,11 @@ class Screen:
     _alike: list = field(init=False)
     _judged: dict = field(init=False, default_factory=dict)
     _explained: dict = field(init=False, default_factory=dict)
+    _half: dict = field(init=False, default_factory=dict)
+    _gains: dict = field(init=False, default_factory=dict)
     _beyond: dict = field(init=False, default_factory=dict)
+    _families: list = field(init=False)
+    _controls: dict = field(init=False)
 
     def __post_init__(self):
         forms = [c.form for c in self.candidates]
@@ -112,6 +112,7 @@ class Screen:
                 mine = np.stack([corrections.get(place[first[n]], none) for n in numbers]) * both
                 gram += mine
             self._alike.append(_Alike(np.array(numbers), places, ratios, gram, along, mine))
+        self._group()
 
     def extended(self, more: Sequence[Candidate]) -> 'Screen':
         """The screen with further candidates; what is known of those it has is not worked out again."""
@@ -123,6 +124,10 @@ class Screen:
         self._slices += [slice(s.start + width, s.stop + width) for s in other._slices]
         self._alike += [replace(alike, numbers=alike.numbers + count, places=alike.places + width)
                         for alike in other._alike]
+        for known in self._judged.values():
+            unknown = np.full(len(more), np.nan)
+            known.log_bayes, known.size = (np.concatenate([each, unknown]) for each in (known.log_bayes, known.size))
+        self._group()
         return self
 
     def columns_of(self, number: int) -> np.ndarray:
@@ -138,26 +143,33 @@ class Screen:
         key = _key(members)
         found = self._explained.pop(key, None)
         if found is None:
-            before, mine = self.explained(members[:-1]), self._block(members[-1])
-            own = self._discrepancy(members[-1], before, mine)
-            found = before.and_then(mine)
+            found, own = self._begun(members)
             if own is not None:
                 found = found.and_then(own)
-            while len(self._explained) >= REMEMBERED:
-                del self._explained[next(iter(self._explained))]
-        self._explained[key] = found   # last again: the one that was not asked for longest goes first
+        _remember(self._explained, key, found)
         return found
+
+    def _begun(self, members: Sequence[Member]) -> tuple[Explained, np.ndarray | None]:
+        """What several members explain but for the discrepancy of the last one's form, and the columns of that."""
+        key = _key(members)
+        both = self._half.pop(key, None)
+        if both is None:
+            before, mine = self.explained(members[:-1]), self._block(members[-1])
+            free = before.freed(mine)
+            both = before.and_then(mine, free), self._discrepancy(members[-1], before, mine, free)
+        _remember(self._half, key, both)
+        return both
 
     def _block(self, member: Member) -> np.ndarray:
         """Columns (M, k) of a member, in units of the sizes that are allowed."""
         return self.columns_of(member.candidate) * member.size
 
-    def _discrepancy(self, member: Member, before: Explained, mine: np.ndarray) -> np.ndarray | None:
+    def _discrepancy(self, member: Member, before: Explained, mine: np.ndarray, free: np.ndarray) -> np.ndarray | None:
         """Columns (M, m) of the discrepancy of a member's form, at the coefficients of its columns ``mine`` that it has
-        beside those before it; None where it is below the noise."""
+        beside those before it, of which these leave ``free``; None where it is below the noise."""
         if self.modulations is None:
             return None
-        values = np.array(member.at) if member.at else before.coefficients(mine)[0]
+        values = np.array(member.at) if member.at else before.coefficients(mine, free)[0]
         if DISCREPANCY_SHARE * np.linalg.norm(mine @ values) < LEAST:
             return None
         form = self.candidates[member.candidate].form
@@ -201,8 +213,8 @@ class Screen:
     def _weighed(self, members: Sequence[Member]) -> float:
         """The evidence that the last of some members brings in its form, the discrepancy of that included."""
         member = members[-1]
-        alone = self.judge_all(members[:-1], [member.candidate])[member.candidate].log_bayes
-        return self.with_discrepancy((*members[:-1], replace(member, log_bayes=alone))).log_bayes
+        alone = self.judge_all(members[:-1], [member.candidate]).log_bayes[member.candidate]
+        return self.with_discrepancy((*members[:-1], replace(member, log_bayes=float(alone)))).log_bayes
 
     def _beyond_rows(self, members: Sequence[Member]) -> float:
         key = _key(members)
@@ -214,25 +226,30 @@ class Screen:
 
     def with_discrepancy(self, members: Sequence[Member]) -> Member:
         """The last of some members, its evidence that of its form together with the discrepancy of that."""
-        before, mine = self.explained(members[:-1]), self._block(members[-1])
-        own = self._discrepancy(members[-1], before, mine)
-        if own is None:
-            return members[-1]
-        found = before.and_then(mine)
-        cross = found.along(own)
-        gain = log_evidence(own.T @ own - cross.T @ cross, own.T @ self.data - cross.T @ found.taken, found.total,
-                            self._dof(found), self.noise_dof)
-        return replace(members[-1], log_bayes=members[-1].log_bayes + gain)
+        key = _key(members)
+        if key not in self._gains:
+            found, own = self._begun(members)
+            self._gains[key] = 0.0
+            if own is not None:
+                cross = found.along(own)
+                along = own.T @ self.data - cross.T @ found.taken
+                self._gains[key] = log_evidence(own.T @ own - cross.T @ cross, along, found.total, self._dof(found),
+                                                self.noise_dof)
+        return replace(members[-1], log_bayes=members[-1].log_bayes + self._gains[key])
 
     def _dof(self, found: Explained) -> float:
         """Free dimensions of the data beside what is explained."""
         return sum(self.parity.dof) - found.spent(self.parity.size)
 
-    def judge_all(self, members: Sequence[Member], wanted: Sequence[int]) -> dict[int, Judged]:
-        """The ``wanted`` candidates given the set ``members``; what was judged before is remembered."""
-        known = self._judged.setdefault(_key(members), {})
+    def judge_all(self, members: Sequence[Member], wanted: ArrayLike) -> 'Known':
+        """What is known of the candidates given the set ``members``, that of the ``wanted`` ones among it."""
+        known = self._judged.get(_key(members))
+        if known is None:
+            known = self._judged[_key(members)] = Known(np.full(len(self.candidates), np.nan),
+                                                        np.full(len(self.candidates), np.nan))
         open_ = np.zeros(len(self.candidates), bool)
-        open_[[i for i in wanted if i not in known]] = True
+        open_[wanted] = True
+        open_ &= np.isnan(known.log_bayes)
         if not open_.any():
             return known
         found = self.explained(members)
@@ -247,58 +264,59 @@ class Screen:
             gram = alike.grams[chosen] - cross @ cross.transpose(0, 2, 1)
             along = alike.alongs[chosen] - cross @ taken
             judged = judge(gram, along, total, dof, self.noise_dof, correction.of(alike, chosen, cross))
-            known.update(zip(alike.numbers[chosen].tolist(), judged, strict=True))
+            known.log_bayes[alike.numbers[chosen]] = judged.log_bayes
+            known.size[alike.numbers[chosen]] = judged.size
         return known
 
     def as_first(self, member: Member) -> Member:
         """A member of a set in the same form as if it were the first: the evidence of that form alone, as one
         of all that the effect has."""
-        number, form = member.candidate, self.candidates[member.candidate].form
+        number = member.candidate
         forms = sum(candidate.effect == member.effect for candidate in self.candidates)
-        alone = self.judge_all((), [number])[number]
-        return replace(member, log_bayes=alone.log_bayes - float(np.log(forms)), size=allowed(form, alone))
+        known = self.judge_all((), [number])
+        return replace(member, log_bayes=float(known.log_bayes[number] - np.log(forms)),
+                       size=self.allowed(number, known))
 
     def by_effect(self, members: Sequence[Member] = (),
                   asked: Callable[[str], bool] = lambda effect: True) -> dict[str, Member]:
         """The evidence of every effect ``asked`` for given ``members``, averaged over its forms; the best form,
         penalties weighed."""
-        groups: dict[str, dict[str, list[int]]] = {}
         present = {m.effect for m in members}
-        sources = {(m.effect, self.candidates[m.candidate].form.source) for m in members
-                   if self.candidates[m.candidate].form.source}
-        settled = {effect for effect, _ in sources}
-        controls: dict[tuple[str, int], list[int]] = {}
-        wanted = {effect for effect in {candidate.effect for candidate in self.candidates} if asked(effect)}
-        for number, candidate in enumerate(self.candidates):
-            if candidate.negative_control:
-                controls.setdefault((candidate.family, len(candidate.form.columns)), []).append(number)
-            if candidate.effect not in wanted:
-                continue
-            if candidate.negative_control and candidate.family in present:
-                continue  # beside the name its negative controls do not compete
-            if (candidate.effect in settled and candidate.form.source
-                    and (candidate.effect, candidate.form.source) not in sources):
-                continue
-            groups.setdefault(candidate.effect, {}).setdefault(candidate.family, []).append(number)
-        judged = self.judge_all(members, [i for families in groups.values()
-                                          for numbers in families.values() for i in numbers])
+        sources: dict[str, set[str]] = {}
+        for m in members:
+            if source := self.candidates[m.candidate].form.source:
+                sources.setdefault(m.effect, set()).add(source)
+        wanted = {effect for effect in {family.effect for family in self._families} if asked(effect)}
+        groups: dict[str, list[_Family]] = {}
+        for family in self._families:
+            # Beside the name its negative controls do not compete.
+            if family.effect in wanted and not (family.negative_control and family.name in present):
+                some = family.of_source(sources[family.effect]) if family.effect in sources else family
+                if len(some.numbers):
+                    groups.setdefault(family.effect, []).append(some)
+        every = [family.numbers for families in groups.values() for family in families]
+        known = self.judge_all(members, np.concatenate([np.zeros(0, np.intp), *every]))
         result = {}
         for effect, families in groups.items():
-            penalties = {family: self._penalty(numbers, judged) for family, numbers in families.items()}
-            shared = sum(not self.candidates[numbers[0]].own for numbers in families.values())
-            logs = {family: log_mean([judged[i].log_bayes for i in numbers]) - penalties[family]
-                    - (0.0 if self.candidates[numbers[0]].own else float(np.log(shared)))
-                    for family, numbers in families.items()}
+            logs = [known.log_bayes[family.numbers] for family in families]
+            penalties = [_penalty(family, mine) for family, mine in zip(families, logs, strict=True)]
+            shared = float(np.log(max(sum(not family.own for family in families), 1)))
+            means = [log_mean(mine) - penalty - (0.0 if family.own else shared)
+                     for family, mine, penalty in zip(families, logs, penalties, strict=True)]
             # The penalty is that against the family which carries the sum: another's would be paid back unpaid.
-            family = max(logs, key=logs.__getitem__)
-            best = max(families[family], key=lambda i: judged[i].log_bayes)
-            member = Member(effect, best, log_sum(list(logs.values())) + penalties[family],
-                            allowed(self.candidates[best].form, judged[best]), penalties[family])
-            as_rich = controls.get((effect, len(self.candidates[best].form.columns)))
-            result[effect] = self._beyond_controls(members, member, as_rich) if as_rich else member
+            k = int(np.argmax(means))
+            best = int(families[k].numbers[logs[k].argmax()])
+            member = Member(effect, best, log_sum(means) + penalties[k], self.allowed(best, known), penalties[k])
+            as_rich = self._controls.get((effect, len(self.candidates[best].form.columns)))
+            result[effect] = member if as_rich is None else self._beyond_controls(members, member, as_rich)
         return result
 
-    def _beyond_controls(self, members: Sequence[Member], member: Member, controls: Sequence[int]) -> Member:
+    def allowed(self, number: int, known: 'Known') -> float:
+        """The size that a candidate's coefficients are allowed in a set: an unknown profile the one that the log shows
+        of it."""
+        return float(known.size[number] if self.candidates[number].form.process else SIZES[-1])
+
+    def _beyond_controls(self, members: Sequence[Member], member: Member, controls: np.ndarray) -> Member:
         """A member; refused where its negative ``controls``, as rich, show nearly as much beside it still.
 
         What a name explains its controls show no more.  What they show beside it is of another cause, and of
@@ -307,24 +325,65 @@ class Screen:
         """
         if member.log_bayes < 0.0:
             return member
-        judged = self.judge_all((*members, member), controls)
-        shown = max(0.0, *(judged[i].log_bayes for i in controls))
+        shown = max(0.0, float(self.judge_all((*members, member), controls).log_bayes[controls].max()))
         asked = shown + max(0.0, shown - CONFUSED)
         if member.log_bayes - asked > MEMBER_ALARM:
             return member
         return replace(member, refused=f'{member.effect}: beside it its negative controls show {shown:.1f} in log '
                                        f'evidence, it brings {member.log_bayes:.1f}')
 
-    def _penalty(self, numbers: Sequence[int], judged: Mapping[int, Judged]) -> float:
-        """Log odds against a family where a name explains as much.
+    def _group(self) -> None:
+        """Candidates by effect and family; negative controls by the effect they are of and their number of columns."""
+        families: dict[tuple[str, str], list[int]] = {}
+        controls: dict[tuple[str, int], list[int]] = {}
+        for number, candidate in enumerate(self.candidates):
+            families.setdefault((candidate.effect, candidate.family), []).append(number)
+            if candidate.negative_control:
+                controls.setdefault((candidate.family, len(candidate.form.columns)), []).append(number)
+        self._families = [_Family.of(self.candidates, numbers) for numbers in families.values()]
+        self._controls = {key: np.array(numbers) for key, numbers in controls.items()}
 
-        What negative controls explain, forms as rich would have explained whatever the cause: a name has earned
-        only what it explains beyond, and must beat its controls by a share of what they have.
-        """
-        first = self.candidates[numbers[0]]
-        if first.negative_control:
-            return -CONTROL_SHARE * max(0.0, *(judged[i].log_bayes for i in numbers))
-        return first.penalty
+
+@dataclass
+class Known:
+    """``log_bayes`` (F,) of all candidates given a set and the ``size`` (F,) that speaks best for each; NaN of those
+    that were not judged."""
+
+    log_bayes: np.ndarray
+    size: np.ndarray
+
+
+@dataclass(frozen=True)
+class _Family:
+    """Candidates of one family of an effect: their ``numbers`` (m,), ``sources`` (m,) and what they share."""
+
+    effect: str
+    name: str
+    penalty: float
+    negative_control: bool
+    own: bool
+    numbers: np.ndarray
+    sources: np.ndarray
+
+    @classmethod
+    def of(cls, candidates: Sequence[Candidate], numbers: Sequence[int]) -> '_Family':
+        one = candidates[numbers[0]]
+        return cls(one.effect, one.family, one.penalty, one.negative_control, one.own, np.array(numbers),
+                   np.array([candidates[n].form.source for n in numbers]))
+
+    def of_source(self, sources: Iterable[str]) -> '_Family':
+        """Those of no source, and of some."""
+        mine = np.isin(self.sources, ['', *sources])
+        return replace(self, numbers=self.numbers[mine], sources=self.sources[mine])
+
+
+def _penalty(family: _Family, logs: np.ndarray) -> float:
+    """Log odds against a family, of the evidence ``logs`` (m,), where a name explains as much.
+
+    What negative controls explain, forms as rich would have explained whatever the cause: a name has earned
+    only what it explains beyond, and must beat its controls by a share of what they have.
+    """
+    return -CONTROL_SHARE * max(0.0, float(logs.max())) if family.negative_control else family.penalty
 
 
 @dataclass(frozen=True)
@@ -381,6 +440,13 @@ class _Correction:
         if alike.correction is not None:
             gram = gram + alike.correction[chosen]
         return gram, self.with_left[places] * ratios - cross @ self.among_left
+
+
+def _remember(known: dict, key: tuple, value: object) -> None:
+    """Put what was worked out or asked for last behind all that is known, and let the first of too many go."""
+    while len(known) >= REMEMBERED:
+        del known[next(iter(known))]
+    known[key] = value
 
 
 def _key(members: Sequence[Member]) -> tuple:

@@ -18,6 +18,7 @@ what the data gain, Δ − Δₒ, is held against them.
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from stepdiag_ros.effects.base import Form
 from stepdiag_ros.estimate.eigen import eigen
@@ -27,16 +28,19 @@ SIZES = np.logspace(-1.5, 1.5, 9)
 
 @dataclass(frozen=True)
 class Judged:
-    """``log_bayes`` of a form against nothing; ``size``, in typical ones, that speaks best for it; ``of_sizes``: the
-    probability of each of ``SIZES``."""
+    """``log_bayes`` (F,) of forms against nothing; ``size`` (F,), in typical ones, that speaks best for each;
+    ``of_sizes`` (F, 9): the probability of each of ``SIZES``.  ``judged[n]`` are those of form n."""
 
-    log_bayes: float
-    size: float = float(SIZES[-1])
-    of_sizes: tuple[float, ...] = ()
+    log_bayes: np.ndarray
+    size: np.ndarray
+    of_sizes: np.ndarray
+
+    def __getitem__(self, wanted: int) -> 'Judged':
+        return Judged(self.log_bayes[wanted], self.size[wanted], self.of_sizes[wanted])
 
 
 def judge(gram: np.ndarray, along: np.ndarray, total: float, dof: float, noise_dof: float,
-          own: tuple[np.ndarray, np.ndarray] | None = None) -> list[Judged]:
+          own: tuple[np.ndarray, np.ndarray] | None = None) -> Judged:
     """Evidence for F forms of k columns each, from the products ``ZᵀZ`` (F, k, k), ``Zᵀz`` (F, k) and
     ``zᵀz``, in data with ``dof`` free dimensions; ``own``: what of the first two the Jacobian
     correction takes."""
@@ -55,8 +59,7 @@ def judge(gram: np.ndarray, along: np.ndarray, total: float, dof: float, noise_d
     top = logs.max(axis=0)
     mean = top + np.log(np.mean(np.exp(logs - top), axis=0))
     odds = np.exp(logs - top)
-    return [Judged(float(m), float(SIZES[k]), tuple(p))
-            for m, k, p in zip(mean, logs.argmax(axis=0), (odds / odds.sum(axis=0)).T, strict=True)]
+    return Judged(mean, SIZES[logs.argmax(axis=0)], (odds / odds.sum(axis=0)).T)
 
 
 def log_evidence(gram: np.ndarray, along: np.ndarray, total: float, dof: float, noise_dof: float) -> float:
@@ -79,12 +82,12 @@ def prior_sigma_of(form: Form) -> float:
     return float(SIZES[-1]) if form.held is None else form.held
 
 
-def log_mean(values: list[float]) -> float:
+def log_mean(values: ArrayLike) -> float:
     """Logarithm of the mean of exponentials."""
-    return log_sum(values) - float(np.log(len(values)))
+    return log_sum(values) - float(np.log(np.size(values)))
 
 
-def log_sum(values: list[float]) -> float:
+def log_sum(values: ArrayLike) -> float:
     """Logarithm of the sum of exponentials."""
     numbers = np.asarray(values, float)
     top = numbers.max()

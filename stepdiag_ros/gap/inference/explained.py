@@ -60,17 +60,18 @@ class Explained:
         """Dimensions among the first ``size`` of the data that are explained."""
         return sum(float(np.vdot(block[:size], block[:size])) for block in self.blocks)
 
-    def and_then(self, columns: np.ndarray) -> 'Explained':
-        """With the effect of further columns (M, k), in units of the sizes that they are allowed."""
-        free = self.freed(columns)
+    def and_then(self, columns: np.ndarray, free: np.ndarray | None = None) -> 'Explained':
+        """With the effect of further columns (M, k), in units of the sizes that they are allowed; ``free``: ``W`` times
+        them, where it is known."""
+        free = self.freed(columns) if free is None else free
         value, vector = eigen(columns.T @ free)
         keep = value > LEAST_EXPLAINED
         more = free @ (vector[:, keep] / np.sqrt(1.0 + value[keep]))
         return Explained(self.data, (*self.blocks, more), np.concatenate([self.taken, more.T @ self.data]))
 
-    def coefficients(self, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def coefficients(self, columns: np.ndarray, free: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Mean (k,) of the coefficients that further columns (M, k) would have, and their covariance (k, k)."""
-        free = self.freed(columns)
+        free = self.freed(columns) if free is None else free
         covariance = np.linalg.inv(columns.T @ free + np.eye(columns.shape[1]))
         return covariance @ (free.T @ self.data), covariance
 
