@@ -1,24 +1,28 @@
 """Samples that go with those before them: how much less certain means are than the root of their number says.
 
-Samples k apart are alike by ρᵏ (a first-order autoregression).  Their noise, as neighbours' differences tell it, is
-σ² (1 − ρ).  In units of that contrasts of the means over the fifths of a dwell scatter by L(ρ), and the mean over the
-whole dwell by F(ρ), which is larger: it has all of what is slower than a fifth.  So F follows from the L that a log
-shows.  As ρ goes to one L ends while F does not: nearer to that end than L is known, fifths tell no more.
+Samples k apart are alike by ρᵏ (a first-order autoregression).  A dwell's slow contrasts, the polynomials of third and
+fourth degree through its samples, scatter by S(ρ) in units of the noise that neighbours' differences tell, its fast
+one, neighbours' differences with signs of no pattern, by A(ρ), and the mean over the dwell by F(ρ), which is larger: it
+has all of what is slower.  So F follows from the S/A that a log shows, whatever the size and the tails of its noise.
+As ρ goes to one S/A ends while F does not: nearer to that end than S/A is known, contrasts tell no more.
 
 What an instrument rounds off is noise as well, and independent from sample to sample where these differ by more than a
-step.  Of the neighbours' differences only a share a is then of what is alike: a log shows 1 + a (L² − 1), and its means
-have 1 + a (F² − 1).
+step.  Of the neighbours' differences only a share a is then of what is alike: a log shows 1 + a (S² − 1) for S², the
+same for A², and its means have 1 + a (F² − 1).
 """
 
 from functools import lru_cache
 
 import numpy as np
 
-FIFTHS = 5
+FEWEST = 5
+"""Samples of a dwell of which something is left beyond a bend at both ends of the spectrum."""
+SLOW = 2
+"""How many of a dwell's contrasts are slow; the one after them is fast."""
 LEAST_LOUD = 0.1
 """Least squared scatter of contrasts that is believed of what rounding leaves."""
 SURE = 1.0
-"""Standard deviations by which contrasts of fifths must stay below their end to tell how alike samples are."""
+"""Standard deviations by which contrasts must stay below their end to tell how alike samples are."""
 ALIKE = np.append(0.0, 1.0 - np.geomspace(1.0, 1e-4, 80)[1:])
 """Correlations ρ of neighbours that are tried."""
 SLOPE_AND_BEND = 2
@@ -35,53 +39,54 @@ def contrasts(time: np.ndarray) -> np.ndarray:
     return basis[:, :, 1:].transpose(0, 2, 1)
 
 
-def fifths_contrasts() -> np.ndarray:
-    """The same (4, 5) of the means over the fifths of a dwell."""
-    return contrasts(np.arange(FIFTHS, dtype=float)[None])[0]
-
-
-def fifth_of(count: np.ndarray) -> int:
-    """Samples in a fifth of a typical dwell; ``count`` (n,): in each dwell."""
-    return int(np.median(count)) // FIFTHS
+@lru_cache(maxsize=256)
+def sample_contrasts(count: int) -> np.ndarray:
+    """The slow contrasts and the fast one (SLOW + 1, count) of the samples of a dwell, each of length one; neither what
+    drifts nor what bends has a part in them."""
+    place = np.linspace(-1.0, 1.0, count)
+    fast = np.zeros(count)
+    signs = np.where(np.random.default_rng(0).random(count // 2) < 0.5, -1.0, 1.0)
+    fast[:2 * len(signs):2], fast[1:2 * len(signs):2] = signs, -signs
+    cubic = np.linalg.qr(place[:, None] ** np.arange(4))[0]
+    fast -= cubic @ (cubic.T @ fast)
+    # Of five samples a fourth degree has what the fast contrast has.
+    more = np.linalg.qr(place[:, None] ** np.arange(min(count - 1, 5)))[0][:, 3:]
+    return np.stack([more[:, 0], more[:, -1], fast / np.linalg.norm(fast)])
 
 
 @lru_cache(maxsize=64)
-def scatters(each: int) -> tuple[np.ndarray, np.ndarray]:
-    """By how much contrasts of fifths of ``each`` samples by degree (r, 4), and the dwell's mean (r,), scatter more
-    than independent samples of the noise that neighbours tell, at the correlations ``ALIKE`` (r,)."""
-    rho = ALIKE[:, None, None]
-    apart = np.abs(np.subtract.outer(np.arange(FIFTHS), np.arange(FIFTHS)))
-    total = (1.0 - rho**each) / (1.0 - rho)
-    within = each * (1.0 + rho) / (1.0 - rho) - 2.0 * rho * total / (1.0 - rho)
-    between = rho ** np.maximum(apart * each - (each - 1), 0) * total**2
-    covariance = np.where(apart == 0, within, between) / each**2
-    contrasts = fifths_contrasts()
-    by_degree = each * np.einsum('hi,rij,hj->rh', contrasts, covariance, contrasts)
-    mean = each * FIFTHS * covariance.mean(axis=(1, 2))
-    return np.sqrt(by_degree / (1.0 - ALIKE[:, None])), np.sqrt(mean / (1.0 - ALIKE))
+def scatters(count: int) -> tuple[np.ndarray, np.ndarray]:
+    """By how much contrasts of the ``count`` samples of a dwell (r, SLOW + 1), and its mean (r,), scatter more than
+    independent samples of the noise that neighbours tell, at the correlations ``ALIKE`` (r,)."""
+    functions = np.concatenate([sample_contrasts(count), np.full((1, count), count**-0.5)])
+    spectrum = np.abs(np.fft.rfft(functions, 2 * count)) ** 2
+    together = np.fft.irfft(spectrum, 2 * count)[:, :count]
+    together[:, 1:] *= 2.0
+    rho = np.power.outer(ALIKE, np.arange(count))
+    scatter = np.sqrt(np.maximum(rho @ together.T, 0.0) / (1.0 - ALIKE)[:, None])
+    return scatter[:, :-1], scatter[:, -1]
 
 
-def _correlation(loud: float, each: int, known: float) -> float:
-    """The place among ``ALIKE`` at which the contrasts beyond slope and bend, of which ``known`` were seen, scatter by
-    ``loud``."""
-    shown = np.sqrt(np.mean(scatters(each)[0][:, SLOPE_AND_BEND:]**2, axis=1))
-    if shown[-1] < shown[0]:   # fifths of one sample: what goes on slowly is not in the fast contrasts of neighbours
-        shown, loud = 1.0 / shown, 1.0 / loud
-    told = max(1.0 - SURE / np.sqrt(2.0 * max(known, 1.0)), 0.0)
+def _correlation(ratio: float, count: int, known: float) -> float:
+    """The place among ``ALIKE`` at which slow contrasts, of which ``known`` were seen, scatter ``ratio`` times as much
+    as the fast one."""
+    slow = scatters(count)[0]
+    shown = np.sqrt(np.mean(slow[:, :SLOW]**2, axis=1)) / slow[:, SLOW]
+    told = max(1.0 - SURE * np.sqrt(1.5 / max(known, 1.0)), 0.0)   # of the fast ones there are half as many
     shown = shown[:int(np.argmax(shown >= told * shown.max())) + 1]
-    return float(np.interp(loud, shown, np.arange(len(shown))))
+    return float(np.interp(ratio, shown, np.arange(len(shown))))
 
 
-def of_mean(loud: float, each: int, known: float, share: float = 1.0) -> float:
-    """Factor by which the mean over a dwell of fifths of ``each`` samples scatters more than independent samples of the
-    noise that neighbours tell, where ``known`` contrasts of fifths do by ``loud``; never less than that.  ``share`` of
-    the neighbours' squared differences that is not of rounding."""
-    if each < 1 or share <= 0.0:
-        return loud
-    own = np.sqrt(max(1.0 + (loud**2 - 1.0) / share, LEAST_LOUD))
-    alike = _correlation(own, each, known * share**2)
-    mean = float(np.interp(alike, np.arange(len(ALIKE)), scatters(each)[1]))
-    return max(loud, np.sqrt(1.0 + share * (mean**2 - 1.0)))
+def of_mean(slow: float, fast: float, count: int, known: float, share: float = 1.0) -> float:
+    """Factor by which the mean over a dwell of ``count`` samples scatters more than independent samples of the noise
+    that neighbours tell, where ``known`` slow contrasts do by ``slow`` and the fast ones by ``fast``; never less than
+    the slow ones.  ``share`` of the neighbours' squared differences that is not of rounding."""
+    if count < FEWEST or share <= 0.0:
+        return slow
+    squares = [max(1.0 + (loud**2 - 1.0) / share, LEAST_LOUD) for loud in (slow, fast)]
+    alike = _correlation(float(np.sqrt(squares[0] / squares[1])), count, known * share**2)
+    mean = float(np.interp(alike, np.arange(len(ALIKE)), scatters(count)[1]))
+    return max(slow, np.sqrt(1.0 + share * (mean**2 - 1.0)))
 
 
 @lru_cache(maxsize=1)

@@ -21,7 +21,7 @@ import numpy as np
 from scipy import linalg
 
 from stepdiag_ros.errors import StepdiagError
-from stepdiag_ros.estimate.correlated import fifth_of, not_rounding, of_mean
+from stepdiag_ros.estimate.correlated import SLOW, not_rounding, of_mean
 from stepdiag_ros.estimate.reduce import MOVED_M, StopTable
 from stepdiag_ros.estimate.triangular import forward
 from stepdiag_ros.model.description import Noise
@@ -137,10 +137,11 @@ def sensor_noise(table: StopTable, belief: Noise) -> np.ndarray:
                 if len(own) > 2:
                     pooled[rows, k] = np.median(scatter[own, k]) / _of_median(float(np.median(count[own])))
         if parts is not None:
-            each, slow = fifth_of(count), _slow(parts / np.maximum(pooled, FLOOR_M)[:, :, None], table)
+            slow, fast = _loud(parts / np.maximum(pooled, FLOOR_M)[:, :, None], table)
             own = not_rounding(np.median(pooled, axis=0), np.array(table.quanta or np.zeros(beams + 2))[columns])
             # Beams of one instrument, the two axes of one detector, are alike in this.
-            pooled *= of_mean(float(np.sqrt(np.mean(slow**2))), each, np.isfinite(parts).sum(), float(np.mean(own)))
+            pooled *= of_mean(slow, fast, int(np.median(count)), np.isfinite(parts[:, :, :SLOW]).sum(),
+                              float(np.mean(own)))
         result[:, columns] = pooled / np.sqrt(np.maximum(count, 1))[:, None]
     if table.disturbed is not None:
         result = np.sqrt(result**2 + table.disturbed)
@@ -154,16 +155,17 @@ def _of_median(count: float) -> float:
     return (1.0 - 2.0 / (9.0 * freedom))**1.5
 
 
-def _slow(parts: np.ndarray, table: StopTable) -> np.ndarray:
-    """Factor (c,) by which ``parts`` (n, c, p), in units of a sample's noise, scatter more than those of independent
-    samples; what moves of one kind leave in all their dwells is no noise."""
+def _loud(parts: np.ndarray, table: StopTable) -> list[float]:
+    """Factors by which the slow and the fast ones of ``parts`` (n, c, p), in units of a sample's noise, scatter more
+    than those of independent samples; what moves of one kind leave in all their dwells is no noise."""
     kind = np.unique(np.stack([table.setup, table.axis, table.direction]), axis=1, return_inverse=True)[1].ravel()
     rest = np.full(parts.shape, np.nan)
     for number in np.unique(kind):
         rows = np.flatnonzero((kind == number) & np.isfinite(parts).all(axis=(1, 2)))
         if len(rows) >= LEAST_ALIKE:
             rest[rows] = (parts[rows] - parts[rows].mean(axis=0)) * np.sqrt(len(rows) / (len(rows) - 1.0))
-    return np.array([loudness(rest[:, c], 0.0) for c in range(parts.shape[1])])
+    return [float(np.sqrt(np.mean([loudness(rest[:, c, some], 0.0)**2 for c in range(parts.shape[1])])))
+            for some in (slice(SLOW), slice(SLOW, None))]
 
 
 def loudness(values: np.ndarray, least: float = 1.0) -> float:

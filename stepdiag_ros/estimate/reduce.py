@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stepdiag_ros.errors import StepdiagError
-from stepdiag_ros.estimate.correlated import FIFTHS, SLOPE_AND_BEND, fifths_contrasts
+from stepdiag_ros.estimate.correlated import FEWEST, SLOW, sample_contrasts
 from stepdiag_ros.estimate.on_centre import on_centre
 from stepdiag_ros.estimate.samples import clean, quantum
 from stepdiag_ros.model.log import DONE, DWELL, MOVE, STOOD, CalibrationLog, Samples
@@ -22,9 +22,6 @@ MOVED_M = 1e-6
 LONG = 8.0
 PIECES = 40
 """A dwell of more than so many usual ones is cut, where that is asked for, into at most so many stops."""
-
-CONTRASTS = fifths_contrasts()[SLOPE_AND_BEND:]
-"""Of the means over the fifths of a dwell, what neither a drift nor a bend has a part in."""
 
 
 @dataclass(frozen=True)
@@ -37,9 +34,8 @@ class StopTable:
     ``displacement`` (n, beams), ``spot`` (n, 2) [m]: means over the dwell, NaN where there is none;
     ``displacement_scatter``, ``spot_scatter`` [m]: standard deviation of one sample against its neighbours;
     ``displacement_count``, ``spot_count`` (n,): samples used.
-    ``displacement_parts``, ``spot_parts`` (n, beams or 2, 2) [m]: third and fourth contrast of the means over the
-    fifths of a dwell, times the root of the samples in a fifth: they scatter as single samples do where these are
-    independent; None where no samples are known.
+    ``displacement_parts``, ``spot_parts`` (n, beams or 2, 3) [m]: contrasts of a dwell's samples, two slow ones and a
+    fast one, that scatter as single samples do where these are independent; None where no samples are known.
     ``displacement_rows``, ``spot_rows`` (n, 2): the dwell's samples are ``[first, last)`` of the log.
     ``intensity`` (n,) [V] and ``refractive_index`` (n,): means over the dwell.
     ``quanta`` (beams + 2) [m]: steps in which readings of lengths and spots move, 0 where in none; () where not known.
@@ -253,7 +249,7 @@ def _average(samples: Samples, start_ns: np.ndarray, end_ns: np.ndarray, setup: 
     """Means and scatters of the samples in each window that carry the window's setup."""
     n, columns = len(start_ns), samples.values.shape[1]
     mean, scatter = np.full((n, columns), np.nan), np.full((n, columns), np.nan)
-    parts = np.full((n, columns, len(CONTRASTS)), np.nan)
+    parts = np.full((n, columns, SLOW + 1), np.nan)
     health, index = np.full(n, np.nan), np.ones(n)
     count = np.zeros(n, np.intp)
     rows = np.stack([np.searchsorted(samples.time_ns, start_ns),
@@ -275,9 +271,8 @@ def _average(samples: Samples, start_ns: np.ndarray, end_ns: np.ndarray, setup: 
         if count[i] > 1:
             # From neighbours in time: what creeps or drifts inside a dwell is not sensor noise.
             scatter[i] = np.sqrt(np.mean(np.diff(values, axis=0)**2, axis=0) / 2.0)
-        if each := count[i] // FIFTHS:
-            fifths = (values[:each * FIFTHS] - values[0]).reshape(FIFTHS, each, columns).mean(axis=1)
-            parts[i] = (CONTRASTS @ fifths).T * np.sqrt(each)
+        if count[i] >= FEWEST:
+            parts[i] = (sample_contrasts(int(count[i])) @ (values - values[0])).T
         health[i] = samples.health[lo:hi][good].mean()
         index[i] = samples.refractive_index[lo:hi][good].mean()
     return _Averages(mean, scatter, parts, count, rows, health, index, left_out)

@@ -33,6 +33,10 @@ class Block:
     places: np.ndarray
     columns: np.ndarray
 
+    def within(self, wanted: slice) -> slice:
+        """Which of its columns are among the ``wanted`` ones of all."""
+        return slice(*np.searchsorted(self.places, [wanted.start, wanted.stop]))
+
     def and_then(self, other: 'Block', width: int) -> 'Block':
         """With the columns of ``other`` behind ``width`` of these."""
         return replace(self, places=np.concatenate([self.places, other.places + width]),
@@ -83,9 +87,9 @@ class Brought:
         """Some columns (size, k), written out."""
         full = np.zeros((size, part.stop - part.start))
         for block in (*self.blocks, *self.own):
-            begin, end = np.searchsorted(block.places, [part.start, part.stop])
-            if end > begin:
-                full[np.ix_(block.rows, block.places[begin:end] - part.start)] = block.columns[:, begin:end]
+            some = block.within(part)
+            if some.stop > some.start:
+                full[np.ix_(block.rows, block.places[some] - part.start)] = block.columns[:, some]
         self.factored.put(part, full)
         return full
 
@@ -93,12 +97,12 @@ class Brought:
         """Products (K, r) of the ``wanted`` ones of all columns with ``directions`` (M, r); zero of the others."""
         result = np.zeros((self.width, directions.shape[1]))
         for block in (*self.blocks, *self.own):
-            begin, end = np.searchsorted(block.places, [wanted.start, wanted.stop])
-            if end > begin:
-                result[block.places[begin:end]] += block.columns[:, begin:end].T @ directions[block.rows]
-        some = self.factored.within(wanted)
-        if some:
-            for place, product in self.factored.times(self.factored.back(directions), some):
+            some = block.within(wanted)
+            if some.stop > some.start:
+                result[block.places[some]] += block.columns[:, some].T @ directions[block.rows]
+        places = self.factored.within(wanted)
+        if places:
+            for place, product in self.factored.times(self.factored.back(directions), places):
                 result[place:place + len(product)] = product
         return result
 

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from stepdiag_ros.effects.base import Effect, Form
 from stepdiag_ros.effects.made import Made
 from stepdiag_ros.gap.constants import CONFUSED, CONTROL_SHARE, DISCREPANCY_SHARE, MEMBER_ALARM
-from stepdiag_ros.gap.inference.brought import Block, Brought
+from stepdiag_ros.gap.inference.brought import Brought
 from stepdiag_ros.gap.inference.discrepancy import LEAST
 from stepdiag_ros.gap.inference.discrepancy import columns as discrepancy_of
 from stepdiag_ros.gap.inference.evidence import SIZES, judge, log_evidence, log_mean, log_sum
@@ -179,14 +179,20 @@ class Screen:
         return np.concatenate([discrepancy_of(
             self.parity, np.tensordot(sizes, form.columns, axes=1), inside, self.modulations), below])
 
-    def sizes(self, members: Sequence[Member], number: int) -> tuple[np.ndarray, np.ndarray]:
-        """Coefficients (k,) of the member ``number`` of some, all others free, and their standard deviations, in its
-        form's units."""
-        mine = self._block(members[number])
-        values, covariance = self.explained(members).within(mine)
-        unit = self.candidates[members[number].candidate].form.scale * members[number].size
+    def sizes(self, members: Sequence[Member], number: int) -> np.ndarray:
+        """Coefficients (k,) of the member ``number`` of some, all others free, in its form's units."""
+        return self.explained(members).within(self._block(members[number])) * self._unit(members[number])
+
+    def with_sigmas(self, members: Sequence[Member], number: int) -> tuple[np.ndarray, np.ndarray]:
+        """The same, and their standard deviations."""
+        spread = self.explained(members).spread_within(self._block(members[number]))
         # Of a coefficient known to the last digit rounding may leave less than nothing.
-        return values * unit, np.sqrt(np.maximum(np.diag(covariance), np.finfo(float).eps)) * unit
+        sigma = np.sqrt(np.maximum(np.diag(spread), np.finfo(float).eps))
+        return self.sizes(members, number), sigma * self._unit(members[number])
+
+    def _unit(self, member: Member) -> np.ndarray:
+        """What coefficients (k,) of one in a member's columns are, in its form's units."""
+        return self.candidates[member.candidate].form.scale * member.size
 
     def with_jacobian(self, members: Sequence[Member]) -> Member:
         """The last of some members, its evidence with the Jacobian correction whole, not to the second order only: a
@@ -203,8 +209,7 @@ class Screen:
         """
         placed: list[Member] = []
         for number, member in enumerate(members):
-            unit = self.candidates[member.candidate].form.scale * member.size
-            there = replace(member, at=tuple(self.sizes(members, number)[0] / unit))
+            there = replace(member, at=tuple(self.sizes(members, number) / self._unit(member)))
             there = replace(there, log_bayes=member.log_bayes + self._weighed((*placed, there))
                             - self._weighed(members[:number + 1]))
             placed.append(there)
@@ -220,7 +225,7 @@ class Screen:
         key = _key(members)
         if key not in self._beyond:
             slopes = slopes_of([self.candidates[m.candidate].form for m in members],
-                               lambda number: self.sizes(members, number)[0])
+                               lambda number: self.sizes(members, number))
             self._beyond[key] = 0.0 if slopes is None else self.parity.beyond_rows(slopes)
         return self._beyond[key]
 
@@ -254,10 +259,11 @@ class Screen:
             return known
         found = self.explained(members)
         basis, taken = found.basis, found.taken
-        correction = _Correction.by(self._brought.own, basis, self.data, taken, self._brought.width)
-        total, dof = found.total - correction.total, self._dof(found)
         parts = [self._slices[i] for i in np.flatnonzero(open_)]
-        overlap = self._brought.times(basis, slice(min(p.start for p in parts), max(p.stop for p in parts)))
+        wide = slice(min(p.start for p in parts), max(p.stop for p in parts))
+        overlap = self._brought.times(basis, wide)
+        correction = _Correction.by(self._brought, basis, found.left, wide)
+        total, dof = found.total - correction.total, self._dof(found)
         for alike in self._alike:
             chosen = open_[alike.numbers]
             cross = overlap[alike.places[chosen]] * alike.ratios[chosen][:, :, None]
@@ -404,8 +410,8 @@ class _Alike:
 @dataclass(frozen=True)
 class _Correction:
     """The rows of the Jacobian correction, given a set: what is left of them, squared, in ``total``; products of
-    the set's directions there with each other (r, r) and with what is left (r,), and of all columns with the
-    directions (K, r) and with what is left (K,)."""
+    the set's directions there with each other (r, r) and with what is left (r,), and of the columns that are asked for
+    with the directions (K, r) and with what is left (K,), zero of the others."""
 
     total: float
     among: np.ndarray
@@ -414,19 +420,17 @@ class _Correction:
     with_left: np.ndarray
 
     @classmethod
-    def by(cls, own: Sequence[Block], basis: np.ndarray, data: np.ndarray, taken: np.ndarray,
-           columns: int) -> '_Correction':
+    def by(cls, brought: Brought, basis: np.ndarray, left: np.ndarray, wanted: slice) -> '_Correction':
         total, size = 0.0, basis.shape[1]
         among, among_left = np.zeros((size, size)), np.zeros(size)
-        with_basis, with_left = np.zeros((columns, size)), np.zeros(columns)
-        for block in own:
-            mine = basis[block.rows]
-            left = data[block.rows] - mine @ taken
-            total += float(left @ left)
+        with_basis, with_left = np.zeros((brought.width, size)), np.zeros(brought.width)
+        for block in brought.own:
+            mine, some = basis[block.rows], block.within(wanted)
+            total += float(left[block.rows] @ left[block.rows])
             among += mine.T @ mine
-            among_left += mine.T @ left
-            with_basis[block.places] += block.columns.T @ mine
-            with_left[block.places] += block.columns.T @ left
+            among_left += mine.T @ left[block.rows]
+            with_basis[block.places[some]] += block.columns[:, some].T @ mine
+            with_left[block.places[some]] += block.columns[:, some].T @ left[block.rows]
         return cls(total, among, among_left, with_basis, with_left)
 
     def of(self, alike: _Alike, chosen: np.ndarray, cross: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:

@@ -12,6 +12,7 @@ Those of columns Z that are among what was grown have the mean ZᵀWz and the co
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -45,6 +46,14 @@ class Explained:
         """``zᵀWz``: what is left of the data, squared."""
         return float(self.data @ self.data - self.taken @ self.taken)
 
+    @cached_property
+    def left(self) -> np.ndarray:
+        """``Wz`` (M,): what is left of the data."""
+        result, begin = self.data.copy(), 0
+        for block in self.blocks:
+            result -= block @ self.taken[begin:(begin := begin + block.shape[1])]
+        return result
+
     def along(self, columns: np.ndarray) -> np.ndarray:
         """``Bᵀ`` times columns (M, k)."""
         return np.concatenate([np.zeros((0, columns.shape[1])), *(block.T @ columns for block in self.blocks)])
@@ -75,8 +84,11 @@ class Explained:
         covariance = np.linalg.inv(columns.T @ free + np.eye(columns.shape[1]))
         return covariance @ (free.T @ self.data), covariance
 
-    def within(self, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Mean (k,) of the coefficients of columns (M, k) that are among what is explained, and their covariance."""
+    def within(self, columns: np.ndarray) -> np.ndarray:
+        """Mean (k,) of the coefficients of columns (M, k) that are among what is explained."""
+        return columns.T @ self.left
+
+    def spread_within(self, columns: np.ndarray) -> np.ndarray:
+        """The covariance (k, k) of the same."""
         along = self.along(columns)
-        return columns.T @ self.data - along.T @ self.taken, \
-            np.eye(columns.shape[1]) - columns.T @ columns + along.T @ along
+        return np.eye(columns.shape[1]) - columns.T @ columns + along.T @ along

@@ -145,7 +145,7 @@ def _with_imitations(screen: Screen, sets: Iterable[EffectSet]) -> Iterator[Effe
             yield found
             continue
         evidence = sum(known[k].size_evidence(screen.candidates[found.members[k].candidate].form,
-                                              *screen.sizes(found.members, k)) for k in restricted)
+                                              *screen.with_sigmas(found.members, k)) for k in restricted)
         yield replace(found, log_bayes=found.log_bayes + evidence)
         # As forms of one cause each of them must bring what a further form must.
         if UNKNOWN not in found.key or all(m.log_bayes >= MEMBER_ALARM for m in found.members):

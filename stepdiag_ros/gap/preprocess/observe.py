@@ -11,7 +11,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from stepdiag_ros.effects.base import StopView
-from stepdiag_ros.estimate.correlated import FIFTHS
 from stepdiag_ros.estimate.enhanced import Fit, fit, readings_of
 from stepdiag_ros.estimate.metres import with_one_index
 from stepdiag_ros.estimate.noise import NoiseModel
@@ -21,7 +20,8 @@ from stepdiag_ros.model.description import Description
 from stepdiag_ros.model.log import CalibrationLog, ScalarSeries
 from stepdiag_ros.model.path import setup_direction
 
-BINS = FIFTHS
+BINS = 5
+"""Parts of a dwell in which it is looked for what goes on there."""
 SETTLED = 1e-2
 """The diagnosis needs a fit to a hundredth of a standard deviation, not to the last digit [χ²]."""
 FIRST = 5
