@@ -13,6 +13,9 @@ hundreds of standard deviations it is all that matters: by how much a wrong form
 share allows, however large the effect, and what a further effect explains must exceed what the first may leave over.
 """
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
 
 from stepdiag_ros.effects.base import StopView
@@ -52,17 +55,29 @@ def columns(space: Parity, contribution: np.ndarray, inside: np.ndarray | None, 
     return result
 
 
-def residual(space: Parity, active: tuple[Active, ...], view: StopView) -> np.ndarray:
+@dataclass(frozen=True)
+class Likeliest:
+    """What the discrepancies of a joint fit's forms are likeliest to do: ``added`` (n, c) [m] to the stops, white and
+    projected ``white`` (N,); ``price``: by how much less likely it is than nothing, ½ hᵀh + ½ ln|1 + DᵀD|."""
+
+    added: np.ndarray
+    white: np.ndarray
+    price: float
+
+    @classmethod
+    def of(cls, space: Parity, active: Sequence[Active], view: StopView) -> 'Likeliest':
+        if not active:
+            return cls(np.zeros(view.reading.shape), np.zeros(space.size), 0.0)
+        functions = modulations(view)
+        whole = np.concatenate([columns(space, a.contribution, None if a.form.inside is None else a.inside, functions)
+                                for a in active], axis=1)
+        normal = whole.T @ whole + np.eye(whole.shape[1])
+        sizes = np.linalg.solve(normal, whole.T @ unexplained(space, active))
+        by_form = DISCREPANCY_SHARE * sizes.reshape(len(active), -1) @ functions
+        return cls(sum(share[:, None] * a.contribution for share, a in zip(by_form, active, strict=True)),
+                   whole @ sizes, 0.5 * float(sizes @ sizes + np.linalg.slogdet(normal)[1]))
+
+
+def residual(space: Parity, active: Sequence[Active], view: StopView) -> np.ndarray:
     """White residuals (N,) of a joint fit, freed of what the discrepancies of its forms are likeliest to do."""
-    rest = unexplained(space, active)
-    if not active:
-        return rest
-    functions = modulations(view)
-    whole = np.concatenate([columns(space, a.contribution, None if a.form.inside is None else a.inside, functions)
-                            for a in active], axis=1)
-    return rest - whole @ held(whole, rest)
-
-
-def held(whole: np.ndarray, data: np.ndarray) -> np.ndarray:
-    """Coefficients (k,) of columns (N, k) in units of their sizes, each normal of size one."""
-    return np.linalg.solve(whole.T @ whole + np.eye(whole.shape[1]), whole.T @ data)
+    return unexplained(space, active) - Likeliest.of(space, active, view).white

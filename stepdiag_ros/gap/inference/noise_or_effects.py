@@ -16,9 +16,11 @@ import numpy as np
 
 from stepdiag_ros.effects.base import Effect
 from stepdiag_ros.estimate.noise import NoiseModel
+from stepdiag_ros.estimate.reduce import StopTable
 from stepdiag_ros.gap.alternatives.unmodelled import NAME as UNKNOWN
 from stepdiag_ros.gap.constants import SUSPICION
 from stepdiag_ros.gap.inference.candidates import Screen
+from stepdiag_ros.gap.inference.discrepancy import Likeliest
 from stepdiag_ros.gap.inference.joint import Active, Joint, fit_jointly, freed, refitted, size_of, unexplained
 from stepdiag_ros.gap.inference.parity import slopes_of
 from stepdiag_ros.gap.inference.search import EffectSet, log_prior
@@ -67,7 +69,7 @@ def settle_in_noise(observation: Observation, effects: Mapping[str, Effect]) -> 
     found = [plain, _settled_in(noise, observation, effects)]
     if _patterns(plain):
         joint = _without_outliers(plain.joint)
-        noise, gain = as_it_is(joint.observation, tidy, freed(observation.table, joint.active))
+        noise, gain = as_it_is(joint.observation, tidy, left(joint))
         if gain >= SUSPICION:
             found.append(_settled_in(noise, observation, effects))
     # Of these noises only that of the machine alone is settled at what it leaves without an effect.
@@ -132,7 +134,19 @@ def _settles(plain: Settled, hint: float) -> bool:
     """Whether a single effect explains far more than tails could, ``hint``, and leaves none."""
     joint, best = plain.joint, plain.sets[0]
     return len(best.key) == 1 and bool(joint.active) and best.log_bayes > FAR * hint \
-        and not suspicion(joint.observation, joint.noise, freed(joint.observation.table, joint.active))
+        and not suspicion(joint.observation, joint.noise, left(joint))
+
+
+def likeliest(joint: Joint) -> Likeliest:
+    """What the discrepancies of the joint fit's forms are likeliest to do."""
+    return Likeliest.of(joint.parity, joint.active, joint.observation.view)
+
+
+def left(joint: Joint, beside: Likeliest | None = None) -> StopTable:
+    """The stops with the effects taken off their readings, and what the discrepancies of their forms are likeliest to
+    do, ``beside``: a law of the noise, too, is right beside forms that are not quite."""
+    table, added = freed(joint.observation.table, joint.active), (beside or likeliest(joint)).added
+    return replace(table, displacement=table.displacement - added[:, :-2], spot=table.spot - added[:, -2:])
 
 
 def total_evidence(joint: Joint, sets: list[EffectSet], screen: Screen) -> float:
@@ -141,16 +155,17 @@ def total_evidence(joint: Joint, sets: list[EffectSet], screen: Screen) -> float
     The noise is given tails beside the effects too, where they leave any.
     """
     observation, space = joint.observation, joint.parity
-    table = freed(observation.table, joint.active)
+    beside = likeliest(joint)
+    table = left(joint, beside)
     stops = log_evidence(observation, joint.noise, table)
     if joint.noise.tidy:
         stops += as_it_is(observation, joint.noise, table)[1]
-    inside = unexplained(space, joint.active)[space.stops:]
+    inside = (unexplained(space, joint.active) - beside.white)[space.stops:]
     loud = float(np.sum(np.log(space.bin_scale[space.channel[space.stops:]])))
     slopes = slopes_of([a.form for a in joint.active], lambda number: joint.active[number].coefficients)
     made = 0.0 if slopes is None else space.log_jacobian(slopes)
     price = _price(joint, sets[0], screen) if joint.active else 0.0
-    return stops - 0.5 * float(inside @ inside) - loud + made - price
+    return stops - 0.5 * float(inside @ inside) - loud + made - price - beside.price
 
 
 def _price(joint: Joint, best: EffectSet, screen: Screen) -> float:

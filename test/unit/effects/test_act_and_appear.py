@@ -151,6 +151,20 @@ def test_psd_rotation(bench):
     np.testing.assert_allclose(found, [0.01], rtol=0.02)
 
 
+@pytest.mark.parametrize(('angle', 'words'), [
+    (-0.25, 'far to one side, constant'), (0.25, 'far to the other side, constant')])
+def test_psd_turned_far_shortens_the_spot(bench, angle, words):
+    kind = effect_class('psd_rotation')
+    forms, change = kind().appearance(bench.view), bench.change(bench.with_effect(kind(angle=angle)))
+    found, rest = bench.fitted(pick(forms, words), change)
+    assert rest < 0.02
+    np.testing.assert_allclose(found, [np.sin(angle)], rtol=0.02)
+    turned = bench.view.spot_model @ np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    exact, shear = (np.sin(angle) * pick(forms, label).columns[0][:, -2:] for label in (words, 'constant'))
+    assert exact == pytest.approx(turned - bench.view.spot_model, abs=1e-12)
+    assert np.abs(shear - exact).max() > 0.1 * np.abs(exact).max()
+
+
 def test_ambient_light_that_the_sum_signal_shows(bench):
     given = {'level': 0.0, 'swing': 0.03, 'period': 150.0}
     found = compare(bench, 'ambient_light', given, 'as the sum signal says', limit=0.02)

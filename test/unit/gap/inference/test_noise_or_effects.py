@@ -9,17 +9,19 @@ import pytest
 from stepdiag_ros.effects.base import Effect, Form
 from stepdiag_ros.gap.inference import noise_or_effects
 from stepdiag_ros.gap.inference.candidates import Candidate, Member
-from stepdiag_ros.gap.inference.joint import fit_jointly
+from stepdiag_ros.gap.inference.joint import fit_jointly, freed
 from stepdiag_ros.gap.inference.noise_or_effects import (
     ONE_ARRIVAL,
     Settled,
     _against,
     _of_the_law,
     _patterns,
+    left,
     total_evidence,
 )
 from stepdiag_ros.gap.inference.search import EffectSet
 from stepdiag_ros.gap.inference.select_effects import noise_of
+from stepdiag_ros.gap.noise.arrival_law import suspicion
 
 SLIP = EffectSet((Member('count_slip', 0, 28.9),), 28.9)
 
@@ -53,6 +55,26 @@ def test_columns_made_of_readings_are_corrected_in_every_noise(case):
                               for form in (active.form, replace(active.form, by_reading=None)))
     cost = joint.parity.log_jacobian(3e-8 * made.by_reading[0])
     assert of_readings - of_others == pytest.approx(cost, abs=1e-6) and cost < -0.5
+
+
+def test_a_form_that_is_not_quite_right_makes_no_law_of_the_noise(case):
+    """A twentieth of an effect of hundreds of standard deviations, left by its form, is no tail of arrivals' errors."""
+    observation = case.observe()
+    noise, view = noise_of(observation), observation.view
+    shape = np.zeros((1, *view.reading.shape))
+    places = np.unique(np.column_stack([view.setup, view.commanded.round(6)]), axis=0, return_inverse=True)[1].ravel()
+    shape[0, :, -2:] = np.random.default_rng(4).standard_normal((len(view.time), 2))[places]
+    form = Form('made up', shape, ('a',), np.full(1, 1e-5))
+    truly = 1e-5 * shape[0] * (1.0 + 0.05 * view.direction[:, None])
+    table = replace(observation.table, spot=observation.table.spot + truly[:, -2:])
+    joint = fit_jointly(replace(observation, table=table), [(Effect(), form)], noise)
+    assert suspicion(joint.observation, noise, freed(joint.observation.table, joint.active)) > 12.0
+    assert suspicion(joint.observation, noise, left(joint)) < 6.0
+    exact = Form('as it is', truly[None] / 1e-5, ('a',), np.full(1, 1e-5))
+    best = fit_jointly(replace(observation, table=table), [(Effect(), exact)], noise)
+    chosen, screen = [EffectSet((Member('', 0, 10.0),), 10.0)], SimpleNamespace(candidates=[Candidate('', '', form)])
+    behind = total_evidence(best, chosen, screen) - total_evidence(joint, chosen, screen)
+    assert 0.0 < behind < 30.0
 
 
 @pytest.mark.usefixtures('stated_evidence')
