@@ -2,18 +2,23 @@
 
 Errors of arrivals have one middle, however heavy their tails and whatever goes on from one to the next.  Where they
 gather about two, something snaps to and fro, at random and so without a pattern.  The errors' scores, white and one for
-each arrival, are held against a mixture of two distributions of one width and one kind of tails.
+each arrival, are held against a mixture of two distributions of one width and one kind of tails.  What stays in a state
+for a while is blurred by that: a fit takes the mean of each run.  Its steps from one arrival to the next are not, for
+they are none, one way, or back: three middles, the outer ones as far to either side.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.special import gammaln, ndtr
 
 from stepdiag_ros.estimate.eigen import eigen
 from stepdiag_ros.estimate.enhanced import readings_of
 from stepdiag_ros.estimate.noise import Law
 from stepdiag_ros.estimate.noise_law import latents
+from stepdiag_ros.gap.constants import SUSPICION
 from stepdiag_ros.gap.inference.joint import Joint, freed
 from stepdiag_ros.gap.inference.parity import projection
 from stepdiag_ros.gap.noise.scatter import LEAST
@@ -22,12 +27,18 @@ SEEN = 0.05
 """Share of an arrival's error that the fit must leave, for it to count."""
 SWEEPS = 60
 """Steps of the EM algorithm."""
+LEAST_WIDTH = 0.02
+"""Least width of a distribution, in standard deviations of all."""
 TAILS = (3.0, 6.0, 12.0, 1e3)
 """Degrees of freedom that tails are tried with."""
 FLAT = np.array([0.05, 0.1, 0.2, 0.3, 0.5, 0.7])
 """Blur of the ends of a flat distribution that are tried, in its standard deviation."""
-LEAST_SHARE = 0.1
-"""A state that is come to more seldom is an outlier."""
+LEAST_SHARE, LEAST_STEPS = 0.1, 0.02
+"""A state that is come to more seldom, and steps that are, are outliers."""
+STARTS = ((1.2, 0.6), (2.5, 0.3))
+"""Steps and widths, in standard deviations of all, from which the likeliest ones are looked for."""
+LATTICE = np.arange(-3.0, 4.0)
+"""Steps of what comes to rest at multiples of one length, an axis that turns by whole counts: no two states."""
 WHAT = ("the mirror's angle", "an axis's error of X", "an axis's error of Y", "an axis's error of Z")
 
 
@@ -37,22 +48,30 @@ def two_states(joint: Joint) -> tuple[float, str]:
     noise = replace(joint.noise, position_law=Law(), angle_law=Law(), spread=None)
     white, basis, data, _ = projection(observation, observation.fit, noise,
                                        readings_of(freed(observation.table, joint.active)))
-    turns, axes = [], {axis: [] for axis in range(3)}
+    turns, axes = [], [[] for _ in range(3)]
     for latent in latents(observation.table, noise, observation.fit.arrival, white):
         lost = latent.columns.T @ basis[latent.at]
         seen = np.maximum(np.sum(latent.columns**2, axis=0) - np.sum(lost**2, axis=1), 1e-12)
         score = np.where(seen > SEEN, latent.columns.T @ data[latent.at] / np.sqrt(seen), np.nan)
         turns.append(np.stack([score[latent.source == 0], score[latent.source == 1]], axis=1))
-        for axis, own in axes.items():
+        for axis, own in enumerate(axes):
             own.append(score[latent.source == 2 + axis])
+    evidence = []
+    for runs in (_along(turns), *axes):
+        score, steps = np.concatenate(runs), np.concatenate([np.diff(run) for run in runs])
+        evidence.append(max(_two_rather_than_one(score[np.isfinite(score)]),
+                            _to_and_fro(steps[np.isfinite(steps)])))
+    best = int(np.argmax(evidence))
+    return evidence[best] - float(np.log(2 * len(WHAT))), f'{WHAT[best]} at each arrival is one of two, at random'
+
+
+def _along(turns: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """Turns (m, 2) of the mirror at the arrivals of each run, about the line about which it turns most: what leans does
+    so about one line in its mount."""
     both = np.concatenate(turns)
     both = both[np.isfinite(both).all(axis=1)]
-    # What leans does so about one line in the mirror's mount.
-    along = both @ eigen(both.T @ both)[1][:, -1] if len(both) else np.zeros(0)
-    found = [along, *(np.concatenate(own) for own in axes.values())]
-    evidence = [_two_rather_than_one(score[np.isfinite(score)]) for score in found]
-    best = int(np.argmax(evidence))
-    return evidence[best] - float(np.log(len(WHAT))), f'{WHAT[best]} at each arrival is one of two, at random'
+    line = eigen(both.T @ both)[1][:, -1] if len(both) else np.zeros(2)
+    return [run @ line for run in turns]
 
 
 def _two_rather_than_one(score: np.ndarray) -> float:
@@ -66,6 +85,22 @@ def _two_rather_than_one(score: np.ndarray) -> float:
     return two - max(one, _flat_likelihood(z - z.mean())) - float(np.log(len(z)))
 
 
+def _to_and_fro(steps: np.ndarray) -> float:
+    """Log evidence that steps from one arrival to the next are none, one way or back, against one middle.  Steps that
+    have an error in common count as if they had not: of errors of one middle, whatever their tails and their
+    correlation, not one of 540 series drawn shows 1 (``test_two_states.py``)."""
+    spread = float(np.std(steps)) if len(steps) >= LEAST else 0.0
+    if spread == 0.0:
+        return 0.0
+    z = steps / spread
+    one = max(_likelihood(z, dof, (0.0,)) for dof in TAILS)
+    two, lattice = (max(_likelihood(z, dof, middles, start, LEAST_STEPS) for dof in TAILS for start in STARTS)
+                    for middles in ((-1.0, 0.0, 1.0), LATTICE))
+    if lattice - two > SUSPICION:
+        return 0.0
+    return two - max(one, _flat_likelihood(z - z.mean())) - float(np.log(len(z)))
+
+
 def _flat_likelihood(z: np.ndarray) -> float:
     """Log likelihood of what is anywhere between two ends alike, the ends blurred: an axis that rests anywhere within
     what its control takes for in position."""
@@ -75,9 +110,13 @@ def _flat_likelihood(z: np.ndarray) -> float:
     return float(np.log(np.maximum(density, 1e-30)).sum(axis=0).max())
 
 
-def _likelihood(z: np.ndarray, dof: float, start: tuple[float, ...]) -> float:
-    """Log likelihood of a mixture of Student's distributions of ``dof`` degrees of freedom and one width, by EM."""
-    middle, share, width = np.array(start), np.full(len(start), 1.0 / len(start)), 0.6
+def _likelihood(z: np.ndarray, dof: float, middles: ArrayLike, step: tuple[float, float] | None = None,
+                least: float = LEAST_SHARE) -> float:
+    """Log likelihood of a mixture of Student's distributions of ``dof`` degrees of freedom and one width, by EM;
+    ``step``: how far apart the ``middles`` are that keep their proportions, and the width, to begin with."""
+    place = np.array(middles, float)
+    length, width = step or (1.0, 0.6)
+    middle, share = length * place, np.full(len(place), 1.0 / len(place))
     for sweep in range(SWEEPS + 1):
         distance = ((z[:, None] - middle) / width)**2
         log_density = np.log(share) - np.log(width) + (
@@ -88,8 +127,11 @@ def _likelihood(z: np.ndarray, dof: float, start: tuple[float, ...]) -> float:
             break
         mine = np.exp(log_density - total[:, None])
         weight = mine * (dof + 1.0) / (dof + distance)
-        share = np.clip(mine.mean(axis=0), LEAST_SHARE, None)
+        share = np.clip(mine.mean(axis=0), least, None)
         share /= share.sum()
-        middle = np.sum(weight * z[:, None], axis=0) / np.maximum(weight.sum(axis=0), 1e-12)
-        width = max(float(np.sqrt(np.mean(np.sum(weight * (z[:, None] - middle)**2, axis=1)))), 0.05)
+        if step:
+            middle = place * np.sum(weight * place * z[:, None]) / max(np.sum(weight * place**2), 1e-12)
+        else:
+            middle = np.sum(weight * z[:, None], axis=0) / np.maximum(weight.sum(axis=0), 1e-12)
+        width = max(float(np.sqrt(np.mean(np.sum(weight * (z[:, None] - middle)**2, axis=1)))), LEAST_WIDTH)
     return float(np.sum(total))
