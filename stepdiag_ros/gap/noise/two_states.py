@@ -93,12 +93,14 @@ def _to_and_fro(steps: np.ndarray) -> float:
     if spread == 0.0:
         return 0.0
     z = steps / spread
-    one = max(_likelihood(z, dof, (0.0,)) for dof in TAILS)
-    two, lattice = (max(_likelihood(z, dof, middles, start, LEAST_STEPS) for dof in TAILS for start in STARTS)
-                    for middles in ((-1.0, 0.0, 1.0), LATTICE))
-    if lattice - two > SUSPICION:
-        return 0.0
-    return two - max(one, _flat_likelihood(z - z.mean())) - float(np.log(len(z)))
+
+    def likeliest(middles: ArrayLike) -> float:
+        return max(_likelihood(z, dof, middles, start, LEAST_STEPS) for dof in TAILS for start in STARTS)
+
+    one = max(*(_likelihood(z, dof, (0.0,)) for dof in TAILS), _flat_likelihood(z - z.mean()))
+    two = likeliest((-1.0, 0.0, 1.0))
+    evidence = two - one - float(np.log(len(z)))
+    return 0.0 if evidence > SUSPICION and likeliest(LATTICE) - two > SUSPICION else evidence
 
 
 def _flat_likelihood(z: np.ndarray) -> float:
