@@ -25,8 +25,8 @@ from stepdiag_ros.gap.noise.scatter import LEAST
 
 SEEN = 0.05
 """Share of an arrival's error that the fit must leave, for it to count."""
-SWEEPS = 60
-"""Steps of the EM algorithm."""
+SWEEPS, SETTLED = 60, 0.01
+"""Most steps of the EM algorithm, which ends where one brings less log likelihood."""
 LEAST_WIDTH = 0.02
 """Least width of a distribution, in standard deviations of all."""
 TAILS = (3.0, 6.0, 12.0, 1e3)
@@ -35,8 +35,8 @@ FLAT = np.array([0.05, 0.1, 0.2, 0.3, 0.5, 0.7])
 """Blur of the ends of a flat distribution that are tried, in its standard deviation."""
 LEAST_SHARE, LEAST_STEPS = 0.1, 0.02
 """A state that is come to more seldom, and steps that are, are outliers."""
-STARTS = ((1.2, 0.6), (2.5, 0.3))
-"""Steps and widths, in standard deviations of all, from which the likeliest ones are looked for."""
+START = (2.5, 0.3)
+"""The step and the width, in standard deviations of all, from which the likeliest ones are looked for."""
 LATTICE = np.arange(-3.0, 4.0)
 """Steps of what comes to rest at multiples of one length, an axis that turns by whole counts: no two states."""
 WHAT = ("the mirror's angle", "an axis's error of X", "an axis's error of Y", "an axis's error of Z")
@@ -95,7 +95,7 @@ def _to_and_fro(steps: np.ndarray) -> float:
     z = steps / spread
 
     def likeliest(middles: ArrayLike) -> float:
-        return max(_likelihood(z, dof, middles, start, LEAST_STEPS) for dof in TAILS for start in STARTS)
+        return max(_likelihood(z, dof, middles, START, LEAST_STEPS) for dof in TAILS)
 
     one = max(*(_likelihood(z, dof, (0.0,)) for dof in TAILS), _flat_likelihood(z - z.mean()))
     two = likeliest((-1.0, 0.0, 1.0))
@@ -118,15 +118,17 @@ def _likelihood(z: np.ndarray, dof: float, middles: ArrayLike, step: tuple[float
     ``step``: how far apart the ``middles`` are that keep their proportions, and the width, to begin with."""
     place = np.array(middles, float)
     length, width = step or (1.0, 0.6)
-    middle, share = length * place, np.full(len(place), 1.0 / len(place))
+    middle, share, before = length * place, np.full(len(place), 1.0 / len(place)), -np.inf
     for sweep in range(SWEEPS + 1):
         distance = ((z[:, None] - middle) / width)**2
         log_density = np.log(share) - np.log(width) + (
             gammaln(0.5 * dof + 0.5) - gammaln(0.5 * dof) - 0.5 * np.log(np.pi * dof)
             - 0.5 * (dof + 1.0) * np.log1p(distance / dof))
         total = np.logaddexp.reduce(log_density, axis=1)
-        if sweep == SWEEPS:
+        reached = float(np.sum(total))
+        if sweep == SWEEPS or reached - before < SETTLED:
             break
+        before = reached
         mine = np.exp(log_density - total[:, None])
         weight = mine * (dof + 1.0) / (dof + distance)
         share = np.clip(mine.mean(axis=0), least, None)
@@ -136,4 +138,4 @@ def _likelihood(z: np.ndarray, dof: float, middles: ArrayLike, step: tuple[float
         else:
             middle = np.sum(weight * z[:, None], axis=0) / np.maximum(weight.sum(axis=0), 1e-12)
         width = max(float(np.sqrt(np.mean(np.sum(weight * (z[:, None] - middle)**2, axis=1)))), LEAST_WIDTH)
-    return float(np.sum(total))
+    return reached
