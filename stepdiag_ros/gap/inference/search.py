@@ -33,7 +33,7 @@ MOST_REPEATS = 4
 MOST_FORMS = 6
 """Most forms of one effect, of one that repeats, and of a set."""
 HOPELESS = 60.0
-"""Sets this far behind in log evidence, and by more than ``BEHIND`` of the best, are not carried on."""
+"""Sets this far behind the best of no more forms in log evidence, and by more than ``BEHIND`` of it, go no further."""
 BEHIND = 0.1
 BEYOND_REACH = 30.0
 """Sets this far behind the best whose discrepancies are in place have no part in the answer, wherever theirs are."""
@@ -216,10 +216,18 @@ def _best_compositions(sets: Iterable[EffectSet]) -> dict[frozenset, EffectSet]:
 
 
 def _leading(sets: list[EffectSet], most: int) -> list[EffectSet]:
-    """The best sets, each set of names once: the further forms of one must not crowd out others."""
-    leading = sorted(_best_compositions(sets).values(), key=lambda s: -s.log_bayes)[:most]
-    behind = max(HOPELESS, BEHIND * leading[0].log_bayes) if leading else 0.0
-    return [s for s in leading if s.log_bayes > max(GAIN, leading[0].log_bayes - behind)]
+    """The best sets, each set of names once: the further forms of one must not crowd out others.
+
+    A set is held against those of no more forms than it has: three forms of a rich effect explain much of anything, and
+    what a lean one explains would be laid aside before it has the company in which it explains all.
+    """
+    compositions = list(_best_compositions(sets).values())
+    best = [max((s.log_bayes for s in compositions if len(s.members) <= count), default=0.0)
+            for count in range(max((len(s.members) for s in compositions), default=0) + 1)]
+    near = [(best[len(s.members)] - s.log_bayes, s) for s in compositions]
+    near = [(short, s) for short, s in near
+            if s.log_bayes > GAIN and short < max(HOPELESS, BEHIND * (s.log_bayes + short))]
+    return [s for _, s in sorted(near, key=lambda pair: (pair[0], -pair[1].log_bayes))[:most]]
 
 
 def _may_join(screen: Screen, found: EffectSet, effect: str) -> bool:

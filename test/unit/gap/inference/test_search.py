@@ -138,6 +138,19 @@ def test_gross_effects_behind_others_meet_their_partners_although_those_take_fur
     assert search(screen)[0].key >= {'first', 'second'}
 
 
+def test_three_forms_of_a_rich_effect_do_not_crowd_out_what_one_form_explains_in_company():
+    """Together they explain a sixth more than one of the true pair alone, which itself leads all that has one form."""
+    rng = np.random.default_rng(15)
+    one, two, *askew = np.linalg.qr(rng.normal(size=(N, 5)))[0].T
+    truth = 80.0 * one + 50.0 * two
+    rich = [truth / np.linalg.norm(truth) + np.sqrt(0.6) * aside for aside in askew]
+    candidates = [Candidate(name, '', form(f'{name} {k}', (column / np.linalg.norm(column))[None], np.ones(1)))
+                  for name, columns in {'rich': rich, 'first': [one], 'second': [two]}.items()
+                  for k, column in enumerate(columns)]
+    screen = Screen(space(truth + rng.normal(size=N)), candidates, 1e9)
+    assert search(screen)[0].names == ('first', 'second')
+
+
 def test_much_leaner_forms_are_a_cause_beside_gross_evidence_too():
     """Forty coefficients that imitate two effects of one each, which save more than a form may leave over."""
     rng = np.random.default_rng(9)
