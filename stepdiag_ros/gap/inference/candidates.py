@@ -184,11 +184,15 @@ class Screen:
         return self.explained(members).within(self._block(members[number])) * self._unit(members[number])
 
     def with_sigmas(self, members: Sequence[Member], number: int) -> tuple[np.ndarray, np.ndarray]:
-        """The same, and their standard deviations."""
-        spread = self.explained(members).spread_within(self._block(members[number]))
-        # Of a coefficient known to the last digit rounding may leave less than nothing.
-        sigma = np.sqrt(np.maximum(np.diag(spread), np.finfo(float).eps))
-        return self.sizes(members, number), sigma * self._unit(members[number])
+        """The same, and their standard deviations.
+
+        From what the others leave: of a slip known to a hundred-thousandth of the size that is allowed, the rest of that
+        once it is explained is lost in rounding.
+        """
+        others = self.explained((*members[:number], *members[number + 1:]))
+        values, covariance = others.coefficients(self._block(members[number]))
+        unit = self._unit(members[number])
+        return values * unit, np.sqrt(np.diag(covariance)) * unit
 
     def _unit(self, member: Member) -> np.ndarray:
         """What coefficients (k,) of one in a member's columns are, in its form's units."""

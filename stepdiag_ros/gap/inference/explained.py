@@ -8,7 +8,7 @@ columns Y it is
 
 so that B grows by U V (1 + λ)^(−½), V and λ the eigenvectors and eigenvalues of YᵀU: nothing that is known is worked
 out again.  Without growing, the coefficients of Y have the mean (1 + YᵀU)⁻¹ Uᵀz and the covariance (1 + YᵀU)⁻¹.
-Those of columns Z that are among what was grown have the mean ZᵀWz and the covariance 1 − ZᵀWZ.
+Those of columns Z that are among what was grown have the mean ZᵀWz.
 """
 
 from dataclasses import dataclass
@@ -87,8 +87,3 @@ class Explained:
     def within(self, columns: np.ndarray) -> np.ndarray:
         """Mean (k,) of the coefficients of columns (M, k) that are among what is explained."""
         return columns.T @ self.left
-
-    def spread_within(self, columns: np.ndarray) -> np.ndarray:
-        """The covariance (k, k) of the same."""
-        along = self.along(columns)
-        return np.eye(columns.shape[1]) - columns.T @ columns + along.T @ along

@@ -66,3 +66,19 @@ def test_evidence_is_that_worked_out_whole(forms, noise_dof, given):
             logs.append(-0.5 * (after[0] - before[0]) + 0.5 * (before[2] - after[2])
                         - 0.5 * (dof + noise_dof) * np.log1p((after[1] - before[1]) / (noise_dof + before[1])))
         assert judged.log_bayes[number] == pytest.approx(log_mean(logs), abs=2e-3)
+
+
+@pytest.mark.parametrize('size', [1.0, 1e3, 1e5])
+def test_how_well_a_coefficient_is_known_does_not_drown_in_the_size_it_is_allowed(size):
+    """Of a slip known to half a nanometre thirty micrometres are allowed: the square of that ratio is at rounding's end."""
+    rng = np.random.default_rng(8)
+    one, other = rng.normal(size=(2, N))
+    forms = [Form(label, column[None, :, None], ('a',), np.ones(1))
+             for label, column in (('one', one), ('other', other))]
+    screen = _screen(forms, 3.0 * one - 2.0 * other + rng.normal(size=N), 1e9)
+    members = [Member(form.label, number, 0.0, size) for number, form in enumerate(forms)]
+    known = np.linalg.inv(np.array([[one @ one, one @ other], [one @ other, other @ other]]) + np.eye(2) / size**2)
+    for number in range(2):
+        value, sigma = screen.with_sigmas(members, number)
+        assert sigma == pytest.approx(np.sqrt(known[number, number]), rel=1e-3)
+        assert value == pytest.approx(screen.sizes(members, number), abs=1e-3 * float(sigma[0]))
