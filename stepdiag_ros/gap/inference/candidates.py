@@ -186,8 +186,8 @@ class Screen:
     def with_sigmas(self, members: Sequence[Member], number: int) -> tuple[np.ndarray, np.ndarray]:
         """The same, and their standard deviations.
 
-        From what the others leave: of a slip known to a hundred-thousandth of the size that is allowed, the rest of that
-        once it is explained is lost in rounding.
+        From what the others leave: of a slip known to a hundred-thousandth of the size that it is allowed, what is left
+        once it is explained itself is lost in rounding.
         """
         others = self.explained((*members[:number], *members[number + 1:]))
         values, covariance = others.coefficients(self._block(members[number]))

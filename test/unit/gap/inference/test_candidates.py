@@ -70,7 +70,7 @@ def test_evidence_is_that_worked_out_whole(forms, noise_dof, given):
 
 @pytest.mark.parametrize('size', [1.0, 1e3, 1e5])
 def test_how_well_a_coefficient_is_known_does_not_drown_in_the_size_it_is_allowed(size):
-    """Of a slip known to half a nanometre thirty micrometres are allowed: the square of that ratio is at rounding's end."""
+    """Of a slip known to half a nanometre thirty micrometres are allowed: squared, that is where digits end."""
     rng = np.random.default_rng(8)
     one, other = rng.normal(size=(2, N))
     forms = [Form(label, column[None, :, None], ('a',), np.ones(1))
@@ -81,4 +81,4 @@ def test_how_well_a_coefficient_is_known_does_not_drown_in_the_size_it_is_allowe
     for number in range(2):
         value, sigma = screen.with_sigmas(members, number)
         assert sigma == pytest.approx(np.sqrt(known[number, number]), rel=1e-3)
-        assert value == pytest.approx(screen.sizes(members, number), abs=1e-3 * float(sigma[0]))
+        assert value == pytest.approx(screen.sizes(members, number), abs=1e-2 * float(sigma[0]))
