@@ -14,8 +14,9 @@ from stepdiag_ros.effects.adoption import Fitted
 from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
 from stepdiag_ros.effects.patterns import Drawn, drawn_size, nearly_alike
 
-FAR = 0.25
-"""A turn [rad] beyond the small ones: to a twentieth, turns of 0.15 to 0.35 shorten the spot as this one does."""
+FAR = (0.22, 0.36)
+"""Turns [rad] beyond the small ones: between and about them a spot is shortened by what one of them says to a twentieth
+of the turn."""
 
 
 class PsdRotation(Effect):
@@ -40,9 +41,10 @@ class PsdRotation(Effect):
 
     def appearance(self, view: StopView) -> list[Form]:
         forms = []
-        for far, words in ((0.0, ''), (-FAR, 'far to one side, '), (FAR, 'far to the other side, ')):
+        for turn in (0.0, *(side * far for far in FAR for side in (-1.0, 1.0))):
+            words = f'turned by some {np.degrees(turn):+.0f}°, ' if turn else ''
             forms += [replace(form, label=words + form.label) for form in nearly_alike(
-                view, _turned(view, far), ('angle',), 0.01, 'rad')]
+                view, _turned(view, turn), ('angle',), 0.01, 'rad')]
         return forms
 
     def guess(self, fitted: Fitted) -> Mapping[str, object]:

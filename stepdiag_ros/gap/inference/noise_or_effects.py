@@ -66,15 +66,16 @@ def settle_in_noise(observation: Observation, effects: Mapping[str, Effect]) -> 
         return plain
     if noise.has_tails and len(_patterns(plain)) < len(plain.joint.active):
         plain = Settled(alone, *settle(alone, effects, tails=True))
-    found = [plain, _settled_in(noise, observation, effects)]
+    # Of these noises only that of the machine alone is settled at what it leaves without an effect.
+    nothing, own = _settled_in(noise, observation, effects), plain
     if _patterns(plain):
         joint = _without_outliers(plain.joint)
         noise, gain = as_it_is(joint.observation, tidy, left(joint))
         if gain >= SUSPICION:
-            found.append(_settled_in(noise, observation, effects))
-    # Of these noises only that of the machine alone is settled at what it leaves without an effect.
-    nothing = found[1]
-    acting = [one for one in found if _patterns(one)]
+            # What was found in a noise that its own rest refutes is held to what that rest shows.
+            again = _settled_in(noise, observation, effects)
+            own = again if _patterns(again) else plain
+    acting = [one for one in (own, nothing) if _patterns(one)]
     return _against(nothing, max(acting, key=lambda one: one.evidence)) if acting else _of_the_law(nothing)
 
 

@@ -151,8 +151,7 @@ def test_psd_rotation(bench):
     np.testing.assert_allclose(found, [0.01], rtol=0.02)
 
 
-@pytest.mark.parametrize(('angle', 'words'), [
-    (-0.25, 'far to one side, constant'), (0.25, 'far to the other side, constant')])
+@pytest.mark.parametrize(('angle', 'words'), [(-0.22, '-13°, constant'), (0.36, '+21°, constant')])
 def test_psd_turned_far_shortens_the_spot(bench, angle, words):
     kind = effect_class('psd_rotation')
     forms, change = kind().appearance(bench.view), bench.change(bench.with_effect(kind(angle=angle)))

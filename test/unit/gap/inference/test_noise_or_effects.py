@@ -17,6 +17,7 @@ from stepdiag_ros.gap.inference.noise_or_effects import (
     _of_the_law,
     _patterns,
     left,
+    settle_in_noise,
     total_evidence,
 )
 from stepdiag_ros.gap.inference.search import EffectSet
@@ -92,6 +93,27 @@ def test_an_effect_is_as_far_ahead_as_in_all():
     found = _against(settled(100.0, 50.0), settled(0.0, 120.0))
     assert found.joint.total == 120.0 and found.sets[0].members
     assert 0.0 < found.sets[0].log_bayes < 28.9
+
+
+@pytest.mark.parametrize(('again', 'claimed'), [('shaped', 'again'), ('nothing', 'plain')])
+def test_what_was_found_in_a_noise_that_its_rest_refutes_is_held_to_that_rest(monkeypatch, again, claimed):
+    """Also where it explains more in all: a jump that is none beside tails.  Unless it is all that there is."""
+    shaped, empty = [SimpleNamespace(form=SimpleNamespace(of_one_arrival=False))], []
+    noise = SimpleNamespace(has_tails=False)
+
+    def one(name, active, evidence):
+        return SimpleNamespace(name=name, evidence=evidence, sets=[],
+                               joint=SimpleNamespace(active=active, observation=None, noise=None))
+
+    plain = one('plain', shaped, 120.0)
+    in_noise = iter([one('alone', empty, 0.0), one('again', shaped if again == 'shaped' else empty, 110.0)])
+    monkeypatch.setattr(noise_or_effects, 'Settled', lambda *parts: plain)
+    for name, value in {'noise_of': noise, 'fit_jointly': None, 'settle': (), 'suspicion': 50.0, '_settles': False,
+                        'as_it_is': (noise, 40.0), '_without_outliers': plain.joint, 'left': None}.items():
+        monkeypatch.setattr(noise_or_effects, name, lambda *given, value=value: value)
+    monkeypatch.setattr(noise_or_effects, '_settled_in', lambda *given: next(in_noise))
+    monkeypatch.setattr(noise_or_effects, '_against', lambda nothing, acting: acting)
+    assert settle_in_noise(SimpleNamespace(table=None), {}).name == claimed
 
 
 def found(label_and_single, sets):
