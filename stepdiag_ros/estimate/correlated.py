@@ -2,8 +2,8 @@
 
 Samples k apart are alike by ρᵏ (a first-order autoregression).  A dwell's slow contrasts, the polynomials of third and
 fourth degree through its samples, scatter by S(ρ) in units of the noise that neighbours' differences tell, its fast
-one, neighbours' differences with signs of no pattern, by A(ρ), and the mean over the dwell by F(ρ), which is larger: it
-has all of what is slower.  So F follows from the S/A that a log shows, whatever the size and the tails of its noise.
+ones, neighbours' differences with signs of no pattern, by A(ρ), and the mean over the dwell by F(ρ), which is larger:
+it has all of what is slower.  So F follows from the S/A that a log shows, whatever the size and the tails of its noise.
 As ρ goes to one S/A ends while F does not: nearer to that end than S/A is known, contrasts tell no more.
 
 What an instrument rounds off is noise as well, and independent from sample to sample where these differ by more than a
@@ -17,8 +17,8 @@ import numpy as np
 
 FEWEST = 5
 """Samples of a dwell of which something is left beyond a bend at both ends of the spectrum."""
-SLOW = 2
-"""How many of a dwell's contrasts are slow; the one after them is fast."""
+SLOW, FAST = 2, 6
+"""How many of a dwell's contrasts are slow; those after them are fast, of dwells too short for as many some twice."""
 LEAST_LOUD = 0.1
 """Least squared scatter of contrasts that is believed of what rounding leaves."""
 SURE = 1.0
@@ -39,24 +39,30 @@ def contrasts(time: np.ndarray) -> np.ndarray:
     return basis[:, :, 1:].transpose(0, 2, 1)
 
 
+def fast_ones(count: int) -> int:
+    """How many fast contrasts a dwell of ``count`` samples has."""
+    return min(max((count - 3) // 2, 1), FAST)
+
+
 @lru_cache(maxsize=256)
 def sample_contrasts(count: int) -> np.ndarray:
-    """The slow contrasts and the fast one (SLOW + 1, count) of the samples of a dwell, each of length one; neither what
+    """The slow and the fast contrasts (SLOW + FAST, count) of the samples of a dwell, each of length one; neither what
     drifts nor what bends has a part in them."""
-    place = np.linspace(-1.0, 1.0, count)
-    fast = np.zeros(count)
-    signs = np.where(np.random.default_rng(0).random(count // 2) < 0.5, -1.0, 1.0)
-    fast[:2 * len(signs):2], fast[1:2 * len(signs):2] = signs, -signs
-    cubic = np.linalg.qr(place[:, None] ** np.arange(4))[0]
-    fast -= cubic @ (cubic.T @ fast)
+    place, pairs = np.linspace(-1.0, 1.0, count), count // 2
+    signs = np.where(np.random.default_rng(0).random((pairs, fast_ones(count))) < 0.5, -1.0, 1.0)
+    signs[0] = 1.0   # no two of the patterns of few signs are each other's opposite
+    fast = np.zeros((count, fast_ones(count)))
+    fast[:2 * pairs:2], fast[1:2 * pairs:2] = signs, -signs
+    powers = place[:, None] ** np.arange(min(count - 1, 5))
+    smooth = np.linalg.qr(powers)[0]
+    fast = np.linalg.qr(np.concatenate([smooth[:, :4], fast], axis=1))[0][:, 4:].T
     # Of five samples a fourth degree has what the fast contrast has.
-    more = np.linalg.qr(place[:, None] ** np.arange(min(count - 1, 5)))[0][:, 3:]
-    return np.stack([more[:, 0], more[:, -1], fast / np.linalg.norm(fast)])
+    return np.concatenate([smooth[:, [3, -1]].T, np.resize(fast, (FAST, count))])
 
 
 @lru_cache(maxsize=64)
 def scatters(count: int) -> tuple[np.ndarray, np.ndarray]:
-    """By how much contrasts of the ``count`` samples of a dwell (r, SLOW + 1), and its mean (r,), scatter more than
+    """By how much contrasts of the ``count`` samples of a dwell (r, SLOW + FAST), and its mean (r,), scatter more than
     independent samples of the noise that neighbours tell, at the correlations ``ALIKE`` (r,)."""
     functions = np.concatenate([sample_contrasts(count), np.full((1, count), count**-0.5)])
     spectrum = np.abs(np.fft.rfft(functions, 2 * count)) ** 2
@@ -69,10 +75,10 @@ def scatters(count: int) -> tuple[np.ndarray, np.ndarray]:
 
 def _correlation(ratio: float, count: int, known: float) -> float:
     """The place among ``ALIKE`` at which slow contrasts, of which ``known`` were seen, scatter ``ratio`` times as much
-    as the fast one."""
-    slow = scatters(count)[0]
-    shown = np.sqrt(np.mean(slow[:, :SLOW]**2, axis=1)) / slow[:, SLOW]
-    told = max(1.0 - SURE * np.sqrt(1.5 / max(known, 1.0)), 0.0)   # of the fast ones there are half as many
+    as fast ones."""
+    squares = scatters(count)[0]**2
+    shown = np.sqrt(squares[:, :SLOW].mean(axis=1) / squares[:, SLOW:].mean(axis=1))
+    told = max(1.0 - SURE * np.sqrt((0.5 + 0.5 * SLOW / fast_ones(count)) / max(known, 1.0)), 0.0)
     shown = shown[:int(np.argmax(shown >= told * shown.max())) + 1]
     return float(np.interp(ratio, shown, np.arange(len(shown))))
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stepdiag_ros.errors import StepdiagError
-from stepdiag_ros.estimate.correlated import FEWEST, SLOW, sample_contrasts
+from stepdiag_ros.estimate.correlated import FAST, FEWEST, SLOW, sample_contrasts
 from stepdiag_ros.estimate.on_centre import on_centre
 from stepdiag_ros.estimate.samples import clean, quantum
 from stepdiag_ros.model.log import DONE, DWELL, MOVE, STOOD, CalibrationLog, Samples
@@ -34,8 +34,8 @@ class StopTable:
     ``displacement`` (n, beams), ``spot`` (n, 2) [m]: means over the dwell, NaN where there is none;
     ``displacement_scatter``, ``spot_scatter`` [m]: standard deviation of one sample against its neighbours;
     ``displacement_count``, ``spot_count`` (n,): samples used.
-    ``displacement_parts``, ``spot_parts`` (n, beams or 2, 3) [m]: contrasts of a dwell's samples, two slow ones and a
-    fast one, that scatter as single samples do where these are independent; None where no samples are known.
+    ``displacement_parts``, ``spot_parts`` (n, beams or 2, 8) [m]: contrasts of a dwell's samples, slow and fast
+    ones, that scatter as single samples do where these are independent; None where no samples are known.
     ``displacement_rows``, ``spot_rows`` (n, 2): the dwell's samples are ``[first, last)`` of the log.
     ``intensity`` (n,) [V] and ``refractive_index`` (n,): means over the dwell.
     ``quanta`` (beams + 2) [m]: steps in which readings of lengths and spots move, 0 where in none; () where not known.
@@ -249,7 +249,7 @@ def _average(samples: Samples, start_ns: np.ndarray, end_ns: np.ndarray, setup: 
     """Means and scatters of the samples in each window that carry the window's setup."""
     n, columns = len(start_ns), samples.values.shape[1]
     mean, scatter = np.full((n, columns), np.nan), np.full((n, columns), np.nan)
-    parts = np.full((n, columns, SLOW + 1), np.nan)
+    parts = np.full((n, columns, SLOW + FAST), np.nan)
     health, index = np.full(n, np.nan), np.ones(n)
     count = np.zeros(n, np.intp)
     rows = np.stack([np.searchsorted(samples.time_ns, start_ns),
