@@ -91,8 +91,12 @@ def of_mean(slow: float, fast: float, count: int, known: float, share: float = 1
         return slow
     squares = [max(1.0 + (loud**2 - 1.0) / share, LEAST_LOUD) for loud in (slow, fast)]
     alike = _correlation(float(np.sqrt(squares[0] / squares[1])), count, known * share**2)
-    mean = float(np.interp(alike, np.arange(len(ALIKE)), scatters(count)[1]))
-    return max(slow, np.sqrt(1.0 + share * (mean**2 - 1.0)))
+    contrasts_at, means = scatters(count)
+    fast_there, mean = (np.interp(alike, np.arange(len(ALIKE)), squared) for squared in (
+        (contrasts_at[:, SLOW:]**2).mean(axis=1), means**2))
+    # Tails make all contrasts, and the means, larger than what the quiet majority of dwells tells of neighbours.
+    tails = max(1.0, fast / np.sqrt(1.0 + share * (fast_there - 1.0)))
+    return max(slow, float(tails * np.sqrt(1.0 + share * (mean - 1.0))))
 
 
 @lru_cache(maxsize=1)

@@ -55,6 +55,8 @@ def test_tails_that_reach_less_far_over_a_dwell_than_from_sample_to_sample_make_
     """Against each other the contrasts of one dwell tell what is alike; against another measure of the noise's size
     they would tell that measure's share of the tails."""
     assert of_mean(1.2, 1.2, 9, 2000) == pytest.approx(1.2, abs=0.01)
+    slow, fast = (float(np.sqrt(np.mean(some**2))) for some in np.split(shown_by(drawn(0.55, 9))[1], [SLOW]))
+    assert of_mean(1.2 * slow, 1.2 * fast, 9, 40_000) == pytest.approx(1.2 * of_mean(slow, fast, 9, 40_000), rel=0.01)
     values = drawn(0.55, 9, dof=4.0)
     _, each, mean = shown_by(values)
     assert told(0.9 * each, 9, 2 * len(values)) == pytest.approx(mean, rel=0.06)
