@@ -44,7 +44,7 @@ def fast_ones(count: int) -> int:
     return min(max((count - 3) // 2, 1), FAST)
 
 
-@lru_cache(maxsize=256)
+@lru_cache(maxsize=64)
 def sample_contrasts(count: int) -> np.ndarray:
     """The slow and the fast contrasts (SLOW + FAST, count) of the samples of a dwell, each of length one; neither what
     drifts nor what bends has a part in them."""

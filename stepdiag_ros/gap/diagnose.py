@@ -140,7 +140,7 @@ def _well_timed(log: CalibrationLog) -> tuple[CalibrationLog, Observation, Mappi
 def _without_pattern(joint: Joint, how_far: CrossValidation, found: bool) -> str:
     """Scatter beyond the noise and the discrepancies of the forms, arrivals with two states, or runs predicted worse
     than noise, in words; '' where there is none."""
-    rest = residual(joint.parity, joint.active, joint.observation.view)
+    rest = residual(joint)
     evidence, words = excess_scatter(joint, rest)
     if evidence > SCATTER_ALARM:
         return words

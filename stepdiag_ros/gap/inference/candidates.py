@@ -213,7 +213,7 @@ class Screen:
         """
         placed: list[Member] = []
         for number, member in enumerate(members):
-            there = replace(member, at=tuple(self.sizes(members, number) / self._unit(member)))
+            there = replace(member, at=tuple(self.explained(members).within(self._block(member))))
             there = replace(there, log_bayes=member.log_bayes + self._weighed((*placed, there))
                             - self._weighed(members[:number + 1]))
             placed.append(there)

@@ -13,14 +13,13 @@ hundreds of standard deviations it is all that matters: by how much a wrong form
 share allows, however large the effect, and what a further effect explains must exceed what the first may leave over.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from stepdiag_ros.effects.base import StopView
 from stepdiag_ros.gap.constants import DISCREPANCY_SHARE
-from stepdiag_ros.gap.inference.joint import Active, unexplained
+from stepdiag_ros.gap.inference.joint import Joint, unexplained
 from stepdiag_ros.gap.inference.parity import Parity
 
 LEAST = 1.0
@@ -65,7 +64,8 @@ class Likeliest:
     price: float
 
     @classmethod
-    def of(cls, space: Parity, active: Sequence[Active], view: StopView) -> 'Likeliest':
+    def of(cls, joint: Joint) -> 'Likeliest':
+        space, active, view = joint.parity, joint.active, joint.observation.view
         if not active:
             return cls(np.zeros(view.reading.shape), np.zeros(space.size), 0.0)
         functions = modulations(view)
@@ -78,6 +78,6 @@ class Likeliest:
                    whole @ sizes, 0.5 * float(sizes @ sizes + np.linalg.slogdet(normal)[1]))
 
 
-def residual(space: Parity, active: Sequence[Active], view: StopView) -> np.ndarray:
+def residual(joint: Joint) -> np.ndarray:
     """White residuals (N,) of a joint fit, freed of what the discrepancies of its forms are likeliest to do."""
-    return unexplained(space, active) - Likeliest.of(space, active, view).white
+    return unexplained(joint.parity, joint.active) - Likeliest.of(joint).white

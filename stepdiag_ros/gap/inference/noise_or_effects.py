@@ -138,15 +138,10 @@ def _settles(plain: Settled, hint: float) -> bool:
         and not suspicion(joint.observation, joint.noise, left(joint))
 
 
-def likeliest(joint: Joint) -> Likeliest:
-    """What the discrepancies of the joint fit's forms are likeliest to do."""
-    return Likeliest.of(joint.parity, joint.active, joint.observation.view)
-
-
 def left(joint: Joint, beside: Likeliest | None = None) -> StopTable:
     """The stops with the effects taken off their readings, and what the discrepancies of their forms are likeliest to
     do, ``beside``: a law of the noise, too, is right beside forms that are not quite."""
-    table, added = freed(joint.observation.table, joint.active), (beside or likeliest(joint)).added
+    table, added = freed(joint.observation.table, joint.active), (beside or Likeliest.of(joint)).added
     return replace(table, displacement=table.displacement - added[:, :-2], spot=table.spot - added[:, -2:])
 
 
@@ -156,7 +151,7 @@ def total_evidence(joint: Joint, sets: list[EffectSet], screen: Screen) -> float
     The noise is given tails beside the effects too, where they leave any.
     """
     observation, space = joint.observation, joint.parity
-    beside = likeliest(joint)
+    beside = Likeliest.of(joint)
     table = left(joint, beside)
     stops = log_evidence(observation, joint.noise, table)
     if joint.noise.tidy:

@@ -77,30 +77,39 @@ def _along(turns: Sequence[np.ndarray]) -> list[np.ndarray]:
 def _two_rather_than_one(score: np.ndarray) -> float:
     """Log evidence of two middles against one: by the likelihoods, less half the logarithm of their number for each of
     two further parameters.  Both with the tails that suit them best: a few arrivals far off are no second state."""
-    spread = float(np.std(score)) if len(score) >= LEAST else 0.0
-    if spread == 0.0:
+    z = _in_spreads(score)
+    if not len(z):
         return 0.0
-    z = (score - np.median(score)) / spread
-    one, two = (max(_likelihood(z, dof, middles) for dof in TAILS) for middles in ((0.0,), (-0.8, 0.8)))
-    return two - max(one, _flat_likelihood(z - z.mean())) - float(np.log(len(z)))
+    z = z - np.median(z)
+    two = max(_likelihood(z, dof, (-0.8, 0.8)) for dof in TAILS)
+    return two - _of_one_middle(z) - float(np.log(len(z)))
 
 
 def _to_and_fro(steps: np.ndarray) -> float:
     """Log evidence that steps from one arrival to the next are none, one way or back, against one middle.  Steps that
     have an error in common count as if they had not: of errors of one middle, whatever their tails and their
-    correlation, not one of 540 series drawn shows 1 (``test_two_states.py``)."""
-    spread = float(np.std(steps)) if len(steps) >= LEAST else 0.0
-    if spread == 0.0:
+    correlation, none of the 72 series drawn in ``test_two_states.py`` shows 1."""
+    z = _in_spreads(steps)
+    if not len(z):
         return 0.0
-    z = steps / spread
 
     def likeliest(middles: ArrayLike) -> float:
         return max(_likelihood(z, dof, middles, START, LEAST_STEPS) for dof in TAILS)
 
-    one = max(*(_likelihood(z, dof, (0.0,)) for dof in TAILS), _flat_likelihood(z - z.mean()))
     two = likeliest((-1.0, 0.0, 1.0))
-    evidence = two - one - float(np.log(len(z)))
+    evidence = two - _of_one_middle(z) - float(np.log(len(z)))
     return 0.0 if evidence > SUSPICION and likeliest(LATTICE) - two > SUSPICION else evidence
+
+
+def _in_spreads(values: np.ndarray) -> np.ndarray:
+    """Values in units of their standard deviation; none where they are few or all alike."""
+    spread = float(np.std(values)) if len(values) >= LEAST else 0.0
+    return values / spread if spread else values[:0]
+
+
+def _of_one_middle(z: np.ndarray) -> float:
+    """Log likelihood of one middle, with the tails that suit it best or anywhere between two ends."""
+    return max(*(_likelihood(z, dof, (0.0,)) for dof in TAILS), _flat_likelihood(z - z.mean()))
 
 
 def _flat_likelihood(z: np.ndarray) -> float:
