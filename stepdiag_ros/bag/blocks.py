@@ -85,12 +85,7 @@ def displacement_samples(table: TopicTable, setup_names: tuple[str, ...], timing
     """Samples of ``interferometer/displacement``, taken when ``timing`` says; beams that a setup lacks are NaN."""
     dropped = _Dropped()
     parts = [part for group in table.groups for part in _displacement_parts(group, dropped)]
-    samples, warnings = _assemble(table, parts, setup_names, dropped, timing)
-    dark = int((samples.health == 0).sum())
-    if dark:
-        warnings.append(f'{table.topic}: {dark} of {len(samples)} samples have signal quality 0; '
-                        'the evaluation leaves them out')
-    return samples, warnings
+    return _assemble(table, parts, setup_names, dropped, timing)
 
 
 def spot_samples(table: TopicTable, setup_names: tuple[str, ...], timing: TopicTable | None = None

@@ -94,13 +94,14 @@ def dwell_spans(steps: StepEvents) -> np.ndarray:
     return np.stack([begin, steps.time_ns[begin], end], axis=1)
 
 
-def samples_in_dwells(steps: StepEvents, samples: Samples) -> np.ndarray:
-    """Samples of the dwell's own setup within each dwell, (m,)."""
+def samples_in_dwells(steps: StepEvents, samples: Samples, counted: np.ndarray | None = None) -> np.ndarray:
+    """Samples of the dwell's own setup within each dwell, (m,); of those that are ``counted`` (n,), else of all."""
     spans = dwell_spans(steps)
     begin = np.searchsorted(samples.time_ns, spans[:, 1])
     end = np.searchsorted(samples.time_ns, spans[:, 2])
     setup = steps.setup[spans[:, 0]]
-    return np.array([np.count_nonzero(samples.setup[a:b] == s)
+    of = samples.setup if counted is None else np.where(counted, samples.setup, -1)
+    return np.array([np.count_nonzero(of[a:b] == s)
                      for a, b, s in zip(begin, end, setup, strict=True)], np.int64)
 
 
@@ -155,4 +156,9 @@ def stop_warnings(description: Description, steps: StepEvents, displacement: Sam
                 places = [f'{steps.run_ids[steps.run[e]]} stop {steps.index[e]}' for e in spans]
                 warnings.append(f'{empty} of {len(counts)} dwells hold no {label} sample: '
                                 f'{listed(places, 3)}')
+    # Between the dwells a beam may be gone, as where a mirror is swung: nothing is measured there.
+    dark = int(samples_in_dwells(steps, displacement, displacement.health == 0).sum())
+    if dark:
+        warnings.append(f'interferometer/displacement: {dark} of {samples_in_dwells(steps, displacement).sum()} samples '
+                        'in the dwells have signal quality 0; the evaluation leaves them out')
     return warnings

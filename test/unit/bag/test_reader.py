@@ -637,7 +637,16 @@ def test_zero_signal_quality_is_kept_and_counted(tmp_path, changed, small_log):
     health[[4, 7, 8]] = 0.0
     log = read_log(write_log(changed('displacement', health=health), tmp_path / 'bag'))
     assert np.array_equal(log.displacement.health, health)
-    assert warned(log, '3 of 50 samples have signal quality 0')
+    assert warned(log, '3 of 50 samples in the dwells have signal quality 0')
+
+
+def test_a_beam_that_is_gone_between_the_dwells_is_nothing_to_say(tmp_path, changed, small_log):
+    health, time = small_log.displacement.health.copy(), small_log.steps.time_ns.copy()
+    health[0] = 0.0
+    time[np.flatnonzero(small_log.steps.phase == DWELL)[0]] += 1        # the first sample is of the move before
+    assert not warned(read_log(write_log(replace(
+        changed('displacement', health=health), steps=replace(small_log.steps, time_ns=time)), tmp_path / 'bag')),
+        'signal quality 0')
 
 
 def test_dwell_without_samples(tmp_path, small_log):
