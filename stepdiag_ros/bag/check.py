@@ -159,6 +159,7 @@ def stop_warnings(description: Description, steps: StepEvents, displacement: Sam
     # Between the dwells a beam may be gone, as where a mirror is swung: nothing is measured there.
     dark = int(samples_in_dwells(steps, displacement, displacement.health == 0).sum())
     if dark:
-        warnings.append(f'interferometer/displacement: {dark} of {samples_in_dwells(steps, displacement).sum()} samples '
-                        'in the dwells have signal quality 0; the evaluation leaves them out')
+        counted = samples_in_dwells(steps, displacement).sum()
+        warnings.append(f'interferometer/displacement: {dark} of {counted} samples in the dwells have signal quality 0; '
+                        'the evaluation leaves them out')
     return warnings
