@@ -160,6 +160,6 @@ def stop_warnings(description: Description, steps: StepEvents, displacement: Sam
     dark = int(samples_in_dwells(steps, displacement, displacement.health == 0).sum())
     if dark:
         counted = samples_in_dwells(steps, displacement).sum()
-        warnings.append(f'interferometer/displacement: {dark} of {counted} samples in the dwells have signal quality 0; '
-                        'the evaluation leaves them out')
+        warnings.append(f'interferometer/displacement: {dark} of {counted} samples in the dwells have '
+                        'signal quality 0; the evaluation leaves them out')
     return warnings
