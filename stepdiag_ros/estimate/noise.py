@@ -193,7 +193,8 @@ def arrivals(table: StopTable) -> np.ndarray:
         turned = (np.diff(index) == 0) & (np.diff(table.direction[rows].astype(int)) != 0)
         fresh[1:][(np.abs(np.diff(index)) != 1) & ~turned & (table.axis[rows[1:]] != STOOD)] = True
         fresh[0] = True
-        numbers[rows] = np.cumsum(fresh, axis=0) + 4 * len(table) * (run + 1)
+        move = np.cumsum(fresh.any(axis=1))
+        numbers[rows] = np.maximum.accumulate(np.where(fresh, move[:, None], 0)) + 4 * len(table) * (run + 1)
     return numbers
 
 

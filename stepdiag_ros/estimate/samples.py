@@ -27,6 +27,9 @@ STANDING = 0.3
 a repetition."""
 WHOLE = 0.8
 """Share of the differences between readings that are whole steps."""
+UNDER_WAY = 5.0
+"""Times the mean step between samples at rest, of noise 4 of its standard deviations, that a machine under way goes
+from sample to sample."""
 COUNTED = 1e4
 """Most steps that are counted in a difference of readings: over the way between two stops, millions of steps, not even
 the seventh digit of the step tells a whole number."""
@@ -121,7 +124,8 @@ def _dwell_of(log: CalibrationLog, samples: Samples) -> np.ndarray:
 
 
 def _repeated(values: np.ndarray, dwell: np.ndarray) -> np.ndarray:
-    """Samples (n,) that repeat the one before to the last bit, where readings do not move in steps."""
+    """Samples (n,) that repeat the one before to the last bit; where readings move in steps, of those in motion only: a
+    machine at rest is read alike again and again, one that goes on is not."""
     again = np.zeros(len(values), bool)
     if len(values) < 3:
         return again
@@ -129,10 +133,22 @@ def _repeated(values: np.ndarray, dwell: np.ndarray) -> np.ndarray:
     same = (values[1:] == values[:-1]).all(axis=1)
     returned = (values[2:] == values[:-2]).any(axis=1) & ~same[1:] & ~same[:-1]
     if not resting.any() or np.mean(returned[resting]) > AGAIN or np.mean(same[1:][resting]) > STANDING:
-        return again
+        same &= _under_way(values, same, (dwell[1:] >= 0) & (dwell[1:] == dwell[:-1]))
     # In motion too: there it would be late by the time between two samples, and a clock seem off.
     again[1:] = same
     return again
+
+
+def _under_way(values: np.ndarray, same: np.ndarray, resting: np.ndarray) -> np.ndarray:
+    """Which steps (n − 1,) from sample to sample are of a machine that moves on: the steps before and after those that
+    are ``same`` go one way, each by far more than those of a machine that is ``resting``."""
+    first = np.flatnonzero(np.append(True, ~same))      # each row of equal samples by its first
+    step = np.diff(values[first], axis=0)
+    size = np.abs(np.diff(values, axis=0)[resting])
+    far = UNDER_WAY * np.array([np.mean(one[np.isfinite(one)]) if np.isfinite(one).any() else np.inf for one in size.T])
+    on = np.zeros(len(first), bool)
+    on[1:-1] = np.any((step[:-1] * step[1:] > 0.0) & (np.minimum(np.abs(step[:-1]), np.abs(step[1:])) > far), axis=1)
+    return np.repeat(on, np.diff(np.append(first, len(values))))[1:]
 
 
 def _carried_over(values: np.ndarray, dwell: np.ndarray, setup: np.ndarray) -> np.ndarray:

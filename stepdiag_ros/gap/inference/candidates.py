@@ -242,9 +242,13 @@ class Screen:
             if own is not None:
                 cross = found.along(own)
                 along = own.T @ self.data - cross.T @ found.taken
-                self._gains[key] = log_evidence(own.T @ own - cross.T @ cross, along, found.total, self._dof(found),
+                self._gains[key] = log_evidence(own.T @ own - cross.T @ cross, along, self._total(found), self._dof(found),
                                                 self.noise_dof)
         return replace(members[-1], log_bayes=members[-1].log_bayes + self._gains[key])
+
+    def _total(self, found: Explained) -> float:
+        """The squared data beside what is explained, which say how large noise is."""
+        return found.total + self.parity.quiet
 
     def _dof(self, found: Explained) -> float:
         """Free dimensions of the data beside what is explained."""
@@ -267,7 +271,7 @@ class Screen:
         wide = slice(min(p.start for p in parts), max(p.stop for p in parts))
         overlap = self._brought.times(basis, wide)
         correction = _Correction.by(self._brought, basis, found.left, wide)
-        total, dof = found.total - correction.total, self._dof(found)
+        total, dof = self._total(found) - correction.total, self._dof(found)
         for alike in self._alike:
             chosen = open_[alike.numbers]
             cross = overlap[alike.places[chosen]] * alike.ratios[chosen][:, :, None]

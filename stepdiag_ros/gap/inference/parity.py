@@ -66,6 +66,13 @@ class Parity:
     def size(self) -> int:
         return len(self.data)
 
+    @cached_property
+    def quiet(self) -> float:
+        """What the squared data of the bins lack of their number.  Bins are held to be noisier than they are, for no form
+        describes well what goes on in a dwell: that says nothing of how noisy the stops are."""
+        inside = self.data[self.stops:]
+        return max(len(inside) - float(inside @ inside), 0.0)
+
     @property
     def of_spot(self) -> np.ndarray:
         """Which rows (N,) are of the spot, not of a length."""

@@ -67,7 +67,7 @@ def _with_steps(observation: Observation, width: np.ndarray) -> Observation:
                                step_noise(log.spot, table.spot_rows, width[beams:])])
     seen = np.isfinite(observation.bins).sum(axis=(0, 1))   # none of a channel where its dwells are too short for bins
     scatter = np.sqrt(np.nansum(observation.bins**2, axis=(0, 1)) / np.maximum(seen, 1))
-    scatter = np.maximum(scatter, width / np.sqrt(12.0))
+    scatter = np.maximum(scatter, np.sqrt(variance))
     return replace(observation, table=replace(table, disturbed=np.tile(variance, (len(table), 1))),
                    bin_sigma=np.where(width > 0.0, np.maximum(observation.bin_sigma, scatter), observation.bin_sigma))
 
