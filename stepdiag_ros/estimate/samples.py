@@ -133,21 +133,22 @@ def _repeated(values: np.ndarray, dwell: np.ndarray) -> np.ndarray:
     same = (values[1:] == values[:-1]).all(axis=1)
     returned = (values[2:] == values[:-2]).any(axis=1) & ~same[1:] & ~same[:-1]
     if not resting.any() or np.mean(returned[resting]) > AGAIN or np.mean(same[1:][resting]) > STANDING:
-        same &= _under_way(values, same, (dwell[1:] >= 0) & (dwell[1:] == dwell[:-1]))
+        same &= _under_way(values, same, dwell)
     # In motion too: there it would be late by the time between two samples, and a clock seem off.
     again[1:] = same
     return again
 
 
-def _under_way(values: np.ndarray, same: np.ndarray, resting: np.ndarray) -> np.ndarray:
-    """Which steps (n − 1,) from sample to sample are of a machine that moves on: the steps before and after those that
-    are ``same`` go one way, each by far more than those of a machine that is ``resting``."""
+def _under_way(values: np.ndarray, same: np.ndarray, dwell: np.ndarray) -> np.ndarray:
+    """Which steps (n − 1,) from sample to sample are of a machine that moves on: those before and after the ones that
+    are ``same`` go one way, each by far more than where it rests, and no dwell is among them."""
     first = np.flatnonzero(np.append(True, ~same))      # each row of equal samples by its first
     step = np.diff(values[first], axis=0)
-    size = np.abs(np.diff(values, axis=0)[resting])
+    size = np.abs(np.diff(values, axis=0)[(dwell[1:] >= 0) & (dwell[1:] == dwell[:-1])])
     far = UNDER_WAY * np.array([np.mean(one[np.isfinite(one)]) if np.isfinite(one).any() else np.inf for one in size.T])
-    on = np.zeros(len(first), bool)
-    on[1:-1] = np.any((step[:-1] * step[1:] > 0.0) & (np.minimum(np.abs(step[:-1]), np.abs(step[1:])) > far), axis=1)
+    on = ~np.logical_or.reduceat(dwell >= 0, first)
+    on[[0, -1]] = False
+    on[1:-1] &= np.any((step[:-1] * step[1:] > 0.0) & (np.minimum(np.abs(step[:-1]), np.abs(step[1:])) > far), axis=1)
     return np.repeat(on, np.diff(np.append(first, len(values))))[1:]
 
 

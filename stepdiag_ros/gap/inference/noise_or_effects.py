@@ -29,7 +29,7 @@ from stepdiag_ros.gap.noise.arrival_law import as_it_is, log_evidence, suspicion
 from stepdiag_ros.gap.preprocess.observe import Observation, sane_fit
 
 ONE_ARRIVAL = 'no more than one arrival is off, and errors of arrivals have tails or go with those before them'
-FAR = 6.0
+FAR = 1.5
 """Times the evidence by which tails are suspected that one effect must explain, to be no matter of tails."""
 
 

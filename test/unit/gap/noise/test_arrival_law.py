@@ -95,11 +95,13 @@ def test_correlated_arrivals_by_drawing(case):
     rng = np.random.default_rng(3)
     values = 1e-9 * rng.standard_normal((draws, len(rows), 3))
     for axis in range(3):
-        _, own = np.unique(numbers[rows, axis], return_inverse=True)
-        error = rng.standard_normal((draws, own.max() + 1))
+        # An arrival errs as the one before it did, whichever axis that moved: errors come and go with time.
+        error = rng.standard_normal((draws, len(rows)))
         for k in range(1, error.shape[1]):
             error[:, k] = rho * error[:, k - 1] + np.sqrt(1.0 - rho**2) * error[:, k]
-        values += 3e-7 * error[:, own, None] * arrival[2 + axis][rows]
+        last = np.maximum.accumulate(np.where((table.axis[rows] == axis) | (np.arange(len(rows)) == 0),
+                                              np.arange(len(rows)), 0))
+        values += 3e-7 * error[:, last, None] * arrival[2 + axis][rows]
     drawn = np.cov(values.reshape(draws, -1), rowvar=False)
     sigma = np.sqrt(np.diag(covariance))
     assert np.abs((drawn - covariance) / sigma[:, None] / sigma).max() < 0.05

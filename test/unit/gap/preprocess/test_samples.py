@@ -57,6 +57,27 @@ def test_readings_carried_over_from_before_the_move_are_none(case):
         assert np.array_equal(left_out(found), np.sort(at))
 
 
+def test_a_sample_read_again_under_way_is_none_though_readings_move_in_steps(case):
+    """It is late by the time between two samples: at rest nobody can tell, and a clock seemed off by milliseconds."""
+    log, step = case.log(), 2e-7
+    tidy = reduce_log(log)
+    values = np.round(log.spot.values / step) * step
+    rng = np.random.default_rng(2)
+    for k in np.flatnonzero(rng.random(len(values)) < 0.08):
+        values[k] = values[k - 1]
+    kept = clean(replace(log, spot=replace(log.spot, values=values)))[0].spot
+    moving = np.ones(len(values), bool)
+    for lo, hi in tidy.spot_rows:
+        moving[lo:hi] = False
+        assert np.isfinite(kept.values[lo + 3:hi]).all()
+    # The axes go by micrometres from sample to sample in the middle of most moves; at their ends they creep.
+    late = moving & np.append(False, (values[1:] == values[:-1]).all(axis=1))
+    left = np.isnan(kept.values[:, 0])
+    assert not np.any(left & moving & ~late) and np.mean(left[late]) > 0.5
+    found = diagnose(replace(log, spot=replace(log.spot, values=values)), [kind() for kind in all_effects().values()])
+    assert found.verdict == 'no_gap'
+
+
 @pytest.mark.parametrize('left', [0, 1, 2, 5])
 def test_hardly_any_sample_is_left_as_it_is(case, left):
     """A sensor that was dead, or a log cut after its first samples."""
