@@ -50,6 +50,20 @@ def test_null_data_are_white(case):
     assert 0.8 < np.sum(space.data[space.stops:]**2) / space.dof[1] < 1.25
 
 
+def test_parts_of_dwells_held_too_noisy_make_nothing_surer(case):
+    """They share their scale with the stops: half as loud as they are held to be they doubled the evidence of all."""
+    observation = case.observe()
+    space, rng = _space(observation), np.random.default_rng(4)
+    form = Form('drawn', rng.normal(0.0, 1e-7, (1, *observation.fit.residual.shape)), ('a',), np.array([1.0]))
+    column = space.project(form)[:, 0]
+    data = space.data + 6.0 * column / np.linalg.norm(column)
+    found = []
+    for level in (1.0, 0.5):
+        held = replace(space, data=np.concatenate([data[:space.stops], level * data[space.stops:]]))
+        found.append(Screen(held, [Candidate('drawn', '', form)], 100.0).judge_all((), [0]).log_bayes[0])
+    assert found[0] > 8.0 and found[1] < 1.05 * found[0]
+
+
 @pytest.mark.parametrize('dwell', [0.12, 0.6])
 def test_slopes_and_bends_of_samples_that_are_alike_are_white(case, dwell):
     """Of six samples the contrasts beyond a bend hardly tell of a bend; of thirty they tell, and it counts once."""
