@@ -56,7 +56,7 @@ def test_parts_of_dwells_held_too_noisy_make_nothing_surer(case):
     space, rng = _space(observation), np.random.default_rng(4)
     form = Form('drawn', rng.normal(0.0, 1e-7, (1, *observation.fit.residual.shape)), ('a',), np.array([1.0]))
     column = space.project(form)[:, 0]
-    data = space.data + 6.0 * column / np.linalg.norm(column)
+    data = space.data + 8.0 * column / np.linalg.norm(column)
     found = []
     for level in (1.0, 0.5):
         held = replace(space, data=np.concatenate([data[:space.stops], level * data[space.stops:]]))
