@@ -19,6 +19,7 @@ from stepdiag_ros.effects.base import Effect, Form
 from stepdiag_ros.estimate.enhanced import Fit
 from stepdiag_ros.estimate.evaluate import solution_of
 from stepdiag_ros.estimate.gauge import reporting_matrix
+from stepdiag_ros.estimate.noise_law import latents
 from stepdiag_ros.estimate.solution import Solution
 from stepdiag_ros.estimate.standing import with_standing
 from stepdiag_ros.gap.alternatives.unmodelled import NAME as UNKNOWN
@@ -82,7 +83,9 @@ def averaged_solution(joint: Joint, screen: Screen, best: EffectSet) -> Solution
     """The machine's errors with the effects taken out, averaged over the forms that these may have."""
     table = joint.observation.table
     result, pull, rest = averaged_fit(joint, screen, best)
-    solution = solution_of(result, table)
+    # Residuals larger than the noise says: whatever it is, repeats alone do not show how uncertain the errors are.
+    louder = max(result.chi2 / max(result.dof, 1), 1.0)
+    solution = solution_of(replace(result, covariance=louder * result.covariance + _of_weights(joint)), table)
     if joint.active:
         solution = replace(solution, covariance=solution.covariance + np.diag(_allowance(joint, pull, rest)))
     return with_standing(solution, joint.fit, table)
@@ -134,6 +137,23 @@ def _pull(joint: Joint, active: Sequence[Active]) -> tuple[np.ndarray, np.ndarra
     left = white.T @ white - white.T @ joint.jacobian @ follow
     spread = inverse(left + np.diag(prior_sigmas(a.form for a in active) ** -2.0))
     return follow @ size, inverse(joint.normal) + follow @ spread @ follow.T
+
+
+def _of_weights(joint: Joint) -> np.ndarray:
+    """Covariance (size, size) of the unknowns that the arrivals' weights add, which no one gave: the log did.
+
+    Errors of Student's t with ν degrees of freedom tell of a mean (ν + 1)/(ν + 3) of what they would with their weights
+    given (Lange, Little & Taylor 1989, the expected information).
+    """
+    laws = [joint.noise.angle_law] * 2 + [joint.noise.position_law] * 3
+    lost = np.array([2.0 / (law.dof + 1.0) for law in laws])
+    total = np.zeros_like(joint.normal)
+    if joint.noise.has_tails:
+        spread = inverse(joint.normal)
+        for latent in latents(joint.observation.table, joint.noise, joint.fit.arrival, joint.parity._white):
+            moved = spread @ (joint.jacobian[latent.at].T @ latent.columns) * np.sqrt(lost[latent.source])
+            total += moved @ latent.prior @ moved.T
+    return total
 
 
 def _allowance(joint: Joint, pull: np.ndarray, rest: np.ndarray) -> np.ndarray:

@@ -17,7 +17,7 @@ from stepdiag_ros.gap.experiment_design.next_run import recommend
 from stepdiag_ros.report.gap_page import gap_page
 from stepdiag_ros.report.gap_words import JOIN, headline, summary
 
-BENT = 4.4e-6
+BENT = 4.6e-6
 """[1/m] that shows with a log evidence of about 7."""
 
 
