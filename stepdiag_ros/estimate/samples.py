@@ -170,8 +170,8 @@ def _carried_over(values: np.ndarray, dwell: np.ndarray, setup: np.ndarray) -> n
 
 
 def _noise(values: np.ndarray, dwell: np.ndarray, setup: np.ndarray) -> np.ndarray:
-    """Noise (n,) of single samples by the steps between neighbours of a dwell that differ, of each setup; NaN where none
-    do."""
+    """Noise (n,) of single samples by the steps between neighbours of a dwell that differ, of each setup; NaN where
+    none do."""
     step = np.where((dwell[1:] >= 0) & (dwell[1:] == dwell[:-1]), np.abs(np.diff(values)), np.nan)
     noise = np.full(len(values), np.nan)
     for s in np.unique(setup):

@@ -242,8 +242,8 @@ class Screen:
             if own is not None:
                 cross = found.along(own)
                 along = own.T @ self.data - cross.T @ found.taken
-                self._gains[key] = log_evidence(own.T @ own - cross.T @ cross, along, self._total(found), self._dof(found),
-                                                self.noise_dof)
+                self._gains[key] = log_evidence(own.T @ own - cross.T @ cross, along, self._total(found),
+                                                self._dof(found), self.noise_dof)
         return replace(members[-1], log_bayes=members[-1].log_bayes + self._gains[key])
 
     def _total(self, found: Explained) -> float:

@@ -68,8 +68,8 @@ class Parity:
 
     @cached_property
     def quiet(self) -> float:
-        """What the squared data of the bins lack of their number.  Bins are held to be noisier than they are, for no form
-        describes well what goes on in a dwell: that says nothing of how noisy the stops are."""
+        """What the squared data of the bins lack of their number.  Bins are held to be noisier than they are, for no
+        form describes well what goes on in a dwell: that says nothing of how noisy the stops are."""
         inside = self.data[self.stops:]
         return max(len(inside) - float(inside @ inside), 0.0)
 

@@ -114,8 +114,8 @@ def test_of_a_correction_the_share_stays_uncertain_that_the_log_would_let_pass(f
 
 
 def test_errors_are_as_uncertain_as_tails_leave_them(case):
-    """By drawing: a machine without errors, arrivals of Student's t with four degrees of freedom.  With the weights that
-    the log itself gave its arrivals taken for known, the errors' squares were 1.4 times their variances."""
+    """By drawing: arrivals of Student's t with four degrees of freedom.  With the weights that the log itself gave its
+    arrivals taken for known, the squares of what the errors are off by were 1.4 times their variances."""
     square, given = [], []
     for seed in range(12):
         observation = observe(case.untidy('{position: {dof: 4}, angle: {dof: 4}}', seed=seed))
@@ -125,8 +125,9 @@ def test_errors_are_as_uncertain_as_tails_leave_them(case):
         joint = fit_jointly(refitted(observation, fit), [], noise)
         found = averaged_solution(joint, None, EffectSet((), 0.0))
         alone = with_standing(solution_of(joint.fit, observation.table), joint.fit, observation.table)
-        off = found.value - [true.square[name] if name in true.square else true.curves[name](found.positions[name][knot])
-                             for name, knot in found.names]
+        off = found.value - [
+            true.square[name] if name in true.square else true.curves[name](found.positions[name][knot])
+            for name, knot in found.names]
         for squares, solution in ((square, found), (given, alone)):
             variance = np.diag(solution.covariance)
             squares.append(np.mean(off[variance > 1e-24]**2 / variance[variance > 1e-24]))

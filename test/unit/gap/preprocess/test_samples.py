@@ -45,8 +45,8 @@ def test_spots_without_light_are_no_readings(case):
 
 
 def test_readings_carried_over_from_before_the_move_are_none(case):
-    """However many: a mean of a dwell in which one is left is off by millimetres.  In steps as well, and where these are
-    so coarse that most neighbours that differ are in motion: how noisy samples are only dwells tell."""
+    """However many: a mean of a dwell in which one is left is off by millimetres.  In steps as well, and where these
+    are so coarse that most neighbours that differ are in motion: how noisy samples are only dwells tell."""
     log = case.log()
     rows = reduce_log(log).displacement_rows
     for values in (log.displacement.values.copy(), *(np.round(log.displacement.values / step) * step
