@@ -39,7 +39,7 @@ class Bow(Effect):
 
     def before_pose(self, moment):
         place = moment.commanded[:, 1] / 0.4
-        size = 6e-6 * (1.0 - np.exp(-moment.seconds / 400.0)) * np.sin(2.0 * np.pi * place)
+        size = 6.5e-6 * (1.0 - np.exp(-moment.seconds / 400.0)) * np.sin(2.0 * np.pi * place)
         moment.shift = moment.shift + size[:, None] * np.eye(3)[2]
 
 
