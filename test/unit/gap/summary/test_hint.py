@@ -57,7 +57,7 @@ def test_no_hint_where_there_is_nothing_or_a_finding(case, size, verdict):
 @pytest.mark.long
 def test_where_no_run_is_worth_it_all_is_done_once_more(case):
     """A mount that creeps and a beam that turns: no single run tells either from nothing and from the other."""
-    found = case.diagnose(effect_class('mirror_mount_creep')(amp=[4.1e-6, -4.1e-6], tau=40.0))
+    found = case.diagnose(effect_class('mirror_mount_creep')(amp=[4.4e-6, -4.4e-6], tau=40.0))
     words, run = advise(found.joint, [], found.indistinguishable, False, found.hint.settles)
     assert words == FOR_HINT and run is None
     assert JOIN in summary(replace(found, next_measurement=words, next_run=None), 'log')
@@ -82,7 +82,7 @@ def test_nothing_predicts_less_spread_than_what_may_act(faint):
 
 @pytest.mark.long
 def test_a_hint_says_what_it_may_be_taken_for(case):
-    found = case.diagnose(effect_class('mirror_mount_creep')(amp=[4.1e-6, -4.1e-6], tau=40.0))
+    found = case.diagnose(effect_class('mirror_mount_creep')(amp=[4.4e-6, -4.4e-6], tau=40.0))
     group, = found.indistinguishable
     assert {'beam_pointing_drift', 'mirror_mount_creep'} <= set(group)
     said = headline(found)
