@@ -157,7 +157,8 @@ def stop_warnings(description: Description, steps: StepEvents, displacement: Sam
                 warnings.append(f'{empty} of {len(counts)} dwells hold no {label} sample: '
                                 f'{listed(places, 3)}')
     # Between the dwells a beam may be gone, as where a mirror is swung: nothing is measured there.
-    dark = int(samples_in_dwells(steps, displacement, displacement.health == 0).sum())
+    unlit = displacement.health == 0
+    dark = samples_in_dwells(steps, displacement, unlit).sum() if unlit.any() else 0
     if dark:
         counted = samples_in_dwells(steps, displacement).sum()
         warnings.append(f'interferometer/displacement: {dark} of {counted} samples in the dwells have '

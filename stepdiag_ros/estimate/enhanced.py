@@ -96,6 +96,12 @@ class Fit:
     iterations: int
     converged: bool
 
+    @property
+    def louder(self) -> float:
+        """By how much the residuals' variance is larger than the noise says, at least 1: whatever it is, repeats alone
+        do not show how uncertain the errors are."""
+        return max(self.chi2 / max(self.dof, 1), 1.0)
+
 
 def readings_of(table: StopTable) -> np.ndarray:
     """All readings (n, beams + 2) [m], NaN where absent."""

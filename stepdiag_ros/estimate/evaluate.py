@@ -91,8 +91,7 @@ def evaluate_in_full(log: CalibrationLog, budget: Budget | None = None, stops: S
         status = status_of([*(finding.found for finding in insane), *reasons(result, table)])
         solution = replace(solution, status=status, sanity=tuple(insane))
     setting = Setting.of_fit(log.description, table, result, metres.conditions)
-    # Residuals larger than the noise says: whatever it is, repeats alone do not show how uncertain the errors are.
-    found = propagate(budget, setting, result, solution, np.sqrt(max(solution.reduced_chi2, 1.0)), weighed=True)
+    found = propagate(budget, setting, result, solution, np.sqrt(result.louder), weighed=True)
     whose = 'cell' if own and log.description.budget is not None else 'standard' if own else 'given'
     return Evaluation(metres, result, setting, replace(found, solution=tied(
         found.solution, log.source, metres, budget, whose)), log.source, budget, whose)

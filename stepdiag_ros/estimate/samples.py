@@ -123,6 +123,11 @@ def _dwell_of(log: CalibrationLog, samples: Samples) -> np.ndarray:
     return np.where(resting, last, -1)
 
 
+def _in_one_dwell(dwell: np.ndarray) -> np.ndarray:
+    """Which samples (n − 1,) are of the same dwell as the one before."""
+    return (dwell[1:] >= 0) & (dwell[1:] == dwell[:-1])
+
+
 def _repeated(values: np.ndarray, dwell: np.ndarray) -> np.ndarray:
     """Samples (n,) that repeat the one before to the last bit; where readings move in steps, of those in motion only: a
     machine at rest is read alike again and again, one that goes on is not."""
@@ -144,7 +149,7 @@ def _under_way(values: np.ndarray, same: np.ndarray, dwell: np.ndarray) -> np.nd
     are ``same`` go one way, each by far more than where it rests, and no dwell is among them."""
     first = np.flatnonzero(np.append(True, ~same))      # each row of equal samples by its first
     step = np.diff(values[first], axis=0)
-    size = np.abs(np.diff(values, axis=0)[(dwell[1:] >= 0) & (dwell[1:] == dwell[:-1])])
+    size = np.abs(np.diff(values, axis=0)[_in_one_dwell(dwell)])
     far = UNDER_WAY * np.array([np.mean(one[np.isfinite(one)]) if np.isfinite(one).any() else np.inf for one in size.T])
     on = ~np.logical_or.reduceat(dwell >= 0, first)
     on[[0, -1]] = False
@@ -172,7 +177,7 @@ def _carried_over(values: np.ndarray, dwell: np.ndarray, setup: np.ndarray) -> n
 def _noise(values: np.ndarray, dwell: np.ndarray, setup: np.ndarray) -> np.ndarray:
     """Noise (n,) of single samples by the steps between neighbours of a dwell that differ, of each setup; NaN where
     none do."""
-    step = np.where((dwell[1:] >= 0) & (dwell[1:] == dwell[:-1]), np.abs(np.diff(values)), np.nan)
+    step = np.where(_in_one_dwell(dwell), np.abs(np.diff(values)), np.nan)
     noise = np.full(len(values), np.nan)
     for s in np.unique(setup):
         mine = step[setup[1:] == s]
@@ -196,7 +201,7 @@ def _spikes(values: np.ndarray, dwell: np.ndarray, setup: np.ndarray, ends: bool
         if len(kept) < 3:
             continue
         x, own = values[kept, k], dwell[kept]
-        step = np.where(own[1:] == own[:-1], np.diff(x), np.nan)
+        step = np.where(_in_one_dwell(own), np.diff(x), np.nan)
         # What stands out at either end of a dwell has one neighbour; it must leave the next steps far behind, as
         # nothing that settles or swings does.
         before, after = np.append(np.nan, step), np.append(-step, np.nan)
@@ -215,5 +220,5 @@ def _spikes(values: np.ndarray, dwell: np.ndarray, setup: np.ndarray, ends: bool
 
 def _read_twice(values: np.ndarray, dwell: np.ndarray) -> np.ndarray:
     """Second (n,) of two readings that are equal to the last bit, and no third beside them is."""
-    same = np.append(False, (values[1:] == values[:-1]) & (dwell[1:] == dwell[:-1]))
+    same = np.append(False, (values[1:] == values[:-1]) & _in_one_dwell(dwell))
     return same & ~np.append(False, same[:-1]) & ~np.append(same[1:], False)

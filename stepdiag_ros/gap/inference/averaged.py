@@ -19,7 +19,6 @@ from stepdiag_ros.effects.base import Effect, Form
 from stepdiag_ros.estimate.enhanced import Fit
 from stepdiag_ros.estimate.evaluate import solution_of
 from stepdiag_ros.estimate.gauge import reporting_matrix
-from stepdiag_ros.estimate.noise_law import latents
 from stepdiag_ros.estimate.solution import Solution
 from stepdiag_ros.estimate.standing import with_standing
 from stepdiag_ros.gap.alternatives.unmodelled import NAME as UNKNOWN
@@ -83,9 +82,7 @@ def averaged_solution(joint: Joint, screen: Screen, best: EffectSet) -> Solution
     """The machine's errors with the effects taken out, averaged over the forms that these may have."""
     table = joint.observation.table
     result, pull, rest = averaged_fit(joint, screen, best)
-    # Residuals larger than the noise says: whatever it is, repeats alone do not show how uncertain the errors are.
-    louder = max(result.chi2 / max(result.dof, 1), 1.0)
-    solution = solution_of(replace(result, covariance=louder * result.covariance + _of_weights(joint)), table)
+    solution = solution_of(replace(result, covariance=result.louder * result.covariance + _of_weights(joint)), table)
     if joint.active:
         solution = replace(solution, covariance=solution.covariance + np.diag(_allowance(joint, pull, rest)))
     return with_standing(solution, joint.fit, table)
@@ -150,7 +147,7 @@ def _of_weights(joint: Joint) -> np.ndarray:
     total = np.zeros_like(joint.normal)
     if joint.noise.has_tails:
         spread = inverse(joint.normal)
-        for latent in latents(joint.observation.table, joint.noise, joint.fit.arrival, joint.parity._white):
+        for latent in joint.latents():
             moved = spread @ (joint.jacobian[latent.at].T @ latent.columns) * np.sqrt(lost[latent.source])
             total += moved @ latent.prior @ moved.T
     return total

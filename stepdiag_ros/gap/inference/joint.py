@@ -5,7 +5,7 @@ are freed of them, machine and misalignments are fitted anew, and the forms are 
 fit: a few rounds, for misalignments act to second order and a large effect moves them far.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import product
@@ -18,6 +18,7 @@ from stepdiag_ros.estimate.eigen import eigen
 from stepdiag_ros.estimate.enhanced import Fit, readings_of
 from stepdiag_ros.estimate.imitation import what_is_left
 from stepdiag_ros.estimate.noise import NoiseModel, estimate_noise
+from stepdiag_ros.estimate.noise_law import Latent, latents
 from stepdiag_ros.estimate.reduce import StopTable
 from stepdiag_ros.gap.inference.evidence import SIZES, Judged, judge, prior_sigma_of
 from stepdiag_ros.gap.inference.parity import Parity, parity
@@ -93,6 +94,10 @@ class Joint:
         observation, result = self.observation, self.fit
         added = np.where(result.present, sum(a.contribution for a in self.active), 0.0)
         return what_is_left(observation.log.description, observation.table, self.noise, result.theta, added)[0]
+
+    def latents(self) -> Iterator[Latent]:
+        """The errors of the arrivals, run by run, as the white readings show them."""
+        return latents(self.observation.table, self.noise, self.fit.arrival, self.parity._white)
 
     def followed(self, white: np.ndarray) -> np.ndarray:
         """How the unknowns follow a change ``white`` (rows, k) of the readings: (JᵀJ + P)⁻¹ Jᵀ of it."""
