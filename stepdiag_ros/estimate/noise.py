@@ -179,7 +179,7 @@ def loudness(values: np.ndarray, least: float = 1.0) -> float:
 
 
 def arrivals(table: StopTable) -> np.ndarray:
-    """Number of the arrival that each axis still rests on at each stop (n, 3), counted by the run's moves of any axis."""
+    """Number of the arrival that each axis rests on at each stop (n, 3), counted by the run's moves of any axis."""
     numbers = np.empty((len(table), 3), np.intp)
     for run in np.unique(table.run):
         rows = np.flatnonzero(table.run == run)
