@@ -112,7 +112,11 @@ class Whitener:
 
     def __call__(self, values: np.ndarray) -> np.ndarray:
         """White version of the readings or Jacobian rows, all of the log's given: (N, …) → (k, …)."""
-        return forward(self.factor, values[self.rows])
+        return self.forward(values[self.rows])
+
+    def forward(self, right: np.ndarray) -> np.ndarray:
+        """White version of the run's own rows (k, …)."""
+        return forward(self.factor, right)
 
 
 def sensor_noise(table: StopTable, belief: Noise) -> np.ndarray:

@@ -26,7 +26,6 @@ from scipy import linalg, special
 
 from stepdiag_ros.estimate.noise import FLOOR_M, NoiseModel, Whitener, arrivals, moves, whiteners
 from stepdiag_ros.estimate.reduce import StopTable
-from stepdiag_ros.estimate.triangular import forward
 
 SWEEPS = 4
 """Steps of the EM algorithm for each law tried."""
@@ -68,7 +67,7 @@ def latents(table: StopTable, noise: NoiseModel, arrival: np.ndarray, white: Seq
             source.append(np.full(len(values), kind))
             stops += [rows[np.ravel(inverse) == k] for k in range(len(values))]
             blocks.append(law.correlation ** np.abs(np.subtract.outer(values, values)))
-        whole = forward(one.factor, np.concatenate(columns, axis=1))
+        whole = one.forward(np.concatenate(columns, axis=1))
         yield Latent(whole, linalg.block_diag(*blocks), np.concatenate(source), stops,
                      slice(start, start + len(one.rows)))
         start += len(one.rows)

@@ -11,12 +11,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from stepdiag_ros.estimate.dense import weighted
+from stepdiag_ros.estimate.dense import block_of
 from stepdiag_ros.estimate.enhanced import Fit
 from stepdiag_ros.estimate.gauge import reporting_matrix
 from stepdiag_ros.estimate.noise import arrivals
 from stepdiag_ros.estimate.reduce import StopTable
 from stepdiag_ros.estimate.solution import Solution
+from stepdiag_ros.estimate.triangular import whole
 
 SAME_M = 1e-9
 """An axis stands if it is commanded to the same place within this."""
@@ -38,25 +39,25 @@ def standing_arrivals(table: StopTable) -> np.ndarray:
 def with_standing(solution: Solution, result: Fit, table: StopTable) -> Solution:
     """The solution with what arrivals shared by several runs add to its covariance."""
     numbers, channels = standing_arrivals(table), result.present.shape[1]
-    shape, total = (len(table), channels), np.zeros_like(result.covariance)
-    present = result.present
-    for axis in range(3):
-        effect = np.where(present, np.reshape(result.arrival[2 + axis], shape), 0.0)
-        for number in np.unique(numbers[:, axis]):
-            rows = np.flatnonzero(numbers[:, axis] == number)
-            runs = np.unique(table.run[rows])
-            if len(runs) < 2:
-                continue
-            # The unknowns follow the readings by (JᵀWJ + P)⁻¹ JᵀW.
-            readings = np.zeros((len(runs), *shape))
-            for k, run in enumerate(runs):
-                mine = rows[table.run[rows] == run]
-                readings[k, mine] = effect[mine]
-            weight = np.stack([weighted(r.ravel(), result.whiteners) for r in readings], axis=1)
-            moved = result.covariance @ (result.jacobian.T @ weight)
-            whole = moved.sum(axis=1)
-            total += np.outer(whole, whole) - moved @ moved.T
     parameters = result.parameters
     _, reporting = reporting_matrix(parameters.knots, parameters.first, parameters.size)
-    more = result.noise.position**2 * reporting @ total @ reporting.T
+    # The unknowns follow the readings by (JᵀWJ + P)⁻¹ JᵀW.
+    follow, together, alone = reporting @ result.covariance, [], []
+    for axis in range(3):
+        effect = np.where(result.present, np.reshape(result.arrival[2 + axis], result.present.shape), 0.0).ravel()
+        moved: dict[int, list[np.ndarray]] = {}
+        for white in result.whiteners:
+            own = numbers[white.rows // channels, axis]
+            shared = np.unique(own)
+            columns, jacobian = block_of(result.jacobian, white.rows)
+            weight = whole(white.factor, (own[:, None] == shared) * effect[white.rows, None])
+            for number, change in zip(shared, (follow[:, columns] @ (jacobian.T @ weight)).T, strict=True):
+                moved.setdefault(number, []).append(change)
+        of_several = [parts for parts in moved.values() if len(parts) > 1]
+        together += [sum(parts) for parts in of_several]
+        alone += [part for parts in of_several for part in parts]
+    if not together:
+        return solution
+    one, each = np.array(together), np.array(alone)
+    more = result.noise.position**2 * (one.T @ one - each.T @ each)
     return replace(solution, covariance=solution.covariance + more)

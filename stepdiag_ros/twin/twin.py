@@ -45,13 +45,14 @@ class Twin:
 
         Free are the reset of each run, as for the laser, and how the axes came to the first stops.
         """
-        space, view = self._diagnosis.joint.parity, self._diagnosis.joint.observation.view
+        joint = self._diagnosis.joint
+        space, view = joint.parity, joint.observation.view
         difference = view.reading - self._seen(self._replay.world(effects)).mean(axis=1)
         resets = view.zeros(len(view.run_ids))
         for run in range(len(view.run_ids)):
             resets[run, view.run == run, :view.beams] = 1.0
         free = np.concatenate([resets, unknown_starts(view)])
-        z, columns = space.white_part(difference[None])[:, 0], space.white_part(free)
+        z, columns = joint.whitened(difference.ravel()), joint.whitened(free.reshape(len(free), -1).T)
         sizes, _, rank, _ = np.linalg.lstsq(columns, z, rcond=1e-9)
         white_left = z - columns @ sizes
         # The machine was fitted to the same stops.

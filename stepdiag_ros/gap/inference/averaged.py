@@ -128,8 +128,8 @@ def _beside(held: Sequence[tuple[Effect, Form]]) -> list[tuple[Effect, Form]]:
 def _pull(joint: Joint, active: Sequence[Active]) -> tuple[np.ndarray, np.ndarray]:
     """What effects, if not taken out, do to the unknowns (size,), and the unknowns' covariance beside them."""
     size = np.concatenate([a.coefficients / a.form.scale for a in active])
-    white = np.concatenate([joint.parity.white_part(a.form.columns) * a.form.scale for a in active], axis=1)
-    white = white[:len(joint.jacobian)]
+    columns = np.concatenate([np.asarray(a.form.columns) * a.form.scale[:, None, None] for a in active])
+    white = joint.whitened(columns.reshape(len(columns), -1).T)
     follow = joint.followed(white)
     left = white.T @ white - white.T @ joint.jacobian @ follow
     spread = inverse(left + np.diag(prior_sigmas(a.form for a in active) ** -2.0))

@@ -20,6 +20,7 @@ from stepdiag_ros.estimate.imitation import what_is_left
 from stepdiag_ros.estimate.noise import NoiseModel, estimate_noise
 from stepdiag_ros.estimate.noise_law import Latent, latents
 from stepdiag_ros.estimate.reduce import StopTable
+from stepdiag_ros.estimate.triangular import forward
 from stepdiag_ros.gap.inference.evidence import SIZES, Judged, judge, prior_sigma_of
 from stepdiag_ros.gap.inference.parity import Parity, parity
 from stepdiag_ros.gap.noise.arrival_law import reweighed
@@ -80,8 +81,7 @@ class Joint:
     @cached_property
     def jacobian(self) -> np.ndarray:
         """White Jacobian ``J`` (rows, size) of the fit."""
-        dense = self.fit.jacobian.toarray()
-        return np.concatenate([w(dense) for w in self.parity._white])
+        return self.whitened(self.fit.jacobian.toarray())
 
     @cached_property
     def normal(self) -> np.ndarray:
@@ -98,6 +98,10 @@ class Joint:
     def latents(self) -> Iterator[Latent]:
         """The errors of the arrivals, run by run, as the white readings show them."""
         return latents(self.observation.table, self.noise, self.fit.arrival, self.parity._white)
+
+    def whitened(self, values: np.ndarray) -> np.ndarray:
+        """White version (rows, …) of the readings or Jacobian rows (n·c, …), the resets not taken out."""
+        return np.concatenate([forward(w.factor, values[w.rows]) for w in self.parity._white])
 
     def followed(self, white: np.ndarray) -> np.ndarray:
         """How the unknowns follow a change ``white`` (rows, k) of the readings: (JᵀJ + P)⁻¹ Jᵀ of it."""

@@ -16,6 +16,7 @@ from scipy import linalg, sparse
 
 from stepdiag_ros.effects.base import Form
 from stepdiag_ros.estimate.correlated import SLOPE_AND_BEND, contrasts
+from stepdiag_ros.estimate.dense import block_of
 from stepdiag_ros.estimate.enhanced import Fit
 from stepdiag_ros.estimate.noise import NoiseModel, Whitener, loudness, whiteners
 from stepdiag_ros.estimate.triangular import backward, forward
@@ -41,6 +42,26 @@ LEAST_ALIKE = 3
 
 
 @dataclass(frozen=True)
+class Freed(Whitener):
+    """A run's whitener that takes out what the run's own unknowns, the resets of its beams, can imitate: the orthonormal
+    white directions ``free`` (m, k).  They reach no other run: among those of the whole log they would be a matrix
+    that grows with the square of the runs."""
+
+    free: np.ndarray
+
+    def forward(self, right: np.ndarray) -> np.ndarray:
+        return self.without(super().forward(right))
+
+    def backward(self, directions: np.ndarray) -> np.ndarray:
+        """White directions (m, k) as the readings' whose products with columns are those of the white ones."""
+        return backward(self.factor, self.without(directions))
+
+    def without(self, white: np.ndarray) -> np.ndarray:
+        """White rows (m, …) without what the resets can do."""
+        return white - self.free @ (self.free.T @ white)
+
+
+@dataclass(frozen=True)
 class Parity:
     """The projection for one linearisation.
 
@@ -56,7 +77,7 @@ class Parity:
     channel: np.ndarray
     row: np.ndarray
     bin_scale: np.ndarray
-    _white: list
+    _white: list[Freed]
     _basis: np.ndarray
     _contrast: np.ndarray
     _bin_sigma: np.ndarray
@@ -107,11 +128,15 @@ class Parity:
 
     def white_run(self, columns: np.ndarray, number: int) -> tuple[slice, np.ndarray, np.ndarray]:
         """The same of one run, the ``number`` of :attr:`run_of_stop`."""
-        white = self._white[number]
         # A run's rows lie side by side in every column: gathered so, they are read in order.
-        part = columns.reshape(len(columns), -1)[:, white.rows].T
+        part = columns.reshape(len(columns), -1)[:, self._white[number].rows].T
         there = np.flatnonzero(part.any(axis=0))
-        return self.runs[number], there, forward(white.factor, part[:, there])
+        return self.runs[number], there, self._white[number].forward(part[:, there])
+
+    def with_resets(self, columns: np.ndarray, number: int) -> np.ndarray:
+        """White columns (m, k) of one run, what its resets can do not taken out."""
+        white = self._white[number]
+        return forward(white.factor, columns.reshape(len(columns), -1)[:, white.rows].T)
 
     def white_at(self, stops: np.ndarray, values: np.ndarray) -> sparse.csc_array:
         """White columns (stops, m), not yet projected, of what happens at one of ``stops`` (m,) each, ``values`` (m, c)
@@ -121,7 +146,7 @@ class Parity:
         for number, white in enumerate(self._white):
             mine = np.flatnonzero(run == number)
             stop, channel = np.divmod(white.rows, channels)
-            part = forward(white.factor, (stop[:, None] == stops[mine]) * values[mine][:, channel].T)
+            part = white.forward((stop[:, None] == stops[mine]) * values[mine][:, channel].T)
             at = self.runs[number]
             rows.append(np.repeat(np.arange(at.start, at.stop), len(mine)))
             columns.append(np.tile(mine, at.stop - at.start))
@@ -151,7 +176,7 @@ class Parity:
         n, c = len(self._bin_present), self._bin_present.shape[2]
         result = np.zeros((n * c, directions.shape[1]))
         for rows, white in zip(self.runs, self._white, strict=True):
-            result[white.rows] = backward(white.factor, directions[rows])
+            result[white.rows] = white.backward(directions[rows])
         return result.reshape(n, c, directions.shape[1])
 
     def dwells_by(self, course: np.ndarray) -> sparse.csr_array:
@@ -188,7 +213,7 @@ class Parity:
         channels = self._bin_present.shape[2]
         share, start = np.zeros(len(self._bin_present) * channels), 0
         for white in self._white:
-            basis = self._basis[start:start + len(white.rows)]
+            basis = np.concatenate([white.free, self._basis[start:start + len(white.rows)]], axis=1)
             start += len(white.rows)
             back = linalg.solve_triangular(white.factor, basis, lower=True, trans='T', check_finite=False)
             share[white.rows] = np.clip(1.0 - np.sum((white.factor @ basis) * back, axis=1), 0.0, 1.0)
@@ -267,24 +292,28 @@ def slopes_of(forms: Sequence[Form], sizes: Callable[[int], np.ndarray]) -> np.n
 
 
 def projection(observation: Observation, result: Fit, noise: NoiseModel,
-               readings: np.ndarray) -> tuple[list[Whitener], np.ndarray, np.ndarray, float]:
-    """Whiteners, one a run; orthonormal directions (N, r) that the fit can imitate; white data (N,) without them, the
-    unknowns' own departures last; −½ ln|C| − ½ ln|JᵀC⁻¹J + P|, the logarithm of what noise and unknowns leave open."""
-    present = result.present
-    white = whiteners(observation.table, noise, result.arrival, present)
+               readings: np.ndarray) -> tuple[list[Freed], np.ndarray, np.ndarray, float]:
+    """Whiteners, one a run, that take out its resets; orthonormal directions (N, r) that the other unknowns can imitate;
+    white data (N,) without either, the unknowns' own departures last; −½ ln|C| − ½ ln|JᵀC⁻¹J + P|, the logarithm of
+    what noise and unknowns leave open.  A reset may be anything: its prior of metres is left out."""
+    present, shared = result.present, result.parameters.offset_first
+    resets, white, volume = result.jacobian[:, shared:], [], 0.0
+    for one in whiteners(observation.table, noise, result.arrival, present):
+        free, triangle = np.linalg.qr(one.forward(block_of(resets, one.rows)[1]))
+        white.append(Freed(one.rows, one.factor, free))
+        volume -= float(np.sum(np.log(np.diag(one.factor))) + np.sum(np.log(np.abs(np.diag(triangle)))))
     # The unknowns are held to their priors as in the fit: else errors of metres, along directions that the
     # readings hardly tell, would imitate what no machine does.
-    held = np.linalg.cholesky(result.precision).T
-    dense = result.jacobian.toarray()
+    held = np.linalg.cholesky(result.precision[:shared, :shared]).T
+    dense = result.jacobian[:, :shared].toarray()
     jacobian = np.concatenate([*(w(dense) for w in white), held])
     size = np.linalg.norm(jacobian, axis=0)
     basis, triangle = linalg.qr(jacobian / size, mode='economic', check_finite=False)
     # What the fit has put into its residual is gone already; only the rest is left to look at.
     residual = np.where(present, readings - result.model.predict(result.theta), 0.0).ravel()
-    data = np.concatenate([*(w(residual) for w in white), -held @ result.theta])
+    data = np.concatenate([*(w(residual) for w in white), -held @ result.theta[:shared]])
     data = data - basis @ (basis.T @ data)
-    volume = -sum(float(np.sum(np.log(np.diag(w.factor)))) for w in white) \
-        - float(np.sum(np.log(size)) + np.sum(np.log(np.abs(np.diag(triangle)))))
+    volume -= float(np.sum(np.log(size)) + np.sum(np.log(np.abs(np.diag(triangle)))))
     return white, basis, data, volume
 
 
@@ -295,7 +324,8 @@ def parity(observation: Observation, result: Fit, noise: NoiseModel,
     ``freed`` (n, b, c): the bins freed of effects, which say how noisy they are; else the bins themselves.
     """
     white, basis, data, _ = projection(observation, result, noise, readings)
-    own = len(data) - len(result.precision)
+    own = sum(len(w.rows) for w in white)
+    resets = sum(w.free.shape[1] for w in white)
 
     channels = observation.bins.shape[2]
     contrast = contrasts(observation.view.bin_time)
@@ -311,7 +341,7 @@ def parity(observation: Observation, result: Fit, noise: NoiseModel,
     stop, _, channel = np.nonzero(bin_present)
     return Parity(np.concatenate([data, inside]), len(data),
                   # Machines are far better than the priors: their own departures count for nothing.
-                  (round(own - float(np.sum(basis[:own]**2))), len(inside)),
+                  (round(own - resets - float(np.sum(basis[:own]**2))), len(inside)),
                   np.concatenate([rows % channels, np.full(len(data) - own, -1), channel]),
                   np.concatenate([rows // channels, np.full(len(data) - own, -1), stop]), scale,
                   white, basis, contrast,

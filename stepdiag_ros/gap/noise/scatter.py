@@ -74,8 +74,8 @@ def _scores(joint: Joint, axis: int, stops: np.ndarray, number: int, data: np.nd
     space, view = joint.parity, joint.observation.view
     columns = np.zeros((len(stops), *view.reading.shape))
     columns[np.arange(len(stops)), stops] = view.by_shift[axis][stops] * view.approach[stops, axis, None]
-    rows, _, white = space.white_run(columns, number)
-    white = white / np.linalg.norm(white, axis=0)
+    rows, there, white = space.white_run(columns, number)
+    white = white / np.linalg.norm(space.with_resets(columns[there], number), axis=0)
     lost = space.absorbed(white, rows)
     value, vector = eigen(white.T @ white - lost.T @ lost)
     kept = value > 0.1

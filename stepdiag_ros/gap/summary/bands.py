@@ -66,8 +66,9 @@ def bands(joint: Joint) -> tuple[Band, ...]:
         for channel, columns in channels(joint.fit.model.beams).items():
             patterns = joint.observation.view.zeros(len(waves))
             patterns[:, :, columns] = waves[:, :, None]
-            white = space.white_part(np.where(joint.fit.present, patterns, 0.0))
-            white = white / np.maximum(np.linalg.norm(white, axis=0), 1e-300)
+            patterns = np.where(joint.fit.present, patterns, 0.0)
+            size = np.linalg.norm(joint.whitened(patterns.reshape(len(waves), -1).T), axis=0)
+            white = space.white_part(patterns) / np.maximum(size, 1e-300)
             absorbed = space.absorbed(white)
             value, vector = eigen(white.T @ white - absorbed.T @ absorbed)
             keep = value > SEEN

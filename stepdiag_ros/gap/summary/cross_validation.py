@@ -18,6 +18,7 @@ from functools import cached_property
 import numpy as np
 from scipy import linalg
 
+from stepdiag_ros.estimate.dense import block_of
 from stepdiag_ros.estimate.noise import Whitener
 from stepdiag_ros.gap.constants import PRIOR_RESET_M
 from stepdiag_ros.gap.inference.joint import Joint, inverse, prior_sigmas
@@ -163,16 +164,15 @@ class _Forecast:
 def _predicted(joint: Joint, parts: list[np.ndarray], with_effects: bool) -> _Forecast:
     """All that is held out, predicted from the rest."""
     table = joint.observation.table
-    # Whiteners are one a run: rows of a run stay together on either side.
-    white = joint.parity._white
+    white, unknown = _with_resets(joint, parts)
     channels, beams = joint.fit.residual.shape[1], joint.fit.model.beams
     readings = np.concatenate([table.displacement, table.spot], axis=1)
     plain = np.where(joint.fit.present, readings - joint.fit.model.predict(joint.fit.theta), 0.0).ravel()
     rows = np.concatenate([w.rows for w in white])
     stop = rows // channels
-    design, precision = joint.jacobian, joint.fit.precision.copy()
-    bare = joint.fit.jacobian[rows].toarray()
-    offsets = np.arange(joint.fit.parameters.offset_first, joint.fit.parameters.size)
+    dense, precision = joint.fit.jacobian[:, unknown].toarray(), joint.fit.precision[np.ix_(unknown, unknown)]
+    design, bare = np.concatenate([w(dense) for w in white]), dense[rows]
+    offsets = np.flatnonzero(unknown >= joint.fit.parameters.offset_first)
     precision[offsets, offsets] = PRIOR_RESET_M**-2.0
     if with_effects and joint.active:
         columns = np.concatenate([a.form.columns.reshape(len(a.form.columns), -1).T * a.form.scale
@@ -196,18 +196,37 @@ def _predicted(joint: Joint, parts: list[np.ndarray], with_effects: bool) -> _Fo
         freedom += int(flag.sum()) - resets
         count += int(flag.sum())
         once = np.flatnonzero(np.sqrt(np.diag(normal)) < ONCE * products.size)
-        once = once[once >= joint.fit.parameters.size]
+        once = once[once >= len(unknown)]
         # What happened once, in the part held out, nothing can predict: it is taken as the whole log shows it.
-        expected[once] = sizes[once - joint.fit.parameters.size]
+        expected[once] = sizes[once - len(unknown)]
         covariance[once], covariance[:, once] = 0.0, 0.0
         error = plain[rows[flag]] - bare[flag] @ expected
         wide = bare[flag] @ covariance
         for kind, sums_of in sums.items():
             mine = (rows[flag] % channels < beams) == (kind == 'displacement')
-            sums_of += _squares(white, table.run, channels, new if kind == 'displacement' else new[:0],
+            sums_of += _squares(joint.parity._white, table.run, channels, new if kind == 'displacement' else new[:0],
                                 rows[flag][mine], error[mine], bare[flag][mine], wide[mine])
     rms = {kind: np.sqrt(np.maximum(of[:3], 0.0) / max(of[3], 1.0)) for kind, of in sums.items() if of[3] > 0.0}
     return _Forecast(total, freedom, count, *({kind: float(of[k]) for kind, of in rms.items()} for k in range(3)))
+
+
+def _with_resets(joint: Joint, parts: list[np.ndarray]) -> tuple[list[Whitener], np.ndarray]:
+    """Whiteners, one a run, of the noise and of the resets of the runs that no part splits; the numbers (r,) of the
+    other unknowns.  So the unknowns do not grow with the runs."""
+    result, run = joint.fit, joint.observation.table.run
+    split = np.zeros(result.parameters.runs, bool)
+    for held in parts:
+        split[np.intersect1d(run[held], run[~held])] = True
+    first, channels = result.parameters.offset_first, result.residual.shape[1]
+    resets, white = result.jacobian[:, first:], []
+    for one in joint.parity._white:
+        factor = one.factor
+        if not split[run[one.rows[0] // channels]]:
+            _, shared = block_of(resets, one.rows)
+            factor = linalg.cholesky(factor @ factor.T + PRIOR_RESET_M**2 * shared @ shared.T, lower=True)
+        white.append(Whitener(one.rows, factor))
+    apart = np.flatnonzero(np.repeat(split, result.parameters.beams))
+    return white, np.concatenate([np.arange(first), first + apart])
 
 
 def _squares(white: list[Whitener], run: np.ndarray, channels: int, new: np.ndarray, rows: np.ndarray,
