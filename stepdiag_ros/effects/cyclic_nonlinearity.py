@@ -14,7 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
-from stepdiag_ros.effects.made import Made
+from stepdiag_ros.effects.made import Split
 from stepdiag_ros.effects.patterns import Drawn
 
 WAVELENGTHS = (632.8e-9, 632.991e-9, 1530e-9, 1550e-9)
@@ -24,13 +24,6 @@ CONTROLS = (5.1e-7, 5.7e-7, 7.03e-7, 8.11e-7, 9.47e-7, 1.083e-6, 1.237e-6, 1.417
 PARTS = ('cos', 'sin', 'cos 2', 'sin 2')
 MIN_STOPS = 6
 """A run with fewer stops has none to spare for a phase of its own."""
-
-
-def _split(swings: np.ndarray, group: np.ndarray, numbers: np.ndarray, beams: int) -> np.ndarray:
-    """Columns (k, n, c), those of each of the ``numbers`` of ``group`` (n,) and of each beam for themselves."""
-    channel = np.arange(swings.shape[2]) == np.arange(beams)[:, None, None]
-    mine = (group == numbers[:, None])[:, None, :, None] & channel
-    return (swings * mine[:, :, None]).reshape(-1, *swings.shape[1:])
 
 
 class CyclicNonlinearity(Effect):
@@ -120,7 +113,7 @@ class CyclicNonlinearity(Effect):
 
     @staticmethod
     def _by_group(swings: np.ndarray, group: np.ndarray, labels: Sequence[str],
-                  beams: int) -> tuple[Made, tuple[str, ...]]:
+                  beams: int) -> tuple[Split, tuple[str, ...]]:
         """Columns (k, n, c) split by ``group`` (n,), one of the ``labels`` each, and by beam, and their names."""
         numbers, counts = np.unique(group, return_counts=True)
         numbers, names = numbers[counts >= MIN_STOPS], []
@@ -128,4 +121,4 @@ class CyclicNonlinearity(Effect):
             for beam in range(beams):
                 own = f'{labels[number]} beam {beam}' if beams > 1 else labels[number]
                 names += [f'{own} {part}'.strip() for part in PARTS[:len(swings)]]
-        return Made((len(names), *swings.shape[1:]), _split, swings, group, numbers, beams), tuple(names)
+        return Split(swings, group, numbers, np.eye(beams, swings.shape[2], dtype=bool)), tuple(names)

@@ -62,6 +62,29 @@ def _product(functions: np.ndarray, signature: np.ndarray, course: np.ndarray | 
     return whole if course is None else whole[:, :, None, :] * course[None, :, :, None]
 
 
+class Split(Made):
+    """Columns (p, n, c) split by the ``group`` (n,) of the stops, for those of ``numbers`` (g,), and by ``channels``
+    (q, c), which say where each is: (g·q·p, n, c).  With a group for each run, of thousands of columns some two or
+    three do something at a stop: those can be had alone."""
+
+    def __init__(self, columns: np.ndarray, group: np.ndarray, numbers: np.ndarray, channels: np.ndarray):
+        n, c = columns.shape[1:]
+        super().__init__((len(numbers) * len(channels) * len(columns), n, c), _split, columns, group, numbers, channels)
+        self.columns, self.group, self.numbers, self.channels = columns, group, numbers, channels
+
+    def at(self, stops: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Numbers (m,) of the columns that do something at some ``stops`` (s,), rising, and what they do (m, s, c)."""
+        each = len(self.channels) * len(self.columns)
+        there = np.flatnonzero(np.isin(self.numbers, self.group[stops]))
+        parts = _split(self.columns[:, stops], self.group[stops], self.numbers[there], self.channels)
+        return (there[:, None] * each + np.arange(each)).ravel(), parts
+
+
+def _split(columns: np.ndarray, group: np.ndarray, numbers: np.ndarray, channels: np.ndarray) -> np.ndarray:
+    mine = (group == numbers[:, None])[:, None, :, None] & channels[:, None]
+    return (columns * mine[:, :, None]).reshape(-1, *columns.shape[1:])
+
+
 def joined(parts: Sequence[Any]) -> Made:
     """Arrays, one behind the other along their first axis."""
     return Made((sum(len(part) for part in parts), *parts[0].shape[1:]), lambda *given: np.concatenate(given), *parts)

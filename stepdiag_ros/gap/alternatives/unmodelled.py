@@ -11,12 +11,14 @@ from dataclasses import replace
 import numpy as np
 
 from stepdiag_ros.effects.base import Form, StopView
-from stepdiag_ros.effects.made import Made, Product
+from stepdiag_ros.effects.made import Made, Product, Split
 from stepdiag_ros.gap.preprocess.observe import channels
 
 NAME = 'unknown'
 LEAN = ('jumps', 'lengths')
 """Families whose forms have one column each: they hold as exactly as a name's do, and are doubted less."""
+LEAST_STOPS = 5
+"""A run of fewer stops has none to spare for a course of its own."""
 MOST_JUMPS = 500
 """Places at which something may jump that are tried in a log; a longer log is tried at every second, third …"""
 
@@ -39,6 +41,15 @@ def pattern_form(view: StopView, label: str, patterns: np.ndarray, columns: slic
     full = Made((len(patterns), *view.reading.shape), _put, view.reading.shape, patterns, columns)
     return Form(label, full, tuple(str(i) for i in range(len(patterns))),
                 np.full(len(patterns), scale))
+
+
+def _inside_runs(view: StopView, label: str, courses: np.ndarray, runs: np.ndarray, columns: slice,
+                 scale: float) -> Form:
+    """Courses (k, n), those of each of the ``runs`` for themselves, put into c channels."""
+    channels = np.zeros((1, view.reading.shape[1]), bool)
+    channels[0, columns] = True
+    full = Split(courses[:, :, None] * np.ones(channels.shape[1]), view.run, runs, channels)
+    return Form(label, full, tuple(str(i) for i in range(len(full))), np.full(len(full), scale))
 
 
 def _put(shape: tuple[int, int], patterns: np.ndarray, columns: slice) -> np.ndarray:
@@ -103,18 +114,15 @@ def _in_time(view: StopView) -> Iterator[Form]:
     span = max(float(np.ptp(view.time)), 1e-9)
     scaled = 2.0 * (view.time - view.time.min()) / span - 1.0
     slow = np.stack([np.cos(np.pi * k * (scaled + 1.0) / 2.0) for k in range(1, 13)])
+    counts = np.array([np.sum(view.run == run) for run in runs])
+    long, ramp = runs[counts >= LEAST_STOPS], np.zeros(len(view.time))
+    for run in long:
+        time = view.run_time[view.run == run]
+        ramp[view.run == run] = time / max(time.max(), 1e-9)
     for name, columns, scale in _channels(view):
-        ramps = []
-        for run in runs:
-            mine = view.run == run
-            if mine.sum() < 5:
-                continue
-            time = view.run_time * mine
-            time = time / max(time.max(), 1e-9)
-            ramps += [time, np.where(mine, time**2, 0.0)]
-        if ramps:
-            yield pattern_form(view, f'{name}: drift inside the runs', np.array(ramps), columns, scale)
-            yield pattern_form(view, f'{name}: ramp inside the runs', np.array(ramps[::2]), columns, scale)
+        if len(long):
+            for kind, courses in (('drift', np.stack([ramp, ramp**2])), ('ramp', ramp[None])):
+                yield _inside_runs(view, f'{name}: {kind} inside the runs', courses, long, columns, scale)
         yield pattern_form(view, f'{name}: slow in time', slow, columns, scale)
         for setup in range(len(view.setup_names)):
             mine = (view.setup == setup).astype(float)

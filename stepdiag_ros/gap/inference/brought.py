@@ -15,6 +15,7 @@ from itertools import pairwise
 import numpy as np
 
 from stepdiag_ros.effects.base import Form
+from stepdiag_ros.effects.made import Split
 from stepdiag_ros.gap.inference.factored import AT_A_TIME, Factored, is_factored
 from stepdiag_ros.gap.inference.parity import ROUNDING, Parity
 
@@ -65,8 +66,9 @@ class Brought:
     def into(cls, space: Parity, forms: Sequence[Form], data: np.ndarray) -> 'Brought':
         """Bring ``forms`` over; ``data`` (M,): those of the space, and below them those of the correction."""
         work, grams = _Bringing(space, forms, data), []
-        for some in _some_at_a_time(work.slices, len(data), [is_factored(form) for form in forms]):
-            grams += work.factors(some) if is_factored(forms[some[0]]) else work.written(some)
+        ways = [work.factors if is_factored(f) else work.split if _is_split(f) else work.written for f in forms]
+        for some in _some_at_a_time(work.slices, len(data), ways):
+            grams += ways[some[0]](some)
         return cls(tuple(g.block() for g in (*work.stops, *work.inside)), tuple(g.block() for g in work.own),
                    work.factored, work.slices, grams, work.along, work.corrections)
 
@@ -182,6 +184,32 @@ class _Bringing:
         grams = self._grams(some, white, absorbed)
         return [gram + self.factored.grams_inside(self.slices[i].start) for i, gram in grams.items()]
 
+    def split(self, some: Sequence[int]) -> list[np.ndarray]:
+        """Gather the columns of some forms of which few do anything in a run, run by run; the same products."""
+        space, grams = self._space, []
+        for number in some:
+            form, first = self._forms[number], self.slices[number].start
+            gram, correction = np.zeros((len(form.columns),) * 2), np.zeros((len(form.columns),) * 2)
+            absorbed = np.zeros((space._basis.shape[1], len(gram)))
+            for gathering, (rows, there, values) in zip(self.stops, space.white_runs(form.columns), strict=True):
+                values = _rounded(values * form.scale[there])
+                absorbed[:, there] += space.absorbed(values, rows)
+                self._put(gathering, self._data[rows], first + there, values)
+                gram[np.ix_(there, there)] += values.T @ values
+            for gathering in self.own if form.by_reading is not None else ():
+                there, values = space.own_rows_at(form, gathering.rows - space.size)
+                values = _rounded(values)
+                self._put(gathering, self._data[gathering.rows], first + there, values)
+                correction[np.ix_(there, there)] += values.T @ values
+            if form.by_reading is not None:
+                self.corrections[number] = correction
+            grams.append(gram - absorbed.T @ absorbed)
+        return grams
+
+    def _put(self, gathering: _Gathering, data: np.ndarray, places: np.ndarray, values: np.ndarray) -> None:
+        self.along[places] += values.T @ data
+        gathering.put(values, places)
+
     def _part(self, some: Sequence[int]) -> slice:
         return slice(self.slices[some[0]].start, self.slices[some[-1]].stop)
 
@@ -203,6 +231,10 @@ class _Bringing:
         _gather(blocks, columns, above, places)
         each = np.split(columns, np.cumsum([part.shape[1] for part in parts])[:-1], axis=1)
         return {i: mine.T @ mine for i, mine in zip(numbers, each, strict=True)}
+
+
+def _is_split(form: Form) -> bool:
+    return isinstance(form.columns, Split) and form.inside is None
 
 
 def _at_stops(form: Form) -> np.ndarray:
@@ -228,13 +260,13 @@ def _gather(blocks: Sequence[_Gathering], columns: np.ndarray, above: int, place
             block.put(columns[np.ix_(block.rows - above, mine)], places[mine])
 
 
-def _some_at_a_time(slices: Sequence[slice], size: int, kinds: Sequence[bool]) -> Iterator[list[int]]:
-    """Numbers of neighbouring forms of one kind, together with no more columns of ``size`` than are written out at a
+def _some_at_a_time(slices: Sequence[slice], size: int, ways: Sequence[Callable]) -> Iterator[list[int]]:
+    """Numbers of neighbouring forms brought in one of the ``ways``, together with no more columns of ``size`` than are written out at a
     time."""
     some: list[int] = []
     most = max(AT_A_TIME // size, COLUMNS_AT_A_TIME)
     for number, part in enumerate(slices):
-        if some and (part.stop - slices[some[0]].start > most or kinds[number] != kinds[some[0]]):
+        if some and (part.stop - slices[some[0]].start > most or ways[number] != ways[some[0]]):
             yield some
             some = []
         some.append(number)

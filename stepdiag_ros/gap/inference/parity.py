@@ -15,6 +15,7 @@ import numpy as np
 from scipy import linalg, sparse
 
 from stepdiag_ros.effects.base import Form
+from stepdiag_ros.effects.made import Split
 from stepdiag_ros.estimate.correlated import SLOPE_AND_BEND, contrasts
 from stepdiag_ros.estimate.dense import block_of
 from stepdiag_ros.estimate.enhanced import Fit
@@ -128,10 +129,21 @@ class Parity:
 
     def white_run(self, columns: np.ndarray, number: int) -> tuple[slice, np.ndarray, np.ndarray]:
         """The same of one run, the ``number`` of :attr:`run_of_stop`."""
-        # A run's rows lie side by side in every column: gathered so, they are read in order.
-        part = columns.reshape(len(columns), -1)[:, self._white[number].rows].T
-        there = np.flatnonzero(part.any(axis=0))
-        return self.runs[number], there, self._white[number].forward(part[:, there])
+        white = self._white[number]
+        there, part = self._read(columns, white.rows)
+        doing = part.any(axis=0)
+        return self.runs[number], there[doing], white.forward(part[:, doing])
+
+    def _read(self, columns: np.ndarray | Split, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """What columns (k, n, c) do in some ``rows`` (r,) of all readings: the numbers (m,) of those that may do
+        something, and (r, m) of it."""
+        if not isinstance(columns, Split):
+            # A run's rows lie side by side in every column: gathered so, they are read in order.
+            return np.arange(len(columns)), columns.reshape(len(columns), -1)[:, rows].T
+        stop, channel = np.divmod(rows, self._bin_present.shape[2])
+        stops, place = np.unique(stop, return_inverse=True)
+        there, part = columns.at(stops)
+        return there, part[:, np.ravel(place), channel].T
 
     def with_resets(self, columns: np.ndarray, number: int) -> np.ndarray:
         """White columns (m, k) of one run, what its resets can do not taken out."""
@@ -229,9 +241,17 @@ class Parity:
         Against data with less noise than was taken for granted (where there is turbulence or a mode hop it is an
         upper bound) it counts by that much less.
         """
+        result = np.zeros((len(self.own_data), len(form.columns)))
+        for rows in self.own_runs:
+            there, part = self.own_rows_at(form, rows)
+            result[np.ix_(rows, there)] = part
+        return result
+
+    def own_rows_at(self, form: Form, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Some ``rows`` (m,) of these: the numbers (k,) of the columns that may stand there, and (m, k) of them."""
         reading, root = self._own
-        slopes = form.by_reading.reshape(len(form.columns), -1)[:, reading] * form.scale[:, None]
-        return (slopes * root).T
+        there, slopes = self._read(form.by_reading, reading[rows])
+        return there, slopes * root[rows, None] * form.scale[there]
 
     def log_jacobian(self, slopes: np.ndarray) -> float:
         """ln |∂z/∂r| = Σ ln(1 − a·c′), whole, of data from which columns made of readings were taken; ``slopes``
@@ -262,16 +282,20 @@ class Parity:
         kind = 2 * self.run_of_stop[self.row[self.stops:]] + self.bends
         return [np.flatnonzero(kind == k) for k in np.unique(kind)]
 
-    @property
+    @cached_property
     def own_runs(self) -> list[np.ndarray]:
         """Those of :meth:`own_rows` that belong to each run."""
-        return [np.flatnonzero(np.isin(self._own[0], white.rows)) for white in self._white]
+        run = self.run_of_stop[self._own[0] // self._bin_present.shape[2]]
+        return [np.flatnonzero(run == number) for number in range(len(self._white))]
 
     @cached_property
     def level(self) -> float:
         """Mean square of the lengths' data where it is below what is expected of noise, as a share of that; else 1."""
         mine = np.flatnonzero((self.channel >= 0)[:self.stops] & ~self.of_spot[:self.stops])
-        expected = len(mine) - float(np.sum(self._basis[mine]**2))
+        taken = np.sum(self._basis**2, axis=1)
+        for rows, white in zip(self.runs, self._white, strict=True):
+            taken[rows] += np.sum(white.free**2, axis=1)
+        expected = len(mine) - float(np.sum(taken[mine]))
         return min(1.0, float(np.sum(self.data[mine]**2)) / expected) if len(mine) else 1.0
 
     def project(self, form: Form) -> np.ndarray:
