@@ -321,7 +321,7 @@ def projection(observation: Observation, result: Fit, noise: NoiseModel,
     white data (N,) without either, the unknowns' own departures last; −½ ln|C| − ½ ln|JᵀC⁻¹J + P|, the logarithm of
     what noise and unknowns leave open.  A reset may be anything: its prior of metres is left out."""
     present, shared = result.present, result.parameters.offset_first
-    resets, white, volume = result.jacobian[:, shared:], [], 0.0
+    own, resets, white, volume = result.jacobian[:, :shared], result.jacobian[:, shared:], [], 0.0
     for one in whiteners(observation.table, noise, result.arrival, present):
         free, triangle = np.linalg.qr(one.forward(block_of(resets, one.rows)[1]))
         white.append(Freed(one.rows, one.factor, free))
@@ -329,10 +329,15 @@ def projection(observation: Observation, result: Fit, noise: NoiseModel,
     # The unknowns are held to their priors as in the fit: else errors of metres, along directions that the
     # readings hardly tell, would imitate what no machine does.
     held = np.linalg.cholesky(result.precision[:shared, :shared]).T
-    dense = result.jacobian[:, :shared].toarray()
-    jacobian = np.concatenate([*(w(dense) for w in white), held])
+    jacobian = np.zeros((sum(len(w.rows) for w in white) + shared, shared), order='F')
+    jacobian[len(jacobian) - shared:], begin = held, 0
+    for w in white:
+        columns, part = block_of(own, w.rows)
+        jacobian[begin:begin + len(w.rows), columns] = w.forward(part)
+        begin += len(w.rows)
     size = np.linalg.norm(jacobian, axis=0)
-    basis, triangle = linalg.qr(jacobian / size, mode='economic', check_finite=False)
+    jacobian /= size
+    basis, triangle = linalg.qr(jacobian, mode='economic', overwrite_a=True, check_finite=False)
     # What the fit has put into its residual is gone already; only the rest is left to look at.
     residual = np.where(present, readings - result.model.predict(result.theta), 0.0).ravel()
     data = np.concatenate([*(w(residual) for w in white), -held @ result.theta[:shared]])

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from stepdiag_ros.effects.made import Made, Product, joined
+from stepdiag_ros.effects.made import Made, Product, Split, joined
 
 
 def outer(a, b):
@@ -45,3 +45,16 @@ def test_a_product_is_each_function_times_each_row():
     assert inside.shape == np.asarray(inside).shape == (6, 5, 6, 4)
     np.testing.assert_array_equal(at_stops[4], functions[1][:, None] * signature[1])
     np.testing.assert_array_equal(inside[4], (functions[1][:, None] * signature[1])[:, None] * course[:, :, None])
+
+
+def test_split_columns_are_had_of_some_stops_as_of_all():
+    rng = np.random.default_rng(2)
+    columns, group = rng.standard_normal((2, 7, 3)), np.array([4, 4, 0, 0, 2, 2, 4])
+    split = Split(columns, group, np.array([0, 4]), np.eye(2, 3, dtype=bool))
+    whole = np.asarray(split)
+    assert whole.shape == split.shape == (2 * 2 * 2, 7, 3)
+    np.testing.assert_array_equal(whole[2], (columns[0] * [0.0, 1.0, 0.0]) * (group == 0)[:, None])
+    for stops in ([1, 6], [2, 4], [4], [0, 3, 5]):
+        there, part = split.at(np.array(stops))
+        np.testing.assert_array_equal(part, whole[there][:, stops])
+        assert not np.delete(whole, there, axis=0)[:, stops].any()

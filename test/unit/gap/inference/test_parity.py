@@ -7,6 +7,7 @@ import pytest
 
 from stepdiag_ros.effects.base import Form
 from stepdiag_ros.estimate.enhanced import readings_of
+from stepdiag_ros.estimate.noise import whiteners
 from stepdiag_ros.gap.inference.candidates import Candidate, Screen
 from stepdiag_ros.gap.inference.parity import contrasts, parity
 from stepdiag_ros.gap.inference.select_effects import noise_of
@@ -42,6 +43,29 @@ def test_what_only_errors_beyond_all_machines_imitate_is_seen(case):
     seen = np.linalg.norm(space.stop_part((jacobian @ step).reshape(1, n, c)))
     assert value[gentle] < 1e3
     np.testing.assert_allclose(seen, 100.0 * value[gentle] / np.hypot(1.0, value[gentle]), rtol=1e-3)
+
+
+def test_resets_are_taken_out_run_by_run_as_all_at_once(case):
+    """Against a second way: one dense basis of all unknowns, each reset of each run among them."""
+    observation = case.observe()
+    noise, readings = noise_of(observation), readings_of(observation.table)
+    space, result = parity(observation, observation.fit, noise, readings), observation.fit
+    white = whiteners(observation.table, noise, result.arrival, result.present)
+    held, jacobian = np.linalg.cholesky(result.precision).T, result.jacobian.toarray()
+    whole = np.concatenate([*(w(jacobian) for w in white), held])
+    basis = np.linalg.qr(whole / np.linalg.norm(whole, axis=0))[0]
+    columns = np.random.default_rng(4).standard_normal((5, *readings.shape))
+    seen = np.concatenate([*(w(columns.reshape(5, -1).T) for w in white), np.zeros((len(held), 5))])
+    seen -= basis @ (basis.T @ seen)
+    found = space.stop_part(columns)
+    np.testing.assert_allclose(found.T @ found, seen.T @ seen, rtol=1e-7)
+    residual = (np.where(result.present, readings, 0.0) - np.where(result.present, result.model.predict(result.theta), 0.0))
+    data = np.concatenate([*(w(residual.ravel()) for w in white), -held @ result.theta])
+    np.testing.assert_allclose(found.T @ space.data[:space.stops], seen.T @ data, rtol=1e-5, atol=1e-6)
+    rows = sum(len(w.rows) for w in white)
+    assert space.dof[0] == round(rows - float(np.sum(basis[:rows]**2)))
+    # The matrix of what all runs share does not grow with the runs.
+    assert space._basis.shape[1] == result.parameters.offset_first < len(result.theta)
 
 
 def test_null_data_are_white(case):
