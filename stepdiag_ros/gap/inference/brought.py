@@ -261,8 +261,8 @@ def _gather(blocks: Sequence[_Gathering], columns: np.ndarray, above: int, place
 
 
 def _some_at_a_time(slices: Sequence[slice], size: int, ways: Sequence[Callable]) -> Iterator[list[int]]:
-    """Numbers of neighbouring forms brought in one of the ``ways``, together with no more columns of ``size`` than are written out at a
-    time."""
+    """Numbers of neighbouring forms brought in one of the ``ways``, together with no more columns of ``size`` than are
+    written out at a time."""
     some: list[int] = []
     most = max(AT_A_TIME // size, COLUMNS_AT_A_TIME)
     for number, part in enumerate(slices):

@@ -44,7 +44,7 @@ LEAST_ALIKE = 3
 
 @dataclass(frozen=True)
 class Freed(Whitener):
-    """A run's whitener that takes out what the run's own unknowns, the resets of its beams, can imitate: the orthonormal
+    """A run's whitener that takes out what the run's own unknowns, the resets of its beams, can imitate: orthonormal
     white directions ``free`` (m, k).  They reach no other run: among those of the whole log they would be a matrix
     that grows with the square of the runs."""
 
@@ -317,7 +317,7 @@ def slopes_of(forms: Sequence[Form], sizes: Callable[[int], np.ndarray]) -> np.n
 
 def projection(observation: Observation, result: Fit, noise: NoiseModel,
                readings: np.ndarray) -> tuple[list[Freed], np.ndarray, np.ndarray, float]:
-    """Whiteners, one a run, that take out its resets; orthonormal directions (N, r) that the other unknowns can imitate;
+    """Whiteners, one a run, that take out its resets; orthonormal directions (N, r) that the others can imitate;
     white data (N,) without either, the unknowns' own departures last; −½ ln|C| − ½ ln|JᵀC⁻¹J + P|, the logarithm of
     what noise and unknowns leave open.  A reset may be anything: its prior of metres is left out."""
     present, shared = result.present, result.parameters.offset_first

@@ -59,7 +59,7 @@ def test_resets_are_taken_out_run_by_run_as_all_at_once(case):
     seen -= basis @ (basis.T @ seen)
     found = space.stop_part(columns)
     np.testing.assert_allclose(found.T @ found, seen.T @ seen, rtol=1e-7)
-    residual = (np.where(result.present, readings, 0.0) - np.where(result.present, result.model.predict(result.theta), 0.0))
+    residual = np.where(result.present, readings - result.model.predict(result.theta), 0.0)
     data = np.concatenate([*(w(residual.ravel()) for w in white), -held @ result.theta])
     np.testing.assert_allclose(found.T @ space.data[:space.stops], seen.T @ data, rtol=1e-5, atol=1e-6)
     rows = sum(len(w.rows) for w in white)
