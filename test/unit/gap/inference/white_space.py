@@ -9,5 +9,5 @@ def white_space(data: np.ndarray, of_spot: int = 0) -> Parity:
     """The space of ``data`` (n,), the last ``of_spot`` of which are of the spot."""
     n, nothing = len(data), np.zeros((1, 1))
     white = Freed(np.arange(n), np.eye(n), np.zeros((n, 0)))
-    return Parity(data, n, (n, 0), np.repeat([0, 1], [n - of_spot, of_spot]), np.arange(n), 1.0, [white], np.zeros((n, 1)),
-                  nothing, nothing, np.zeros((n, 1, 3)))
+    return Parity(data, n, (n, 0), np.repeat([0, 1], [n - of_spot, of_spot]), np.arange(n), 1.0, [white],
+                  np.zeros((n, 1)), nothing, nothing, np.zeros((n, 1, 3)))
