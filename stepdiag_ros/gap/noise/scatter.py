@@ -21,6 +21,8 @@ TAIL = 4.5
 """Standard deviations beyond which a white residual is counted as an outlier."""
 LEAST = 24
 """Fewest residuals of a group that is judged."""
+ABSORBED = 1e-3
+"""Share of a pattern that must be left by the fit: less is along the fit's own unknowns, and rounding."""
 HELD = 4.0
 """Standard deviations to which what single dwells show inside is held."""
 OUTLIER_SIZE = 3.0
@@ -78,7 +80,8 @@ def _scores(joint: Joint, axis: int, stops: np.ndarray, number: int, data: np.nd
     white = white / np.linalg.norm(space.with_resets(columns[there], number), axis=0)
     lost = space.absorbed(white, rows)
     value, vector = eigen(white.T @ white - lost.T @ lost)
-    kept = value > 0.1
+    # What the fit takes whole is rounding; patterns of many steps in a row are much alike, but none of them is lost.
+    kept = value > ABSORBED
     # Neighbours share a part of their patterns; the symmetric root keeps each score at its stop.
     root = vector[:, kept] / np.sqrt(value[kept])
     return root @ (vector[:, kept].T @ (white.T @ data[rows]))
