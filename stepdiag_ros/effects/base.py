@@ -284,6 +284,11 @@ class Effect:
 
     # The diagnosis's face.
 
+    def noise_as_read(self, form: 'Form', coefficients: np.ndarray, channels: int) -> np.ndarray:
+        """Factors (c,) by which the effect, fitted in ``form`` with ``coefficients`` (k,), makes larger what errors of
+        the machine's arrivals do in each of the ``channels``, as it does with the readings."""
+        return np.ones(channels)
+
     imitated_by: str = ''
     """What without a name does exactly what the effect's forms do, in words; '' where nothing does."""
 

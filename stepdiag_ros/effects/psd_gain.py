@@ -54,6 +54,11 @@ class PsdGain(Effect):
                               names=(*names, *(f'{name} ageing' for name in names)))]
         return forms
 
+    def noise_as_read(self, form: Form, coefficients: np.ndarray, channels: int) -> np.ndarray:
+        found = dict(zip(form.names, coefficients, strict=True))
+        alike = found.get('both', 0.0)
+        return np.concatenate([np.ones(channels - 2), [1.0 + found.get('x', alike), 1.0 + found.get('y', alike)]])
+
     def guess(self, fitted: Fitted) -> Mapping[str, object]:
         view = fitted.view
         columns = view.zeros(2)

@@ -120,6 +120,7 @@ def fit_jointly(observation: Observation, chosen: list[tuple[Effect, Form]],
     for _ in range(ROUNDS):
         without = freed(observation.table, active)
         result = sane_fit(observation.log, without, observation.fit.theta, None if noise.tidy else noise)
+        result = _as_read(result, active)
         observation = refitted(observation, result)
         noise = estimate_noise(without, observation.log.description.noise, result.arrival) if noise.tidy \
             else reweighed(observation, noise, without)
@@ -135,6 +136,15 @@ def fit_jointly(observation: Observation, chosen: list[tuple[Effect, Form]],
         if moved < 1.0:
             break
     return Joint(observation, noise, space, with_shapes(space, active))
+
+
+def _as_read(result: Fit, active: Iterable[Active]) -> Fit:
+    """The fit, and what errors of arrivals do to the readings as the effects let it be read: a gain of the spot is one
+    of its noise."""
+    arrival = result.arrival
+    for a in active:
+        arrival = arrival * a.effect.noise_as_read(a.form, a.coefficients, arrival.shape[2])
+    return replace(result, arrival=arrival)
 
 
 def freed(table: StopTable, active: Iterable[Active]) -> StopTable:

@@ -6,7 +6,8 @@ import numpy as np
 
 from stepdiag_ros.effects import effect_class
 from stepdiag_ros.gap.inference.evidence import SIZES, prior_sigma_of
-from stepdiag_ros.gap.inference.joint import held_to_sizes, solve, tuned
+from stepdiag_ros.gap.inference.joint import fit_jointly, held_to_sizes, solve, tuned
+from stepdiag_ros.gap.inference.select_effects import noise_of
 
 
 def test_a_coefficient_that_nothing_settles_is_held_to_the_size_of_the_others(case):
@@ -39,3 +40,16 @@ def test_a_profile_is_held_to_every_size_that_the_log_leaves_it(case):
     result, = solve(space, ways[int(np.argmax(probability))][1])
     np.testing.assert_allclose(np.sqrt(result.covariance[-1, -1]), likeliest * profile.scale[-1])
     assert [p for p, _ in held_to_sizes(space, [(active.effect, unseen)])] == [1.0]
+
+
+def test_a_gain_of_the_spot_is_one_of_its_noise(case):
+    """In x a third of the spot is read: of the mirror's turns a third too.  Taken as alike in x and y they were said
+    to be three quarters of what they are, and the spot in y to scatter besides."""
+    gain = effect_class('psd_gain')(x=-0.67, y=0.0)
+    observation = case.observe(gain)
+    form = next(form for form in gain.appearance(observation.view) if form.label == 'apart in x and y')
+    joint = fit_jointly(observation, [(gain, form)], noise_of(observation))
+    assert abs(joint.noise.angle / 2.0e-7 - 1.0) < 0.12
+    rest = joint.parity.data - sum(joint.parity.project(a.form) @ (a.coefficients / a.form.scale) for a in joint.active)
+    squares = [np.mean(rest[:joint.parity.stops][joint.parity.channel[:joint.parity.stops] == c]**2) for c in (1, 2)]
+    assert 0.7 < squares[0] / squares[1] < 1.4
