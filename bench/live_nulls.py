@@ -18,16 +18,16 @@ from pathlib import Path
 import numpy as np
 
 from stepdiag_ros.bag.reader import read_log
+from stepdiag_ros.blind.live import busy_loop
 from stepdiag_ros.estimate.reduce import reduce_log
 
 STEPDIAG = [sys.executable, '-m', 'stepdiag_ros.cli.main']
-BUSY = 'while True: sum(range(10000))'
 MOST_MARKED = 1e-3
 
 
 def one(out: Path, busy: int, cell: list[str]) -> dict:
     """A demo under load and its diagnosis."""
-    loops = [subprocess.Popen([sys.executable, '-c', BUSY]) for _ in range(busy)]
+    loops = [busy_loop() for _ in range(busy)]
     try:
         done = subprocess.run([*STEPDIAG, 'demo', '--out', str(out), '--json', *cell], capture_output=True, text=True)
     finally:

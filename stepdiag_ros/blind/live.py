@@ -37,8 +37,13 @@ motion: {{feed: 0.5, acceleration: 8.0, jerk: 800.0, in_position: 1.0e-9, settli
 sampling: {{interferometer: {rate}, psd: {rate}, block: 0.05}}
 """
 LINES = {'lin_x': 0.20, 'lin_y': 0.16, 'lin_z': 0.12}
-BUSY = 'while True: sum(range(10000))'
+BUSY = 'import os, sys\nwhile os.getppid() == int(sys.argv[1]): sum(range(10000))'
 TIMEOUT_S = 900.0
+
+
+def busy_loop() -> subprocess.Popen:
+    """A process that keeps one core busy until it is killed, or this one has died, however it did."""
+    return subprocess.Popen([sys.executable, '-c', BUSY, str(os.getpid())])
 
 
 def draw_text(order: Order) -> str:
@@ -58,8 +63,7 @@ def measure_live(order: Order, target: Path) -> dict[str, Any]:
     with tempfile.TemporaryDirectory(prefix='stepdiag-live-') as folder:
         file, out = Path(folder) / 'cell.yaml', Path(folder) / 'out'
         file.write_text(text, encoding='utf-8')
-        loops = [subprocess.Popen([sys.executable, '-c', BUSY])
-                 for _ in range(os.cpu_count() or 1 if order.loaded else 0)]
+        loops = [busy_loop() for _ in range(os.cpu_count() or 1 if order.loaded else 0)]
         try:
             done = subprocess.run([sys.executable, '-m', 'stepdiag_ros.cli.main', 'demo', '--cell', str(file),
                                    '--out', str(out), '--json'], capture_output=True, text=True, timeout=TIMEOUT_S)
