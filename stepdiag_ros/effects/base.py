@@ -186,7 +186,8 @@ class Form:
     readings themselves, by the reading.  ``source``: what it comes from where a cell has but one, as its
     laser or its dead path; two forms of an effect with different sources do not act together.  ``beside``: what may act
     beside it as large without the log telling; no part of what is found, but of how uncertain the errors are.
-    ``of_one_arrival``: whether it does no more than the error of a single arrival does.
+    ``of_one_arrival``: whether it does no more than the error of a single arrival does.  ``gain`` (k, c): by which
+    share of itself a unit of each coefficient makes a reading larger, errors of arrivals in it too; None: by none.
     """
 
     label: str
@@ -204,6 +205,7 @@ class Form:
     source: str = ''
     beside: 'Form | None' = None
     of_one_arrival: bool = False
+    gain: np.ndarray | None = None
 
     def at(self, shape: Mapping[str, float]) -> 'Form':
         """The same form with other shape parameters; only where there is something to tune."""
@@ -283,11 +285,6 @@ class Effect:
         return {}
 
     # The diagnosis's face.
-
-    def noise_as_read(self, form: 'Form', coefficients: np.ndarray, channels: int) -> np.ndarray:
-        """Factors (c,) by which the effect, fitted in ``form`` with ``coefficients`` (k,), makes larger what errors of
-        the machine's arrivals do in each of the ``channels``, as it does with the readings."""
-        return np.ones(channels)
 
     imitated_by: str = ''
     """What without a name does exactly what the effect's forms do, in words; '' where nothing does."""

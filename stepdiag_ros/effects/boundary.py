@@ -144,6 +144,8 @@ def _form(where: str, form: object, view: StopView) -> Form:
                f'these are {meaning.replace(" stops,", f" stops, {bins} bins,")}, or None')
     if form.by_reading is not None:
         _array(where, f'{said}by_reading', form.by_reading, (count, stops, channels), f'these are {meaning}, or None')
+    if form.gain is not None:
+        _array(where, f'{said}gain', form.gain, (count, channels), f'one row for each of {count} names, or None')
     beside = None if form.beside is None else _form(where, form.beside, view)
     retune = form.retune if form.retune is None else _tuned(where, form.retune, view)
     return replace(form, beside=beside, retune=retune)

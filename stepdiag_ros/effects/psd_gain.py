@@ -44,20 +44,17 @@ class PsdGain(Effect):
         spot, first = view.spot_model, view.beams
         columns = view.zeros(2)
         columns[0, :, first], columns[1, :, first + 1] = spot[:, 0], spot[:, 1]
-        both = columns.sum(axis=0, keepdims=True)
+        gain = np.eye(2, first + 2, first)
         forms = []
-        for label, names, parts in (('alike in x and y', ('both',), both),
-                                    ('apart in x and y', ('x', 'y'), columns)):
+        for label, names, parts, gains in (
+                ('alike in x and y', ('both',), columns.sum(axis=0, keepdims=True), gain.sum(axis=0, keepdims=True)),
+                ('apart in x and y', ('x', 'y'), columns, gain)):
             scale = np.full(len(names), SIZE)
-            forms += [Form(label, parts, names, scale, '1'),
+            forms += [Form(label, parts, names, scale, '1', gain=gains),
                       replace(drift_form(view, _ageing(view.time), parts, names, scale, label, '1'),
-                              names=(*names, *(f'{name} ageing' for name in names)))]
+                              names=(*names, *(f'{name} ageing' for name in names)),
+                              gain=np.concatenate([gains, np.zeros_like(gains)]))]
         return forms
-
-    def noise_as_read(self, form: Form, coefficients: np.ndarray, channels: int) -> np.ndarray:
-        found = dict(zip(form.names, coefficients, strict=True))
-        alike = found.get('both', 0.0)
-        return np.concatenate([np.ones(channels - 2), [1.0 + found.get('x', alike), 1.0 + found.get('y', alike)]])
 
     def guess(self, fitted: Fitted) -> Mapping[str, object]:
         view = fitted.view

@@ -20,7 +20,6 @@ from stepdiag_ros.estimate.imitation import what_is_left
 from stepdiag_ros.estimate.noise import NoiseModel, estimate_noise
 from stepdiag_ros.estimate.noise_law import Latent, latents
 from stepdiag_ros.estimate.reduce import StopTable
-from stepdiag_ros.estimate.triangular import forward
 from stepdiag_ros.gap.inference.evidence import SIZES, Judged, judge, prior_sigma_of
 from stepdiag_ros.gap.inference.parity import Parity, parity
 from stepdiag_ros.gap.noise.arrival_law import reweighed
@@ -101,7 +100,7 @@ class Joint:
 
     def whitened(self, values: np.ndarray) -> np.ndarray:
         """White version (rows, …) of the readings or Jacobian rows (n·c, …), the resets not taken out."""
-        return np.concatenate([forward(w.factor, values[w.rows]) for w in self.parity._white])
+        return np.concatenate([w.with_resets(values[w.rows]) for w in self.parity._white])
 
     def followed(self, white: np.ndarray) -> np.ndarray:
         """How the unknowns follow a change ``white`` (rows, k) of the readings: (JᵀJ + P)⁻¹ Jᵀ of it."""
@@ -143,7 +142,8 @@ def _as_read(result: Fit, active: Iterable[Active]) -> Fit:
     of its noise."""
     arrival = result.arrival
     for a in active:
-        arrival = arrival * a.effect.noise_as_read(a.form, a.coefficients, arrival.shape[2])
+        if a.form.gain is not None:
+            arrival = arrival * (1.0 + a.coefficients @ a.form.gain)
     return replace(result, arrival=arrival)
 
 

@@ -20,7 +20,7 @@ from stepdiag_ros.estimate.correlated import SLOPE_AND_BEND, contrasts
 from stepdiag_ros.estimate.dense import block_of
 from stepdiag_ros.estimate.enhanced import Fit
 from stepdiag_ros.estimate.noise import NoiseModel, Whitener, loudness, whiteners
-from stepdiag_ros.estimate.triangular import backward, forward
+from stepdiag_ros.estimate.triangular import backward
 from stepdiag_ros.gap.preprocess.observe import Observation
 from stepdiag_ros.model.log import STOOD
 
@@ -51,7 +51,11 @@ class Freed(Whitener):
     free: np.ndarray
 
     def forward(self, right: np.ndarray) -> np.ndarray:
-        return self.without(super().forward(right))
+        return self.without(self.with_resets(right))
+
+    def with_resets(self, right: np.ndarray) -> np.ndarray:
+        """White version of the run's own rows (m, …), what its resets can do not taken out."""
+        return super().forward(right)
 
     def backward(self, directions: np.ndarray) -> np.ndarray:
         """White directions (m, k) as the readings' whose products with columns are those of the white ones."""
@@ -100,11 +104,12 @@ class Parity:
         """Which rows (N,) are of the spot, not of a length."""
         return self.channel >= self._bin_present.shape[-1] - 2
 
-    def white_part(self, columns: np.ndarray) -> np.ndarray:
-        """White columns, not yet projected: (k, n, c) → (stops, k); nothing at the unknowns' own rows."""
+    def white_part(self, columns: np.ndarray, resets: bool = False) -> np.ndarray:
+        """White columns, not yet projected: (k, n, c) → (stops, k); nothing at the unknowns' own rows.  ``resets``:
+        with what the resets can imitate."""
         # Laid out column by column, as they come and as the triangular solver takes them.
         result = np.zeros((self.stops, len(columns)), order='F')
-        for rows, there, part in self.white_runs(columns):
+        for rows, there, part in self.white_runs(columns, resets):
             result[rows, there] = part
         return result
 
@@ -122,17 +127,20 @@ class Parity:
         ends = np.cumsum([len(white.rows) for white in self._white]).tolist()
         return [slice(begin, end) for begin, end in zip([0, *ends], ends, strict=False)]
 
-    def white_runs(self, columns: np.ndarray) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
+    def white_runs(self, columns: np.ndarray,
+                   resets: bool = False) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
         """Run by run, what of :meth:`white_part` is not zero: its rows, the numbers (m,) of its columns, the values."""
         for number in range(len(self._white)):
-            yield self.white_run(columns, number)
+            yield self.white_run(columns, number, resets)
 
-    def white_run(self, columns: np.ndarray, number: int) -> tuple[slice, np.ndarray, np.ndarray]:
+    def white_run(self, columns: np.ndarray, number: int,
+                  resets: bool = False) -> tuple[slice, np.ndarray, np.ndarray]:
         """The same of one run, the ``number`` of :attr:`run_of_stop`."""
         white = self._white[number]
         there, part = self._read(columns, white.rows)
         doing = part.any(axis=0)
-        return self.runs[number], there[doing], white.forward(part[:, doing])
+        solve = white.with_resets if resets else white.forward
+        return self.runs[number], there[doing], solve(part[:, doing])
 
     def _read(self, columns: np.ndarray | Split, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """What columns (k, n, c) do in some ``rows`` (r,) of all readings: the numbers (m,) of those that may do
@@ -144,11 +152,6 @@ class Parity:
         stops, place = np.unique(stop, return_inverse=True)
         there, part = columns.at(stops)
         return there, part[:, np.ravel(place), channel].T
-
-    def with_resets(self, columns: np.ndarray, number: int) -> np.ndarray:
-        """White columns (m, k) of one run, what its resets can do not taken out."""
-        white = self._white[number]
-        return forward(white.factor, columns.reshape(len(columns), -1)[:, white.rows].T)
 
     def white_at(self, stops: np.ndarray, values: np.ndarray) -> sparse.csc_array:
         """White columns (stops, m), not yet projected, of what happens at one of ``stops`` (m,) each, ``values`` (m, c)
@@ -322,19 +325,18 @@ def projection(observation: Observation, result: Fit, noise: NoiseModel,
     what noise and unknowns leave open.  A reset may be anything: its prior of metres is left out."""
     present, shared = result.present, result.parameters.offset_first
     own, resets, white, volume = result.jacobian[:, :shared], result.jacobian[:, shared:], [], 0.0
+    jacobian, begin = np.zeros((np.count_nonzero(present) + shared, shared), order='F'), 0
     for one in whiteners(observation.table, noise, result.arrival, present):
         free, triangle = np.linalg.qr(one.forward(block_of(resets, one.rows)[1]))
         white.append(Freed(one.rows, one.factor, free))
         volume -= float(np.sum(np.log(np.diag(one.factor))) + np.sum(np.log(np.abs(np.diag(triangle)))))
+        columns, part = block_of(own, one.rows)
+        jacobian[begin:begin + len(part), columns] = white[-1].forward(part)
+        begin += len(part)
     # The unknowns are held to their priors as in the fit: else errors of metres, along directions that the
     # readings hardly tell, would imitate what no machine does.
     held = np.linalg.cholesky(result.precision[:shared, :shared]).T
-    jacobian = np.zeros((sum(len(w.rows) for w in white) + shared, shared), order='F')
-    jacobian[len(jacobian) - shared:], begin = held, 0
-    for w in white:
-        columns, part = block_of(own, w.rows)
-        jacobian[begin:begin + len(w.rows), columns] = w.forward(part)
-        begin += len(w.rows)
+    jacobian[begin:] = held
     size = np.linalg.norm(jacobian, axis=0)
     jacobian /= size
     basis, triangle = linalg.qr(jacobian, mode='economic', overwrite_a=True, check_finite=False)

@@ -67,7 +67,7 @@ def bands(joint: Joint) -> tuple[Band, ...]:
             patterns = joint.observation.view.zeros(len(waves))
             patterns[:, :, columns] = waves[:, :, None]
             patterns = np.where(joint.fit.present, patterns, 0.0)
-            size = np.linalg.norm(joint.whitened(patterns.reshape(len(waves), -1).T), axis=0)
+            size = np.linalg.norm(space.white_part(patterns, resets=True), axis=0)
             white = space.white_part(patterns) / np.maximum(size, 1e-300)
             absorbed = space.absorbed(white)
             value, vector = eigen(white.T @ white - absorbed.T @ absorbed)

@@ -44,6 +44,8 @@ def of(tmp_path, text):
     ("[Form('constant', -view.by_shift[2:], ('amp',), np.zeros(1))]", 'scale holds 0; give sizes above 0'),
     ("[Form('constant', -view.by_shift[2:], ('amp',), np.ones(1), inside=-view.by_shift[2:])]",
      r'inside is \(1, \d+, 3\)'),
+    ("[Form('constant', -view.by_shift[2:], ('amp',), np.ones(1), gain=np.ones(3))]",
+     r'gain is \(3,\), wanted .* \(1, 3\)'),
     ("Form('constant', -view.by_shift[2:], ('amp',), np.ones(1))", 'gives Form; return a list of Form'),
     ('[view.by_shift]', 'holds a ndarray; return Form objects'),
     ('[view.by_shift @ np.ones(7)]', r'\(line 15\): ValueError: .*stepdiag effect check')])
