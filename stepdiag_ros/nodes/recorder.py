@@ -52,7 +52,10 @@ class Recorder(StepdiagNode):
         self._announced: set[str] = set()
 
     def configure(self) -> None:
-        self._mark = Mark(Path(self.value('bag_folder')).expanduser().absolute(), self._machine(), self.value('bag'))
+        asked = self.value('bag')
+        # Beside its bag: two cells of one name, started in one folder, each write to a folder of their own.
+        folder = Path(asked).parent if asked else Path(self.value('bag_folder'))
+        self._mark = Mark(folder.expanduser().absolute(), self._machine(), asked)
         if self.value('compression') not in COMPRESSIONS:
             raise StepdiagError(f'recorder: parameter compression is {self.value("compression")!r}; '
                                 f'choose one of {", ".join(COMPRESSIONS)}')

@@ -19,6 +19,7 @@ def test_a_node_that_dies_is_started_again_and_that_is_said(ros_domain, cell_fil
     said = []
     with Bringup(cell_file, bag=tmp_path / 'log', runtime=tmp_path / 'run', say=said.append) as cell:
         assert cell.watch() == []
+        assert (tmp_path / '.tiny.recording').is_file()     # beside its bag, wherever the cell was started from
         before = cell.pids()
         for node in ('psd_driver', 'recorder'):
             os.kill(before[node], signal.SIGKILL)
