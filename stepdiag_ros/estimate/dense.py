@@ -8,7 +8,7 @@ from scipy import linalg, sparse
 
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate.noise import Whitener
-from stepdiag_ros.estimate.triangular import forward, whole
+from stepdiag_ros.estimate.triangular import whole
 
 LOADING, LOADING_LIMIT = 1e-15, 1e-8
 """What is added to the unit diagonal of normal equations that rounding made indefinite: first, last."""
@@ -28,7 +28,7 @@ def normal_equations(jacobian: sparse.csr_array, white: list[Whitener]) -> np.nd
     normal = np.zeros((size, size))
     for whitener in white:
         columns, dense = block_of(jacobian, whitener.rows)
-        part = forward(whitener.factor, dense)
+        part = whitener.solve(dense)
         normal[np.ix_(columns, columns)] += part.T @ part
     return normal
 

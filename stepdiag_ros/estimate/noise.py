@@ -16,6 +16,7 @@ believes, and says so.
 """
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy import linalg
@@ -23,7 +24,7 @@ from scipy import linalg
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate.correlated import SLOW, not_rounding, of_mean
 from stepdiag_ros.estimate.reduce import MOVED_M, StopTable
-from stepdiag_ros.estimate.triangular import forward
+from stepdiag_ros.estimate.triangular import Banded, backward, forward
 from stepdiag_ros.model.description import Noise
 from stepdiag_ros.model.log import NONE, STOOD
 
@@ -116,7 +117,19 @@ class Whitener:
 
     def forward(self, right: np.ndarray) -> np.ndarray:
         """White version of the run's own rows (k, …)."""
-        return forward(self.factor, right)
+        return self.solve(right)
+
+    def solve(self, right: np.ndarray) -> np.ndarray:
+        """``L⁻¹ b`` of the factor for ``right`` (k, …)."""
+        return forward(self.factor, right) if self._band is None else self._band.forward(right)
+
+    def solve_back(self, right: np.ndarray) -> np.ndarray:
+        """``L⁻ᵀ b`` for ``right`` (k, m)."""
+        return backward(self.factor, right) if self._band is None else self._band.backward(right)
+
+    @cached_property
+    def _band(self) -> Banded | None:
+        return Banded.of(self.factor)
 
 
 def sensor_noise(table: StopTable, belief: Noise) -> np.ndarray:

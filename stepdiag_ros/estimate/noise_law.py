@@ -83,10 +83,9 @@ class Errors:
     variance: np.ndarray
 
 
-def errors_of(latent: Latent, basis: np.ndarray, data: np.ndarray) -> Errors:
-    """A run's errors given ``data`` (N,), of which ``basis`` (N, r) is projected out."""
-    seen = latent.prior @ latent.columns.T
-    lost = seen @ basis[latent.at]
+def errors_of(latent: Latent, lost: np.ndarray, data: np.ndarray) -> Errors:
+    """A run's errors given ``data`` (N,); ``lost`` (m, r): coordinates of its columns in what is projected out."""
+    seen, lost = latent.prior @ latent.columns.T, latent.prior @ lost
     return Errors(latent, seen @ data[latent.at],
                   np.clip(1.0 - np.sum(seen**2, axis=1) + np.sum(lost**2, axis=1), 1e-9, 1.0))
 
@@ -189,7 +188,8 @@ class Repeats:
             basis, _ = linalg.qr(open_, mode='economic', check_finite=False)
             data = np.concatenate([w(filled) for w in white])
             data = data - basis @ (basis.T @ data)
-            found = [errors_of(latent, basis, data) for latent in latents(table, own, arrival, white)]
+            found = [errors_of(latent, latent.columns.T @ basis[latent.at], data)
+                     for latent in latents(table, own, arrival, white)]
             now, _, square, source = weighed(own, found, len(rows), turn)
             sources.append(source)
             squares.append(square)

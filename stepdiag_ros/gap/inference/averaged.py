@@ -130,8 +130,9 @@ def _pull(joint: Joint, active: Sequence[Active]) -> tuple[np.ndarray, np.ndarra
     size = np.concatenate([a.coefficients / a.form.scale for a in active])
     columns = np.concatenate([np.asarray(a.form.columns) * a.form.scale[:, None, None] for a in active])
     white = joint.whitened(columns.reshape(len(columns), -1).T)
-    follow = joint.followed(white)
-    left = white.T @ white - white.T @ joint.jacobian @ follow
+    along = joint.along(white)
+    follow = joint.followed(along)
+    left = white.T @ white - along.T @ follow
     spread = inverse(left + np.diag(prior_sigmas(a.form for a in active) ** -2.0))
     return follow @ size, inverse(joint.normal) + follow @ spread @ follow.T
 
@@ -147,8 +148,8 @@ def _of_weights(joint: Joint) -> np.ndarray:
     total = np.zeros_like(joint.normal)
     if joint.noise.has_tails:
         spread = inverse(joint.normal)
-        for latent in joint.latents():
-            moved = spread @ (joint.jacobian[latent.at].T @ latent.columns) * np.sqrt(lost[latent.source])
+        for run, latent in enumerate(joint.latents()):
+            moved = spread @ joint.along(latent.columns, run) * np.sqrt(lost[latent.source])
             total += moved @ latent.prior @ moved.T
     return total
 

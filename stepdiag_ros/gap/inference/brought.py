@@ -141,11 +141,11 @@ class _Bringing:
         edges = np.cumsum([0, *(len(form.columns) for form in forms)]).tolist()
         self.slices = [slice(begin, end) for begin, end in pairwise(edges)]
         self.along, self.corrections = np.zeros(edges[-1]), {}
-        self.stops = [_Gathering(np.arange(rows.start, rows.stop)) for rows in space.runs]
+        self.stops = [_Gathering(np.arange(rows.start, rows.stop)) for rows in space.projection.runs]
         self.inside = [_Gathering(space.stops + rows) for rows in space.inside_runs]
         self.own = [_Gathering(space.size + rows) for rows in space.own_runs if len(rows)]
         self.factored = Factored(space, {self.slices[i].start: f for i, f in enumerate(forms) if is_factored(f)})
-        self._data_back, self._fit_back = self.factored.back(data[:, None]), self.factored.back(space._basis)
+        self._data_back = self.factored.back(data[:, None])
 
     def written(self, some: Sequence[int]) -> list[np.ndarray]:
         """Gather the columns of some forms; products (k, k) of each one's with each other, the fit's share taken off.
@@ -156,14 +156,12 @@ class _Bringing:
         space, forms, part = self._space, self._forms, self._part(some)
         columns = np.concatenate([_at_stops(forms[i]) for i in some])
         white = np.zeros((space.stops, len(columns)), order='F')
-        absorbed = np.zeros((space._basis.shape[1], len(columns)))
         for gathering, (rows, there, values) in zip(self.stops, space.white_runs(columns), strict=True):
             values = _rounded(values)
             white[rows, there] = values
-            absorbed[:, there] += space.absorbed(values, rows)
             gathering.put(values, there + part.start)
         self.along[part] = white.T @ self._data[:space.stops]
-        grams = self._grams(some, white, absorbed)
+        grams = self._grams(some, white)
         bent = [i for i in some if forms[i].inside is not None]
         for i, gram in self._below(space.stops, self.inside, bent, lambda form: space.bin_part(
                 np.asarray(form.inside)) * form.scale).items():
@@ -174,14 +172,11 @@ class _Bringing:
 
     def factors(self, some: Sequence[int]) -> list[np.ndarray]:
         """The same products of some factored forms, of which nothing is gathered."""
-        space, part, places = self._space, self._part(some), [self.slices[i].start for i in some]
+        space, places = self._space, [self.slices[i].start for i in some]
         white = space.white_part(np.concatenate([_at_stops(self._forms[i]) for i in some]))
-        absorbed = np.zeros((space._basis.shape[1], white.shape[1]))
-        for place, product in self.factored.times(self._fit_back, places):
-            absorbed[:, place - part.start:place - part.start + len(product)] = product.T
         for place, product in self.factored.times(self._data_back, places):
             self.along[place:place + len(product)] = product[:, 0]
-        grams = self._grams(some, white, absorbed)
+        grams = self._grams(some, white)
         return [gram + self.factored.grams_inside(self.slices[i].start) for i, gram in grams.items()]
 
     def split(self, some: Sequence[int]) -> list[np.ndarray]:
@@ -190,10 +185,11 @@ class _Bringing:
         for number in some:
             form, first = self._forms[number], self.slices[number].start
             gram, correction = np.zeros((len(form.columns),) * 2), np.zeros((len(form.columns),) * 2)
-            absorbed = np.zeros((space._basis.shape[1], len(gram)))
-            for gathering, (rows, there, values) in zip(self.stops, space.white_runs(form.columns), strict=True):
+            along = np.zeros((space.stops - space.projection.readings, len(gram)))
+            runs = enumerate(zip(self.stops, space.white_runs(form.columns), strict=True))
+            for run, (gathering, (rows, there, values)) in runs:
                 values = _rounded(values * form.scale[there])
-                absorbed[:, there] += space.absorbed(values, rows)
+                along[:, there] += space.projection.along(values, run)
                 self._put(gathering, self._data[rows], first + there, values)
                 gram[np.ix_(there, there)] += values.T @ values
             for gathering in self.own if form.by_reading is not None else ():
@@ -203,6 +199,7 @@ class _Bringing:
                 correction[np.ix_(there, there)] += values.T @ values
             if form.by_reading is not None:
                 self.corrections[number] = correction
+            absorbed = space.projection.coordinates(along)
             grams.append(gram - absorbed.T @ absorbed)
         return grams
 
@@ -213,8 +210,8 @@ class _Bringing:
     def _part(self, some: Sequence[int]) -> slice:
         return slice(self.slices[some[0]].start, self.slices[some[-1]].stop)
 
-    def _grams(self, some: Sequence[int], white: np.ndarray, absorbed: np.ndarray) -> dict[int, np.ndarray]:
-        first = self._part(some).start
+    def _grams(self, some: Sequence[int], white: np.ndarray) -> dict[int, np.ndarray]:
+        first, absorbed = self._part(some).start, self._space.projection.absorbed(white)
         at = {i: slice(self.slices[i].start - first, self.slices[i].stop - first) for i in some}
         return {i: white[:, own].T @ white[:, own] - absorbed[:, own].T @ absorbed[:, own] for i, own in at.items()}
 

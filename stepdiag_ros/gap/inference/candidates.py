@@ -133,7 +133,7 @@ class Screen:
     def columns_of(self, number: int) -> np.ndarray:
         """Columns (M, k) of one candidate, per unit of its scale."""
         full = self._brought.columns(self._slices[number], len(self.data))
-        full[:self.parity.stops] = self.parity.projected(full[:self.parity.stops])
+        full[:self.parity.stops] = self.parity.projection.projected(full[:self.parity.stops])
         return full * self._ratios[number]
 
     def explained(self, members: Sequence[Member]) -> Explained:

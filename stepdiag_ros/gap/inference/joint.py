@@ -11,9 +11,11 @@ from functools import cached_property
 from itertools import product
 
 import numpy as np
+from scipy import linalg
 
 from stepdiag_ros.effects.base import Effect, Form
 from stepdiag_ros.effects.tuning import same_form, tune
+from stepdiag_ros.estimate import dense
 from stepdiag_ros.estimate.eigen import eigen
 from stepdiag_ros.estimate.enhanced import Fit, readings_of
 from stepdiag_ros.estimate.imitation import what_is_left
@@ -35,6 +37,8 @@ LEAST_SIZE = 0.02
 """Sizes of an unknown profile less probable than this are left out."""
 SETTLED = 0.02
 """Rounds end when no coefficient moves by more than this many standard deviations … or percent."""
+LEAST_PIVOT = 1e-6
+"""Pivot of a matrix with a unit diagonal below which its inverse is that of its eigenvalues, held at rounding's."""
 
 
 @dataclass(frozen=True)
@@ -78,14 +82,9 @@ class Joint:
         return self.observation.fit
 
     @cached_property
-    def jacobian(self) -> np.ndarray:
-        """White Jacobian ``J`` (rows, size) of the fit."""
-        return self.whitened(self.fit.jacobian.toarray())
-
-    @cached_property
     def normal(self) -> np.ndarray:
-        """``JᵀJ + P`` (size, size) of the unknowns and their priors."""
-        return self.jacobian.T @ self.jacobian + self.fit.precision
+        """``JᵀJ + P`` (size, size) of the white Jacobian ``J`` (rows, size) of the fit and the unknowns' priors."""
+        return dense.normal_equations(self.fit.jacobian, self.parity.projection.white) + self.fit.precision
 
     @cached_property
     def left(self) -> np.ndarray:
@@ -96,15 +95,24 @@ class Joint:
 
     def latents(self) -> Iterator[Latent]:
         """The errors of the arrivals, run by run, as the white readings show them."""
-        return latents(self.observation.table, self.noise, self.fit.arrival, self.parity._white)
+        return latents(self.observation.table, self.noise, self.fit.arrival, self.parity.projection.white)
 
     def whitened(self, values: np.ndarray) -> np.ndarray:
         """White version (rows, …) of the readings or Jacobian rows (n·c, …), the resets not taken out."""
-        return np.concatenate([w.with_resets(values[w.rows]) for w in self.parity._white])
+        return np.concatenate([w.solve(values[w.rows]) for w in self.parity.projection.white])
 
-    def followed(self, white: np.ndarray) -> np.ndarray:
-        """How the unknowns follow a change ``white`` (rows, k) of the readings: (JᵀJ + P)⁻¹ Jᵀ of it."""
-        return np.linalg.solve(self.normal, self.jacobian.T @ white)
+    def along(self, white: np.ndarray, run: int | None = None) -> np.ndarray:
+        """Products ``Jᵀ`` (size, k) of the white Jacobian with a change (rows, k) of the readings, or of one run's."""
+        space = self.parity.projection
+        back = np.zeros((self.fit.jacobian.shape[0], white.shape[1]))
+        for number, one in enumerate(space.white) if run is None else [(run, space.white[run])]:
+            back[one.rows] = one.solve_back(white[space.runs[number]] if run is None else white)
+        return self.fit.jacobian.T @ back
+
+    def followed(self, along: np.ndarray) -> np.ndarray:
+        """How the unknowns follow a change of the readings with the products ``along`` (size, k): (JᵀJ + P)⁻¹ of
+        these."""
+        return np.linalg.solve(self.normal, along)
 
 
 def fit_jointly(observation: Observation, chosen: list[tuple[Effect, Form]],
@@ -291,8 +299,12 @@ def inverse_root(normal: np.ndarray) -> np.ndarray:
 
 def inverse(normal: np.ndarray) -> np.ndarray:
     """Inverse of a positive definite matrix (k, k), as :func:`inverse_root` gives it."""
-    root = inverse_root(normal)
-    return root @ root.T
+    scale = 1.0 / np.sqrt(np.diag(normal))
+    factor, failed = linalg.lapack.dpotrf(normal * np.outer(scale, scale), lower=1)
+    if failed or np.diag(factor).min(initial=1.0) < LEAST_PIVOT:
+        root = inverse_root(normal)
+        return root @ root.T
+    return dense.inverse(factor, scale)
 
 
 def unexplained(space: Parity, active: tuple[Active, ...]) -> np.ndarray:

@@ -58,7 +58,7 @@ def settle_in_noise(observation: Observation, effects: Mapping[str, Effect]) -> 
     tidy = noise_of(observation)
     alone = fit_jointly(observation, [], tidy)
     plain = Settled(alone, *settle(alone, effects))
-    hint = suspicion(observation, tidy, observation.table)
+    hint = suspicion(observation, tidy, alone.parity.projection, observation.table)
     if not hint or _settles(plain, hint):
         return plain
     noise, gain = as_it_is(observation, tidy, observation.table)
@@ -135,7 +135,7 @@ def _settles(plain: Settled, hint: float) -> bool:
     """Whether a single effect explains far more than tails could, ``hint``, and leaves none."""
     joint, best = plain.joint, plain.sets[0]
     return len(best.key) == 1 and bool(joint.active) and best.log_bayes > FAR * hint \
-        and not suspicion(joint.observation, joint.noise, left(joint))
+        and not suspicion(joint.observation, joint.noise, joint.parity.projection, left(joint))
 
 
 def left(joint: Joint, beside: Likeliest | None = None) -> StopTable:
@@ -153,7 +153,7 @@ def total_evidence(joint: Joint, sets: list[EffectSet], screen: Screen) -> float
     observation, space = joint.observation, joint.parity
     beside = Likeliest.of(joint)
     table = left(joint, beside)
-    stops = log_evidence(observation, joint.noise, table)
+    stops = log_evidence(observation, joint.noise, space.projection, table)
     if joint.noise.tidy:
         stops += as_it_is(observation, joint.noise, table)[1]
     inside = (unexplained(space, joint.active) - beside.white)[space.stops:]

@@ -12,15 +12,14 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy import linalg, sparse
+from scipy import sparse
 
 from stepdiag_ros.effects.base import Form
 from stepdiag_ros.effects.made import Split
 from stepdiag_ros.estimate.correlated import SLOPE_AND_BEND, contrasts
-from stepdiag_ros.estimate.dense import block_of
 from stepdiag_ros.estimate.enhanced import Fit
-from stepdiag_ros.estimate.noise import NoiseModel, Whitener, loudness, whiteners
-from stepdiag_ros.estimate.triangular import backward
+from stepdiag_ros.estimate.noise import NoiseModel, loudness
+from stepdiag_ros.gap.inference.projection import Projection
 from stepdiag_ros.gap.preprocess.observe import Observation
 from stepdiag_ros.model.log import STOOD
 
@@ -43,30 +42,6 @@ LEAST_ALIKE = 3
 
 
 @dataclass(frozen=True)
-class Freed(Whitener):
-    """A run's whitener that takes out what the run's own unknowns, the resets of its beams, can imitate: orthonormal
-    white directions ``free`` (m, k).  They reach no other run: among those of the whole log they would be a matrix
-    that grows with the square of the runs."""
-
-    free: np.ndarray
-
-    def forward(self, right: np.ndarray) -> np.ndarray:
-        return self.without(self.with_resets(right))
-
-    def with_resets(self, right: np.ndarray) -> np.ndarray:
-        """White version of the run's own rows (m, …), what its resets can do not taken out."""
-        return super().forward(right)
-
-    def backward(self, directions: np.ndarray) -> np.ndarray:
-        """White directions (m, k) as the readings' whose products with columns are those of the white ones."""
-        return backward(self.factor, self.without(directions))
-
-    def without(self, white: np.ndarray) -> np.ndarray:
-        """White rows (m, …) without what the resets can do."""
-        return white - self.free @ (self.free.T @ white)
-
-
-@dataclass(frozen=True)
 class Parity:
     """The projection for one linearisation.
 
@@ -74,6 +49,7 @@ class Parity:
     are held to at the end), then bins.  ``dof``: of the stops'
     part and of the bins' part.  ``channel`` (N,): channel of each row (0 … beams + 1), ``row`` (N,): its
     stop.  ``bin_scale`` (c,): factor by which a channel's bins were found noisier than their samples.
+    ``projection``: of the stops' part.
     """
 
     data: np.ndarray
@@ -82,8 +58,7 @@ class Parity:
     channel: np.ndarray
     row: np.ndarray
     bin_scale: np.ndarray
-    _white: list[Freed]
-    _basis: np.ndarray
+    projection: Projection
     _contrast: np.ndarray
     _bin_sigma: np.ndarray
     _bin_present: np.ndarray
@@ -117,30 +92,24 @@ class Parity:
     def run_of_stop(self) -> np.ndarray:
         """Numbers (n,) among :attr:`runs` of the stops' runs; −1 where no reading is there."""
         run = np.full(len(self._bin_present), -1)
-        for number, white in enumerate(self._white):
+        for number, white in enumerate(self.projection.white):
             run[white.rows // self._bin_present.shape[2]] = number
         return run
-
-    @cached_property
-    def runs(self) -> list[slice]:
-        """Where the white rows of each run lie."""
-        ends = np.cumsum([len(white.rows) for white in self._white]).tolist()
-        return [slice(begin, end) for begin, end in zip([0, *ends], ends, strict=False)]
 
     def white_runs(self, columns: np.ndarray,
                    resets: bool = False) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
         """Run by run, what of :meth:`white_part` is not zero: its rows, the numbers (m,) of its columns, the values."""
-        for number in range(len(self._white)):
+        for number in range(len(self.projection.white)):
             yield self.white_run(columns, number, resets)
 
     def white_run(self, columns: np.ndarray, number: int,
                   resets: bool = False) -> tuple[slice, np.ndarray, np.ndarray]:
         """The same of one run, the ``number`` of :attr:`run_of_stop`."""
-        white = self._white[number]
+        white = self.projection.white[number]
         there, part = self._read(columns, white.rows)
         doing = part.any(axis=0)
-        solve = white.with_resets if resets else white.forward
-        return self.runs[number], there[doing], solve(part[:, doing])
+        solve = white.solve if resets else white.forward
+        return self.projection.runs[number], there[doing], solve(part[:, doing])
 
     def _read(self, columns: np.ndarray | Split, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """What columns (k, n, c) do in some ``rows`` (r,) of all readings: the numbers (m,) of those that may do
@@ -158,28 +127,20 @@ class Parity:
         there: a column reaches no further than its run."""
         channels, run = self._bin_present.shape[2], self.run_of_stop[stops]
         rows, columns, parts = [], [], []
-        for number, white in enumerate(self._white):
+        for number, white in enumerate(self.projection.white):
             mine = np.flatnonzero(run == number)
             stop, channel = np.divmod(white.rows, channels)
             part = white.forward((stop[:, None] == stops[mine]) * values[mine][:, channel].T)
-            at = self.runs[number]
+            at = self.projection.runs[number]
             rows.append(np.repeat(np.arange(at.start, at.stop), len(mine)))
             columns.append(np.tile(mine, at.stop - at.start))
             parts.append(part.ravel())
         return sparse.csc_array((np.concatenate(parts), (np.concatenate(rows), np.concatenate(columns))),
                                 shape=(self.stops, len(stops)))
 
-    def absorbed(self, white: np.ndarray, rows: slice = slice(None)) -> np.ndarray:
-        """Coordinates (r, k) of white columns, zero but in ``rows``, in what the fit can imitate."""
-        return self._basis[rows].T @ white
-
     def stop_part(self, columns: np.ndarray) -> np.ndarray:
         """White, projected columns: (k, n, c) → (stops, k)."""
-        return self.projected(self.white_part(columns))
-
-    def projected(self, white: np.ndarray) -> np.ndarray:
-        """White columns (stops, k) without what the fit can imitate."""
-        return white - self._basis @ self.absorbed(white)
+        return self.projection.projected(self.white_part(columns))
 
     def bin_part(self, inside: np.ndarray) -> np.ndarray:
         """White contrasts of bins: (k, n, b, c) → (N − stops, k)."""
@@ -190,7 +151,7 @@ class Parity:
         """Directions (stops, r) as the readings' whose products with columns are those of the white ones: (n, c, r)."""
         n, c = len(self._bin_present), self._bin_present.shape[2]
         result = np.zeros((n * c, directions.shape[1]))
-        for rows, white in zip(self.runs, self._white, strict=True):
+        for rows, white in zip(self.projection.runs, self.projection.white, strict=True):
             result[white.rows] = white.backward(directions[rows])
         return result.reshape(n, c, directions.shape[1])
 
@@ -226,12 +187,11 @@ class Parity:
         Where beams side by side share their noise it is the diagonal of an oblique projection, which need be no share.
         """
         channels = self._bin_present.shape[2]
-        share, start = np.zeros(len(self._bin_present) * channels), 0
-        for white in self._white:
-            basis = np.concatenate([white.free, self._basis[start:start + len(white.rows)]], axis=1)
-            start += len(white.rows)
-            back = linalg.solve_triangular(white.factor, basis, lower=True, trans='T', check_finite=False)
-            share[white.rows] = np.clip(1.0 - np.sum((white.factor @ basis) * back, axis=1), 0.0, 1.0)
+        share = np.zeros(len(self._bin_present) * channels)
+        for number, white in enumerate(self.projection.white):
+            basis = np.concatenate([white.free, self.projection.directions(number)], axis=1)
+            taken = np.sum((white.factor @ basis) * white.solve_back(basis), axis=1)
+            share[white.rows] = np.clip(1.0 - taken, 0.0, 1.0)
         return share
 
     def own_rows(self, form: Form) -> np.ndarray:
@@ -289,15 +249,14 @@ class Parity:
     def own_runs(self) -> list[np.ndarray]:
         """Those of :meth:`own_rows` that belong to each run."""
         run = self.run_of_stop[self._own[0] // self._bin_present.shape[2]]
-        return [np.flatnonzero(run == number) for number in range(len(self._white))]
+        return [np.flatnonzero(run == number) for number in range(len(self.projection.white))]
 
     @cached_property
     def level(self) -> float:
         """Mean square of the lengths' data where it is below what is expected of noise, as a share of that; else 1."""
         mine = np.flatnonzero((self.channel >= 0)[:self.stops] & ~self.of_spot[:self.stops])
-        taken = np.sum(self._basis**2, axis=1)
-        for rows, white in zip(self.runs, self._white, strict=True):
-            taken[rows] += np.sum(white.free**2, axis=1)
+        taken = np.concatenate([np.sum(self.projection.directions(number)**2, axis=1) + np.sum(white.free**2, axis=1)
+                                for number, white in enumerate(self.projection.white)])
         expected = len(mine) - float(np.sum(taken[mine]))
         return min(1.0, float(np.sum(self.data[mine]**2)) / expected) if len(mine) else 1.0
 
@@ -318,46 +277,14 @@ def slopes_of(forms: Sequence[Form], sizes: Callable[[int], np.ndarray]) -> np.n
     return np.sum(grown, axis=0) if grown else None
 
 
-def projection(observation: Observation, result: Fit, noise: NoiseModel,
-               readings: np.ndarray) -> tuple[list[Freed], np.ndarray, np.ndarray, float]:
-    """Whiteners, one a run, that take out its resets; orthonormal directions (N, r) that the others can imitate;
-    white data (N,) without either, the unknowns' own departures last; −½ ln|C| − ½ ln|JᵀC⁻¹J + P|, the logarithm of
-    what noise and unknowns leave open.  A reset may be anything: its prior of metres is left out."""
-    present, shared = result.present, result.parameters.offset_first
-    own, resets, white, volume = result.jacobian[:, :shared], result.jacobian[:, shared:], [], 0.0
-    jacobian, begin = np.zeros((np.count_nonzero(present) + shared, shared), order='F'), 0
-    for one in whiteners(observation.table, noise, result.arrival, present):
-        free, triangle = np.linalg.qr(one.forward(block_of(resets, one.rows)[1]))
-        white.append(Freed(one.rows, one.factor, free))
-        volume -= float(np.sum(np.log(np.diag(one.factor))) + np.sum(np.log(np.abs(np.diag(triangle)))))
-        columns, part = block_of(own, one.rows)
-        jacobian[begin:begin + len(part), columns] = white[-1].forward(part)
-        begin += len(part)
-    # The unknowns are held to their priors as in the fit: else errors of metres, along directions that the
-    # readings hardly tell, would imitate what no machine does.
-    held = np.linalg.cholesky(result.precision[:shared, :shared]).T
-    jacobian[begin:] = held
-    size = np.linalg.norm(jacobian, axis=0)
-    jacobian /= size
-    basis, triangle = linalg.qr(jacobian, mode='economic', overwrite_a=True, check_finite=False)
-    # What the fit has put into its residual is gone already; only the rest is left to look at.
-    residual = np.where(present, readings - result.model.predict(result.theta), 0.0).ravel()
-    data = np.concatenate([*(w(residual) for w in white), -held @ result.theta[:shared]])
-    data = data - basis @ (basis.T @ data)
-    volume -= float(np.sum(np.log(size)) + np.sum(np.log(np.abs(np.diag(triangle)))))
-    return white, basis, data, volume
-
-
 def parity(observation: Observation, result: Fit, noise: NoiseModel,
            readings: np.ndarray, freed: np.ndarray | None = None) -> Parity:
     """Set up the projection at ``result`` with ``noise``; data are ``readings`` minus its prediction.
 
     ``freed`` (n, b, c): the bins freed of effects, which say how noisy they are; else the bins themselves.
     """
-    white, basis, data, _ = projection(observation, result, noise, readings)
-    own = sum(len(w.rows) for w in white)
-    resets = sum(w.free.shape[1] for w in white)
-
+    space = Projection.of(observation.table, result, noise)
+    data, shared = space.data(readings), space.size - space.readings
     channels = observation.bins.shape[2]
     contrast = contrasts(observation.view.bin_time)
     values, rough, limit = _inside(observation, observation.bins, contrast)
@@ -368,14 +295,11 @@ def parity(observation: Observation, result: Fit, noise: NoiseModel,
     values = np.where(happened[:, None, :], np.nan, np.clip(values, -limit, limit))
     bin_present = np.isfinite(values)
     inside = (values / scale)[bin_present]
-    rows = np.concatenate([w.rows for w in white])
+    rows = np.concatenate([w.rows for w in space.white])
     stop, _, channel = np.nonzero(bin_present)
-    return Parity(np.concatenate([data, inside]), len(data),
-                  # Machines are far better than the priors: their own departures count for nothing.
-                  (round(own - resets - float(np.sum(basis[:own]**2))), len(inside)),
-                  np.concatenate([rows % channels, np.full(len(data) - own, -1), channel]),
-                  np.concatenate([rows // channels, np.full(len(data) - own, -1), stop]), scale,
-                  white, basis, contrast,
+    return Parity(np.concatenate([data, inside]), len(data), (space.freedom, len(inside)),
+                  np.concatenate([rows % channels, np.full(shared, -1), channel]),
+                  np.concatenate([rows // channels, np.full(shared, -1), stop]), scale, space, contrast,
                   observation.bin_sigma[:, None, :] * rough, bin_present)
 
 

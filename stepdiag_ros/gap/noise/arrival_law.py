@@ -15,7 +15,7 @@ from stepdiag_ros.estimate.enhanced import readings_of
 from stepdiag_ros.estimate.noise import Law, NoiseModel
 from stepdiag_ros.estimate.noise_law import Repeats, errors_of, latents, sized, weighed
 from stepdiag_ros.estimate.reduce import StopTable
-from stepdiag_ros.gap.inference.parity import projection
+from stepdiag_ros.gap.inference.projection import Projection
 from stepdiag_ros.gap.preprocess.observe import Observation
 
 DOFS = (12.0, 7.0, 5.0, 4.0, 3.0, 2.5)
@@ -65,10 +65,11 @@ def as_it_is(observation: Observation, noise: NoiseModel, table: StopTable) -> t
     if min(noise.dof) < LEAST_DOF:
         return noise, 0.0
     readings = readings_of(table)
-    suspected = [hint for hint in _hints(observation, noise, readings) if hint.evidence > HINT]
+    space = Projection.of(observation.table, observation.fit, noise)
+    suspected = [hint for hint in _hints(observation, noise, space, readings) if hint.evidence > HINT]
     if not suspected:
         return noise, 0.0
-    best = plain = _held(observation, noise, readings)
+    best = plain = _held(observation, noise, space, readings)
     repeats, largest = Repeats(table, observation.fit.arrival), noise
     for hint in suspected:
         begin = tried = best
@@ -86,13 +87,21 @@ def as_it_is(observation: Observation, noise: NoiseModel, table: StopTable) -> t
     return best.noise, best.evidence - plain.evidence
 
 
-def suspicion(observation: Observation, noise: NoiseModel, table: StopTable) -> float:
+def suspicion(observation: Observation, noise: NoiseModel, space: Projection, table: StopTable) -> float:
     """Log evidence, by the single errors' scores alone, that the arrivals' noise has another law than a tidy one; 0
-    where nothing speaks for one.  ``table``: the stops freed of all effects."""
-    noise = replace(noise, position_law=Law(), angle_law=Law(), spread=None)
+    where nothing speaks for one.  ``space``: the projection in ``noise``; ``table``: the stops freed of all effects."""
     if min(noise.dof) < LEAST_DOF:
         return 0.0
-    return sum(hint.evidence for hint in _hints(observation, noise, readings_of(table)) if hint.evidence > HINT)
+    noise, space = made_tidy(observation, noise, space)
+    return sum(hint.evidence for hint in _hints(observation, noise, space, readings_of(table)) if hint.evidence > HINT)
+
+
+def made_tidy(observation: Observation, noise: NoiseModel, space: Projection) -> tuple[NoiseModel, Projection]:
+    """A noise with normal, independent errors of arrivals, and the projection in it; ``space``: that in the noise."""
+    if noise.tidy:
+        return noise, space
+    noise = replace(noise, position_law=Law(), angle_law=Law(), spread=None)
+    return noise, Projection.of(observation.table, observation.fit, noise)
 
 
 def reweighed(observation: Observation, noise: NoiseModel, table: StopTable) -> NoiseModel:
@@ -101,29 +110,35 @@ def reweighed(observation: Observation, noise: NoiseModel, table: StopTable) -> 
     return _settled(observation, noise, readings_of(table), noise).noise
 
 
-def log_evidence(observation: Observation, noise: NoiseModel, table: StopTable) -> float:
-    """Log evidence of a noise, but for a constant of the log, for ``table``, the stops freed of all effects."""
-    return _held(observation, noise, readings_of(table)).evidence
+def log_evidence(observation: Observation, noise: NoiseModel, space: Projection, table: StopTable) -> float:
+    """Log evidence of a noise, but for a constant of the log, for ``table``, the stops freed of all effects; ``space``:
+    the projection in that noise."""
+    return _held(observation, noise, space, readings_of(table)).evidence
 
 
 def _settled(observation: Observation, noise: NoiseModel, readings: np.ndarray, largest: NoiseModel) -> _Held:
     """The noise with sizes and spread settled under its laws."""
-    held, moved = _held(observation, noise, readings), np.inf
+    held, moved = _weighed(observation, noise, readings), np.inf
     for turn in range(1, SWEEPS):
         before, last = held.evidence, moved
-        held = _held(observation, held.next_within(largest), readings, turn)
+        held = _weighed(observation, held.next_within(largest), readings, turn)
         moved = abs(held.evidence - before)
         if max(moved, last) < STEADY:
             break
     return held
 
 
-def _held(observation: Observation, noise: NoiseModel, readings: np.ndarray, turn: int = 0) -> _Held:
-    white, basis, data, volume = projection(observation, observation.fit, noise, readings)
-    found = [errors_of(latent, basis, data)
-             for latent in latents(observation.table, noise, observation.fit.arrival, white)]
+def _weighed(observation: Observation, noise: NoiseModel, readings: np.ndarray, turn: int = 0) -> _Held:
+    return _held(observation, noise, Projection.of(observation.table, observation.fit, noise), readings, turn)
+
+
+def _held(observation: Observation, noise: NoiseModel, space: Projection, readings: np.ndarray,
+          turn: int = 0) -> _Held:
+    data = space.data(readings)
+    found = [errors_of(latent, space.absorbed(latent.columns, run).T, data) for run, latent in enumerate(
+        latents(observation.table, noise, observation.fit.arrival, space.white))]
     wider, tails, squares, source = weighed(noise, found, len(observation.table), turn)
-    return _Held(noise, volume - 0.5 * float(data @ data) + tails, wider, source, squares)
+    return _Held(noise, space.volume - 0.5 * float(data @ data) + tails, wider, source, squares)
 
 
 @dataclass(frozen=True)
@@ -136,15 +151,15 @@ class _Hint:
     evidence: float
 
 
-def _hints(observation: Observation, noise: NoiseModel, readings: np.ndarray) -> list[_Hint]:
+def _hints(observation: Observation, noise: NoiseModel, space: Projection, readings: np.ndarray) -> list[_Hint]:
     """What the errors' scores say for each parameter of each law."""
-    white, basis, data, _ = projection(observation, observation.fit, noise, readings)
+    data = space.data(readings)
     scores: dict[str, list] = {'angle_law': [], 'position_law': []}
     pairs: dict[str, list] = {'angle_law': [], 'position_law': []}
-    for latent in latents(observation.table, noise, observation.fit.arrival, white):
+    for run, latent in enumerate(latents(observation.table, noise, observation.fit.arrival, space.white)):
         along = latent.columns.T @ data[latent.at]
-        lost = latent.columns.T @ basis[latent.at]
-        spread = latent.columns.T @ latent.columns - lost @ lost.T
+        lost = space.absorbed(latent.columns, run)
+        spread = latent.columns.T @ latent.columns - lost.T @ lost
         seen = np.maximum(np.diag(spread), 1e-12)
         score = along / np.sqrt(seen)
         for name, mine in (('angle_law', latent.source < 2), ('position_law', latent.source >= 2)):

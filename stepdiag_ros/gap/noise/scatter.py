@@ -78,7 +78,7 @@ def _scores(joint: Joint, axis: int, stops: np.ndarray, number: int, data: np.nd
     columns[np.arange(len(stops)), stops] = view.by_shift[axis][stops] * view.approach[stops, axis, None]
     rows, _, white = space.white_run(columns, number)
     white = white / np.linalg.norm(space.white_run(columns, number, resets=True)[2], axis=0)
-    lost = space.absorbed(white, rows)
+    lost = space.projection.absorbed(white, number)
     value, vector = eigen(white.T @ white - lost.T @ lost)
     # What the fit takes whole is rounding; patterns of many steps in a row are much alike, but none of them is lost.
     kept = value > ABSORBED
@@ -124,7 +124,10 @@ def outliers(joint: Joint) -> tuple[Form, float] | None:
     scale = OUTLIER_SIZE * joint.noise.position
     values = sign[:, None] * view.by_shift[view.axis[stops], stops]
     white, data = space.white_at(stops, scale * values), space.data
-    power = white.power(2).sum(axis=0) - np.sum((white.T @ space._basis)**2, axis=1)
+    power, run = white.power(2).sum(axis=0), space.run_of_stop[stops]
+    for number, rows in enumerate(space.projection.runs):
+        mine = np.flatnonzero(run == number)
+        power[mine] -= np.sum(space.projection.absorbed(white[rows][:, mine].toarray(), number)**2, axis=0)
     best: tuple[float, float, list[int], str] | None = None
     for side, words in ((0.0, 'off'), (-1.0, 'short'), (1.0, 'too far')):
         picked: list[int] = []
@@ -169,7 +172,7 @@ def _picks(space: Parity, white: sparse.csc_array, power: np.ndarray,
         if fall[k] <= 0.0:
             return
         column = white[:, [k]].toarray()
-        seen = space.projected(column)[:, 0]
+        seen = space.projection.projected(column)[:, 0]
         yield k, seen
         new = seen - basis @ (basis.T @ seen)
         new = new / np.linalg.norm(new)

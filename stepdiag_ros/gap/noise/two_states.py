@@ -8,7 +8,6 @@ they are none, one way, or back: three middles, the outer ones as far to either 
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,11 +15,10 @@ from scipy.special import gammaln, ndtr
 
 from stepdiag_ros.estimate.eigen import eigen
 from stepdiag_ros.estimate.enhanced import readings_of
-from stepdiag_ros.estimate.noise import Law
 from stepdiag_ros.estimate.noise_law import latents
 from stepdiag_ros.gap.constants import SUSPICION
 from stepdiag_ros.gap.inference.joint import Joint, freed
-from stepdiag_ros.gap.inference.parity import projection
+from stepdiag_ros.gap.noise.arrival_law import made_tidy
 from stepdiag_ros.gap.noise.scatter import LEAST
 
 SEEN = 0.05
@@ -45,13 +43,12 @@ WHAT = ("the mirror's angle", "an axis's error of X", "an axis's error of Y", "a
 def two_states(joint: Joint) -> tuple[float, str]:
     """Log evidence that arrivals come to two states, and of what, in words."""
     observation = joint.observation
-    noise = replace(joint.noise, position_law=Law(), angle_law=Law(), spread=None)
-    white, basis, data, _ = projection(observation, observation.fit, noise,
-                                       readings_of(freed(observation.table, joint.active)))
+    noise, space = made_tidy(observation, joint.noise, joint.parity.projection)
+    data = space.data(readings_of(freed(observation.table, joint.active)))
     turns, axes = [], [[] for _ in range(3)]
-    for latent in latents(observation.table, noise, observation.fit.arrival, white):
-        lost = latent.columns.T @ basis[latent.at]
-        seen = np.maximum(np.sum(latent.columns**2, axis=0) - np.sum(lost**2, axis=1), 1e-12)
+    for run, latent in enumerate(latents(observation.table, noise, joint.fit.arrival, space.white)):
+        lost = space.absorbed(latent.columns, run)
+        seen = np.maximum(np.sum(latent.columns**2, axis=0) - np.sum(lost**2, axis=0), 1e-12)
         score = np.where(seen > SEEN, latent.columns.T @ data[latent.at] / np.sqrt(seen), np.nan)
         turns.append(np.stack([score[latent.source == 0], score[latent.source == 1]], axis=1))
         for axis, own in enumerate(axes):

@@ -69,7 +69,7 @@ def bands(joint: Joint) -> tuple[Band, ...]:
             patterns = np.where(joint.fit.present, patterns, 0.0)
             size = np.linalg.norm(space.white_part(patterns, resets=True), axis=0)
             white = space.white_part(patterns) / np.maximum(size, 1e-300)
-            absorbed = space.absorbed(white)
+            absorbed = space.projection.absorbed(white)
             value, vector = eigen(white.T @ white - absorbed.T @ absorbed)
             keep = value > SEEN
             count = int(keep.sum())

@@ -13,15 +13,16 @@ others, with the misalignments of its own no better known than before the log.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
-from scipy import linalg
+from scipy import linalg, sparse
 
 from stepdiag_ros.estimate.dense import block_of
+from stepdiag_ros.estimate.enhanced import readings_of
 from stepdiag_ros.estimate.noise import Whitener
 from stepdiag_ros.gap.constants import PRIOR_RESET_M
-from stepdiag_ros.gap.inference.joint import Joint, inverse, prior_sigmas
+from stepdiag_ros.gap.inference.joint import Joint, prior_sigmas
+from stepdiag_ros.gap.summary.forecast import HeldOut, Run
 
 ONCE = 0.05
 """Share of an effect's columns outside the part held out below which the effect happened in that part alone."""
@@ -163,49 +164,44 @@ class _Forecast:
 
 def _predicted(joint: Joint, parts: list[np.ndarray], with_effects: bool) -> _Forecast:
     """All that is held out, predicted from the rest."""
-    table = joint.observation.table
+    table, result = joint.observation.table, joint.fit
     white, unknown = _with_resets(joint, parts)
-    channels, beams = joint.fit.residual.shape[1], joint.fit.model.beams
-    readings = np.concatenate([table.displacement, table.spot], axis=1)
-    plain = np.where(joint.fit.present, readings - joint.fit.model.predict(joint.fit.theta), 0.0).ravel()
-    rows = np.concatenate([w.rows for w in white])
-    stop = rows // channels
-    dense, precision = joint.fit.jacobian[:, unknown].toarray(), joint.fit.precision[np.ix_(unknown, unknown)]
-    design, bare = np.concatenate([w(dense) for w in white]), dense[rows]
-    offsets = np.flatnonzero(unknown >= joint.fit.parameters.offset_first)
+    channels, beams = result.residual.shape[1], result.model.beams
+    plain = np.where(result.present, readings_of(table) - result.model.predict(result.theta), 0.0).ravel()
+    jacobian, precision = result.jacobian[:, unknown], result.precision[np.ix_(unknown, unknown)]
+    offsets = np.flatnonzero(unknown >= result.parameters.offset_first)
     precision[offsets, offsets] = PRIOR_RESET_M**-2.0
+    sizes = np.zeros(0)
     if with_effects and joint.active:
         columns = np.concatenate([a.form.columns.reshape(len(a.form.columns), -1).T * a.form.scale
                                   for a in joint.active], axis=1)
-        design = np.concatenate([design, np.concatenate([w(columns) for w in white])], axis=1)
-        bare = np.concatenate([bare, columns[rows]], axis=1)
+        jacobian = sparse.hstack([jacobian, sparse.csr_array(columns)], format='csr')
         precision = linalg.block_diag(precision, np.diag(prior_sigmas(a.form for a in joint.active) ** -2.0))
-    sizes = np.concatenate([np.zeros(0), *(a.coefficients / a.form.scale for a in joint.active)])
-    residual = np.concatenate([w(plain) for w in white])
+        sizes = np.concatenate([a.coefficients / a.form.scale for a in joint.active])
+    runs = [Run(w, jacobian[w.rows], plain[w.rows]) for w in white]
+    rest = HeldOut(runs, [[held[run.whitener.rows // channels] for run in runs] for held in parts], precision)
+    factors = {int(w.rows[0]): w.factor for w in joint.parity.projection.white}
     total, freedom, count = 0.0, 0, 0
     sums = {kind: np.zeros(4) for kind in ('displacement', 'spot')}
-    products = _Products.of(design, residual, [held[stop] for held in parts])
     for number, held in enumerate(parts):
-        flag = held[stop]
         new = np.setdiff1d(table.run[held], table.run[~held])
-        resets = len(new) * beams if np.isfinite(table.displacement[held]).any() else 0
-        normal, along = products.without(number)
-        chi2, expected, covariance = _forecast(design[flag], residual[flag], products.normals[number],
-                                               normal + precision, along)
-        total += chi2
-        freedom += int(flag.sum()) - resets
-        count += int(flag.sum())
-        once = np.flatnonzero(np.sqrt(np.diag(normal)) < ONCE * products.size)
+        chi2, expected, covariance = rest.forecast(number)
+        once = np.flatnonzero(rest.size(number) < ONCE * rest.size())
         once = once[once >= len(unknown)]
         # What happened once, in the part held out, nothing can predict: it is taken as the whole log shows it.
         expected[once] = sizes[once - len(unknown)]
         covariance[once], covariance[:, once] = 0.0, 0.0
-        error = plain[rows[flag]] - bare[flag] @ expected
-        wide = bare[flag] @ covariance
-        for kind, sums_of in sums.items():
-            mine = (rows[flag] % channels < beams) == (kind == 'displacement')
-            sums_of += _squares(joint.parity._white, table.run, channels, new if kind == 'displacement' else new[:0],
-                                rows[flag][mine], error[mine], bare[flag][mine], wide[mine])
+        total += chi2
+        freedom -= len(new) * beams if np.isfinite(table.displacement[held]).any() else 0
+        for run, flag in rest.rows(number):
+            rows, own = run.whitener.rows, run.left(expected)
+            freedom, count = freedom + int(flag.sum()), count + int(flag.sum())
+            fresh = bool(table.run[rows[0] // channels] in new)
+            for channel in np.unique(rows[flag] % channels):
+                mine = flag & (rows % channels == channel)
+                length = channel < beams
+                sums['displacement' if length else 'spot'] += _squares(
+                    own[mine], run.jacobian[mine], covariance, factors[int(rows[0])][mine], fresh and bool(length))
     rms = {kind: np.sqrt(np.maximum(of[:3], 0.0) / max(of[3], 1.0)) for kind, of in sums.items() if of[3] > 0.0}
     return _Forecast(total, freedom, count, *({kind: float(of[k]) for kind, of in rms.items()} for k in range(3)))
 
@@ -219,7 +215,7 @@ def _with_resets(joint: Joint, parts: list[np.ndarray]) -> tuple[list[Whitener],
         split[np.intersect1d(run[held], run[~held])] = True
     first, channels = result.parameters.offset_first, result.residual.shape[1]
     resets, white = result.jacobian[:, first:], []
-    for one in joint.parity._white:
+    for one in joint.parity.projection.white:
         factor = one.factor
         if not split[run[one.rows[0] // channels]]:
             _, shared = block_of(resets, one.rows)
@@ -229,23 +225,16 @@ def _with_resets(joint: Joint, parts: list[np.ndarray]) -> tuple[list[Whitener],
     return white, np.concatenate([np.arange(first), first + apart])
 
 
-def _squares(white: list[Whitener], run: np.ndarray, channels: int, new: np.ndarray, rows: np.ndarray,
-             error: np.ndarray, design: np.ndarray, wide: np.ndarray) -> np.ndarray:
-    """Sums of squares [m²] of some ``rows``: of their errors, of noise, of what the forecast is uncertain by; and their
-    degrees of freedom.  In a ``new`` run what all readings of a beam share is its reset, and no error."""
-    result = np.zeros(4)
-    for w in white:
-        at = np.flatnonzero(np.isin(rows, w.rows))
-        if not len(at):
-            continue
-        factor = w.factor[np.searchsorted(w.rows, rows[at])]
-        fresh = run[rows[at[0]] // channels] in new
-        for channel in np.unique(rows[at] % channels):
-            mine = rows[at] % channels == channel
-            own, one, two, noise = error[at[mine]], design[at[mine]], wide[at[mine]], factor[mine]
-            if fresh:
-                own, one, two, noise = (part - part.mean(axis=0) for part in (own, one, two, noise))
-            result += [np.sum(own**2), np.sum(noise**2), np.sum(one * two), len(own) - fresh]
+def _squares(error: np.ndarray, design: sparse.csr_array, covariance: np.ndarray, factor: np.ndarray,
+             fresh: bool) -> np.ndarray:
+    """Sums of squares [m²] of some rows of a beam in a run: of their ``error`` (m,), of noise, whose Cholesky
+    ``factor`` (m, …) has these rows, of what the forecast is uncertain by; and their degrees of freedom.  In a
+    ``fresh`` run what all have in common is its reset, and no error."""
+    wide = design @ covariance
+    result = np.array([np.sum(error**2), np.sum(factor**2), design.multiply(wide).sum(), len(error)])
+    if fresh:
+        result -= [len(error) * np.mean(error)**2, len(error) * np.sum(factor.mean(axis=0)**2),
+                   len(error) * float(design.mean(axis=0) @ wide.mean(axis=0)), 1.0]
     return result
 
 
@@ -277,49 +266,3 @@ def _held_out(table) -> tuple[list[np.ndarray], str]:
         chosen = runs[len(runs) // 2:][::2] if len(runs) > 3 else runs[-1:]
         return [np.isin(table.run, chosen)], 'runs ' + ', '.join(table.run_ids[r] for r in chosen)
     return [np.ones(len(table), bool)], 'none: the log is one run'
-
-
-def _forecast(design: np.ndarray, residual: np.ndarray, own: np.ndarray, normal: np.ndarray,
-              along: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
-    """χ² of held-out rows, ``design`` D (m, r) and ``residual`` (m,), their products ``own`` DᵀD (r, r), predicted from
-    the ``normal`` equations N (r, r) of the others and their right side ``along`` (r,); what the others say of the
-    unknowns, and its covariance.
-
-    With d what is left of the rows, dᵀ(1 + DN⁻¹Dᵀ)⁻¹d is the least of |d − Dx|² + xᵀNx: no matrix of m × m is needed.
-    """
-    covariance = inverse(normal)
-    expected = covariance @ along
-    left = residual - design @ expected
-    moved = inverse(normal + own) @ (design.T @ left)
-    left = left - design @ moved
-    return float(left @ left + moved @ normal @ moved), expected, covariance
-
-
-@dataclass(frozen=True)
-class _Products:
-    """Normal matrices (r, r) and their right sides (r,) of disjoint parts of some rows, each by itself, those of no
-    part last: so each row is multiplied once, however many parts are held out, and nothing is taken off again."""
-
-    normals: list[np.ndarray]
-    alongs: list[np.ndarray]
-
-    @classmethod
-    def of(cls, design: np.ndarray, residual: np.ndarray, parts: list[np.ndarray]) -> '_Products':
-        rows = [*(np.flatnonzero(part) for part in parts), np.flatnonzero(~np.any(parts, axis=0))]
-        designs = (design[mine] for mine in rows)
-        return cls([part.T @ part for part in designs],
-                   [design[mine].T @ residual[mine] for mine in rows])
-
-    def without(self, number: int) -> tuple[np.ndarray, np.ndarray]:
-        """Sums over all parts but one."""
-        normal, along = np.zeros_like(self.normals[0]), np.zeros_like(self.alongs[0])
-        for other, (mine, right) in enumerate(zip(self.normals, self.alongs, strict=True)):
-            if other != number:
-                normal += mine
-                along += right
-        return normal, along
-
-    @cached_property
-    def size(self) -> np.ndarray:
-        """Lengths (r,) of the columns over all rows."""
-        return np.sqrt(sum(np.diag(mine) for mine in self.normals))

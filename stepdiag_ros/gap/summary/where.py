@@ -89,7 +89,7 @@ def _of_effects(joint: Joint) -> np.ndarray:
     factor = inverse_root(seen.T @ seen + np.diag(prior_sigmas(a.form for a in joint.active) ** -2.0))
     # The unknowns follow a change of the coefficients by (JᵀJ + P)⁻¹ JᵀB; what they cannot follow is left.  Small as
     # the coefficients' own uncertainty is, that is straight; what all effects add need not be.
-    follow = joint.followed(joint.whitened(columns.reshape(len(columns), -1).T))
+    follow = joint.followed(joint.along(joint.whitened(columns.reshape(len(columns), -1).T)))
     unit = np.where(result.present, 1.0 / _sigma(joint), 0.0).ravel()
     spread = unit[:, None] * (columns.reshape(len(columns), -1).T - result.jacobian @ follow) @ factor
     left = joint.left * unit.reshape(shape)

@@ -39,7 +39,7 @@ def test_columns_products_and_data_are_those_of_each_form_alone(space_and_forms,
     data = np.concatenate([space.data, space.own_data])
     found = Brought.into(space, forms, data)
     directions = np.random.default_rng(1).standard_normal((len(data), 3))
-    directions[:space.stops] -= space._basis @ space.absorbed(directions[:space.stops])
+    directions[:space.stops] = space.projection.projected(directions[:space.stops])
     times = found.times(directions, slice(0, found.width))
     some = found.slices[1]
     np.testing.assert_array_equal(found.times(directions, some)[some], times[some])
@@ -47,7 +47,7 @@ def test_columns_products_and_data_are_those_of_each_form_alone(space_and_forms,
     for form, part, gram in zip(forms, found.slices, found.grams, strict=True):
         whole = space.project(form)
         full = found.columns(part, len(data))
-        full[:space.stops] -= space._basis @ space.absorbed(full[:space.stops])
+        full[:space.stops] = space.projection.projected(full[:space.stops])
         # Against the form as it is, it is rounded; against itself, as it is kept, all is exact.
         before = max(np.abs(space.white_part(np.asarray(form.columns) * form.scale[:, None, None])).max(),
                      np.abs(whole).max(), 1e-12)

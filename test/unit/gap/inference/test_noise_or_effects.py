@@ -69,8 +69,9 @@ def test_a_form_that_is_not_quite_right_makes_no_law_of_the_noise(case):
     truly = 1e-5 * shape[0] * (1.0 + 0.05 * view.direction[:, None])
     table = replace(observation.table, spot=observation.table.spot + truly[:, -2:])
     joint = fit_jointly(replace(observation, table=table), [(Effect(), form)], noise)
-    assert suspicion(joint.observation, noise, freed(joint.observation.table, joint.active)) > 12.0
-    assert suspicion(joint.observation, noise, left(joint)) < 6.0
+    space = joint.parity.projection
+    assert suspicion(joint.observation, joint.noise, space, freed(joint.observation.table, joint.active)) > 12.0
+    assert suspicion(joint.observation, joint.noise, space, left(joint)) < 6.0
     exact = Form('as it is', truly[None] / 1e-5, ('a',), np.full(1, 1e-5))
     best = fit_jointly(replace(observation, table=table), [(Effect(), exact)], noise)
     chosen, screen = [EffectSet((Member('', 0, 10.0),), 10.0)], SimpleNamespace(candidates=[Candidate('', '', form)])
@@ -105,10 +106,10 @@ def test_what_was_found_in_a_noise_that_its_rest_refutes_is_held_to_that_rest(mo
         return SimpleNamespace(name=name, evidence=evidence, sets=[],
                                joint=SimpleNamespace(active=active, observation=None, noise=None))
 
-    plain = one('plain', shaped, 120.0)
+    plain, alone = one('plain', shaped, 120.0), SimpleNamespace(parity=SimpleNamespace(projection=None))
     in_noise = iter([one('alone', empty, 0.0), one('again', shaped if again == 'shaped' else empty, 110.0)])
     monkeypatch.setattr(noise_or_effects, 'Settled', lambda *parts: plain)
-    for name, value in {'noise_of': noise, 'fit_jointly': None, 'settle': (), 'suspicion': 50.0, '_settles': False,
+    for name, value in {'noise_of': noise, 'fit_jointly': alone, 'settle': (), 'suspicion': 50.0, '_settles': False,
                         'as_it_is': (noise, 40.0), '_without_outliers': plain.joint, 'left': None}.items():
         monkeypatch.setattr(noise_or_effects, name, lambda *given, value=value: value)
     monkeypatch.setattr(noise_or_effects, '_settled_in', lambda *given: next(in_noise))

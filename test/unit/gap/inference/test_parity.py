@@ -65,7 +65,8 @@ def test_resets_are_taken_out_run_by_run_as_all_at_once(case):
     rows = sum(len(w.rows) for w in white)
     assert space.dof[0] == round(rows - float(np.sum(basis[:rows]**2)))
     # The matrix of what all runs share does not grow with the runs.
-    assert space._basis.shape[1] == result.parameters.offset_first < len(result.theta)
+    shared = space.projection.size - space.projection.readings
+    assert shared == result.parameters.offset_first < len(result.theta)
 
 
 def test_null_data_are_white(case):
@@ -135,7 +136,7 @@ def test_what_columns_of_readings_owe_to_noise(case):
     found, corrections = [], []
     for _ in range(200):
         noise = np.zeros(n * c)
-        for white in space._white:
+        for white in space.projection.white:
             noise[white.rows] = white.factor @ rng.normal(size=len(white.rows))
         phase = turn * (np.round(length / 1.5e-6) * 1.5e-6 + noise)
         form = Form('swing', np.sin(phase).reshape(1, n, c), ('a',), np.ones(1),

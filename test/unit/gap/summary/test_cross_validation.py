@@ -84,7 +84,7 @@ def test_the_gap_is_the_error_of_held_out_readings(case):
         jacobian, added = fit.jacobian.toarray(), sum(a.contribution for a in joint.active)
         readings = np.concatenate([table.displacement, table.spot], axis=1) - added
         rest = (readings - fit.model.predict(fit.theta)).ravel()
-        white = [w for w in joint.parity._white if train[w.rows[0]]]
+        white = [w for w in joint.parity.projection.white if train[w.rows[0]]]
         columns = np.concatenate([w(jacobian) for w in white])
         along = columns.T @ np.concatenate([w(rest) for w in white])
         step = np.linalg.solve(columns.T @ columns + fit.precision, along)
