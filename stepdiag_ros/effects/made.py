@@ -80,6 +80,17 @@ class Split(Made):
         return (there[:, None] * each + np.arange(each)).ravel(), parts
 
 
+    def begins_in(self, other: 'Split') -> int | None:
+        """The column of ``other`` from which on its columns are these; None where they are not among them."""
+        if any(mine is not theirs for mine, theirs in ((self.columns, other.columns), (self.group, other.group),
+                                                       (self.channels, other.channels))):
+            return None
+        first = int(np.searchsorted(other.numbers, self.numbers[0]))
+        if not np.array_equal(other.numbers[first:first + len(self.numbers)], self.numbers):
+            return None
+        return first * len(self.channels) * len(self.columns)
+
+
 def _split(columns: np.ndarray, group: np.ndarray, numbers: np.ndarray, channels: np.ndarray) -> np.ndarray:
     mine = (group == numbers[:, None])[:, None, :, None] & channels[:, None]
     return (columns * mine[:, :, None]).reshape(-1, *columns.shape[1:])

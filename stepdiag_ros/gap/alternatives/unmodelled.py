@@ -43,24 +43,26 @@ def pattern_form(view: StopView, label: str, patterns: np.ndarray, columns: slic
                 np.full(len(patterns), scale))
 
 
-def _inside_runs(view: StopView, label: str, courses: np.ndarray, runs: np.ndarray, columns: slice,
-                 scale: float) -> Form:
-    """Courses (k, n), those of each of the ``runs`` for themselves, put into c channels."""
+def _split_form(label: str, full: Split, scale: float) -> Form:
+    return Form(label, full, tuple(str(i) for i in range(len(full))), np.full(len(full), scale))
+
+
+def _in_channels(view: StopView, columns: slice) -> np.ndarray:
+    """Which channels (1, c) are among some."""
     channels = np.zeros((1, view.reading.shape[1]), bool)
     channels[0, columns] = True
-    full = Split(courses[:, :, None] * np.ones(channels.shape[1]), view.run, runs, channels)
-    return Form(label, full, tuple(str(i) for i in range(len(full))), np.full(len(full), scale))
+    return channels
+
+
+def _in_all_channels(view: StopView, courses: np.ndarray) -> np.ndarray:
+    """Courses (k, n), alike in all channels (k, n, c)."""
+    return courses[:, :, None] * np.ones(view.reading.shape[1])
 
 
 def _put(shape: tuple[int, int], patterns: np.ndarray, columns: slice) -> np.ndarray:
     full = np.zeros((len(patterns), *shape))
     full[:, :, columns] = patterns if patterns.ndim == 3 else np.asarray(patterns)[:, :, None]
     return full
-
-
-def _at_places(place: np.ndarray, keys: np.ndarray, sign: np.ndarray) -> np.ndarray:
-    """One pattern (k, n) for each of the places ``keys`` (k,), ``sign`` (n,) there and nothing elsewhere."""
-    return (place == keys[:, None]) * sign
 
 
 def _standing(stops: int, at: np.ndarray) -> np.ndarray:
@@ -79,23 +81,18 @@ def _times(derivative: np.ndarray, at: np.ndarray) -> np.ndarray:
 
 def _static(view: StopView) -> Iterator[Form]:
     """Errors that belong to a place: to a stop of a setup, alike or opposite in the two directions."""
-    place, alike = view.setup * 100000 + view.index, np.ones(len(view.setup))
-
-    def patterns(keys: np.ndarray, sign: np.ndarray) -> Made:
-        return Made((len(keys), len(place)), _at_places, place, keys, sign)
-
+    place = view.setup * 100000 + view.index
     for name, columns, scale in _channels(view):
-        for setup in range(len(view.setup_names)):
-            mine = view.setup == setup
-            if mine.sum() < 8:
-                continue
-            keys, setup_name = np.unique(place[mine]), view.setup_names[setup]
-            yield pattern_form(view, f'{name}: places in {setup_name}', patterns(keys, alike), columns, scale)
-            yield pattern_form(view, f'{name}: places by direction in {setup_name}',
-                               patterns(keys, view.direction), columns, scale)
-        keys = np.unique(place)
-        yield pattern_form(view, f'{name}: places', patterns(keys, alike), columns, scale)
-        yield pattern_form(view, f'{name}: places by direction', patterns(keys, view.direction), columns, scale)
+        channels = _in_channels(view, columns)
+        for what, sign in (('places', np.ones(len(place))), ('places by direction', view.direction)):
+            course = _in_all_channels(view, sign[None])
+            # All of them first: those of one setup are some of their columns.
+            yield _split_form(f'{name}: {what}', Split(course, place, np.unique(place), channels), scale)
+            for setup in range(len(view.setup_names)):
+                mine = view.setup == setup
+                if mine.sum() >= 8:
+                    yield _split_form(f'{name}: {what} in {view.setup_names[setup]}',
+                                      Split(course, place, np.unique(place[mine]), channels), scale)
     # Few-parameter shapes along the travel, the same in all setups, by direction.
     share = view.commanded.T / np.array(view.description.machine.volume)[:, None]
     waves = np.concatenate([np.cos(np.pi * k * share) for k in (1, 2, 3)])
@@ -122,7 +119,8 @@ def _in_time(view: StopView) -> Iterator[Form]:
     for name, columns, scale in _channels(view):
         if len(long):
             for kind, courses in (('drift', np.stack([ramp, ramp**2])), ('ramp', ramp[None])):
-                yield _inside_runs(view, f'{name}: {kind} inside the runs', courses, long, columns, scale)
+                full = Split(_in_all_channels(view, courses), view.run, long, _in_channels(view, columns))
+                yield _split_form(f'{name}: {kind} inside the runs', full, scale)
         yield pattern_form(view, f'{name}: slow in time', slow, columns, scale)
         for setup in range(len(view.setup_names)):
             mine = (view.setup == setup).astype(float)

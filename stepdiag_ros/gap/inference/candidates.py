@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from stepdiag_ros.effects.base import Effect, Form
-from stepdiag_ros.effects.made import Made
+from stepdiag_ros.effects.made import Made, Split
 from stepdiag_ros.gap.constants import CONFUSED, CONTROL_SHARE, DISCREPANCY_SHARE, MEMBER_ALARM
 from stepdiag_ros.gap.inference.brought import Brought
 from stepdiag_ros.gap.inference.discrepancy import LEAST
@@ -88,13 +88,17 @@ class Screen:
 
     def __post_init__(self):
         forms = [c.form for c in self.candidates]
-        first = _first_alike(forms)
-        owns = [number for number, other in enumerate(first) if other == number]
+        first = _among(forms)
+        owns = [number for number, (other, _) in enumerate(first) if other == number]
         self.data = np.concatenate([self.parity.data, self.parity.own_data])
         self._brought = Brought.into(self.parity, [forms[i] for i in owns], self.data)
         place = {number: k for k, number in enumerate(owns)}
-        self._slices = [self._brought.slices[place[i]] for i in first]
-        self._ratios = [form.scale / forms[i].scale for form, i in zip(forms, first, strict=True)]
+        within = [slice(begin, begin + len(form.columns)) for form, (_, begin) in zip(forms, first, strict=True)]
+        begins = [self._brought.slices[place[i]].start for i, _ in first]
+        self._slices = [slice(begin + part.start, begin + part.stop)
+                        for begin, part in zip(begins, within, strict=True)]
+        self._ratios = [form.scale / forms[i].scale[part]
+                        for form, (i, _), part in zip(forms, first, within, strict=True)]
         grams, corrections = self._brought.grams, self._brought.corrections
         by_width: dict[int, list[int]] = {}
         for number, part in enumerate(self._slices):
@@ -104,12 +108,12 @@ class Screen:
             places = np.stack([np.arange(self._slices[n].start, self._slices[n].stop) for n in numbers])
             ratios = np.stack([self._ratios[n] for n in numbers])
             both = ratios[:, :, None] * ratios[:, None, :]
-            gram = np.stack([grams[place[first[n]]] for n in numbers]) * both
+            gram = np.stack([grams[place[first[n][0]]][within[n], within[n]] for n in numbers]) * both
             along = self._brought.along[places] * ratios
             mine = None
-            if any(place[first[n]] in corrections for n in numbers):
+            if any(place[first[n][0]] in corrections for n in numbers):
                 none = np.zeros(gram.shape[1:])
-                mine = np.stack([corrections.get(place[first[n]], none) for n in numbers]) * both
+                mine = np.stack([corrections.get(place[first[n][0]], none) for n in numbers]) * both
                 gram += mine
             self._alike.append(_Alike(np.array(numbers), places, ratios, gram, along, mine))
         self._group()
@@ -466,16 +470,26 @@ def _key(members: Sequence[Member]) -> tuple:
     return tuple((m.candidate, m.size, m.at) for m in members)
 
 
-def _first_alike(forms: Sequence[Form]) -> list[int]:
-    """For each form the number of that whose columns it shares: its own, or that of the process before it
-    where the two differ in the sizes of their coefficients only (a winding and a smooth profile)."""
-    first = list(range(len(forms)))
+def _among(forms: Sequence[Form]) -> list[tuple[int, int]]:
+    """For each form the number of that whose columns it shares, and its first among those: its own; or that of the
+    process before it, where the two differ in the sizes of their coefficients only (a winding and a smooth profile); or
+    that of all places, where it is of some."""
+    first, whole = [(number, 0) for number in range(len(forms))], 0
     for number in range(1, len(forms)):
         form, before = forms[number], forms[number - 1]
         if form.process and before.process and _same(form.columns, before.columns) \
                 and _same(form.inside, before.inside):
             first[number] = first[number - 1]
+        elif _plain(form):
+            begin = form.columns.begins_in(forms[whole].columns) if _plain(forms[whole]) else None
+            first[number] = (number, 0) if begin is None else (whole, begin)
+            whole = first[number][0]
     return first
+
+
+def _plain(form: Form) -> bool:
+    """Whether a form is nothing but split columns at the stops."""
+    return isinstance(form.columns, Split) and form.by_reading is None and form.inside is None
 
 
 def _same(one: np.ndarray | Made | None, other: np.ndarray | Made | None) -> bool:
