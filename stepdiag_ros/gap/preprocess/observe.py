@@ -212,7 +212,11 @@ def _bins(log: CalibrationLog, table: StopTable) -> tuple[np.ndarray, np.ndarray
             place = np.clip(since * BINS // (table.done_ns[i] - table.dwell_ns[i]), 0, BINS - 1)
             count = np.bincount(place, minlength=BINS)
             if np.any(count == 0):
-                continue
+                if len(values) < hi - lo:
+                    continue
+                # Few samples, and none in the dwell's last part: as many as may be in each.
+                place = np.arange(len(values)) * BINS // len(values)
+                count = np.bincount(place, minlength=BINS)
             sums = np.stack([np.bincount(place, values[:, k], BINS)
                              for k in range(values.shape[1])], axis=1)
             bins[i, :, columns] = sums / count[:, None] - values.mean(axis=0)

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from stepdiag_ros.estimate.reduce import reduce_log
 from stepdiag_ros.gap.preprocess.observe import observe
 
 
@@ -17,3 +18,19 @@ def test_readings_in_steps_do_not_hide_their_noise(case):
     ratio = np.nanmedian(seen[:, 1:] / plain[:, 1:], axis=0)
     assert np.all(np.abs(ratio / expected - 1.0) < 0.15)
     np.testing.assert_allclose(seen[:, 0], plain[:, 0])
+
+
+def test_a_dwell_whose_last_part_has_no_sample_has_an_inside(case):
+    """Seven samples in the first three quarters of a dwell: a fifth of its time is empty, and what goes on is seen."""
+    log, table = case.log(), reduce_log(case.log())
+    kept = np.zeros(len(log.spot.time_ns), bool)
+    for (low, high), begin, end in zip(table.spot_rows, table.dwell_ns, table.done_ns, strict=True):
+        some = low + np.linspace(0, high - low - 1, 9).astype(int)
+        kept[some[log.spot.time_ns[some] - begin < 0.78 * (end - begin)]] = True
+
+    def thinned(samples):
+        return replace(samples, **{name: value[kept] for name, value in vars(samples).items()
+                                   if isinstance(value, np.ndarray) and len(value) == len(kept)})
+    few = observe(replace(log, displacement=thinned(log.displacement), spot=thinned(log.spot)))
+    assert np.isfinite(few.bins).all(axis=(1, 2)).mean() > 0.9
+    assert np.all(np.diff(few.view.bin_time, axis=1) > 0.0)

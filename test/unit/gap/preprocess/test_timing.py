@@ -8,9 +8,10 @@ import pytest
 from stepdiag_ros.effects import effect_class
 from stepdiag_ros.estimate.reduce import reduce_log
 from stepdiag_ros.estimate.samples import clean, quantum
-from stepdiag_ros.gap.preprocess.clocks import late_clocks
+from stepdiag_ros.gap.preprocess.clocks import late_clocks, set_clocks
+from stepdiag_ros.gap.preprocess.observe import observe
 from stepdiag_ros.gap.preprocess.timing import _rest, apart, least_noise, step_noise, timing, well_timed
-from stepdiag_ros.model.log import Samples
+from stepdiag_ros.model.log import DWELL, Samples
 
 
 def _seen(log):
@@ -56,6 +57,21 @@ def test_a_clock_that_runs_wrong_shows_although_late_alone_would_not(case):
     wrong = replace(log, displacement=_stamped(log.displacement, 0.01, 2e-3),
                     spot=_stamped(log.spot, 0.01, 2e-3))
     assert late_clocks(*_clocks(wrong))['interferometer'].drift == pytest.approx(2e-3, rel=0.3)
+
+
+def test_a_clock_that_runs_wrong_is_put_right_where_the_control_begins_its_moves_late(case):
+    """Put right by the beginning of most moves the others would come into the dwells.  How late the clock is remains
+    open, that it runs wrong does not."""
+    log = case.log()
+    steps = log.steps
+    # Axes that move a fifth of a second after the command, X sooner, and a report that comes late.
+    wait = np.where(steps.phase == DWELL, -150_000_000, np.where(steps.axis == 0, 40_000_000, 200_000_000))
+    wrong = replace(log, steps=replace(steps, time_ns=steps.time_ns - wait),
+                    displacement=_stamped(log.displacement, 0.01, 4e-3), spot=_stamped(log.spot, 0.01, 4e-3))
+    _, _, clocks, late = set_clocks(wrong, observe(wrong))
+    by = late['interferometer']
+    assert clocks['interferometer'].onset > 0.15
+    assert by.drift == pytest.approx(4e-3, rel=0.3) and abs(by.offset - 0.012) < 0.05 < by.sigma
 
 
 def test_the_sensor_that_is_off_is_named(case):
