@@ -18,7 +18,7 @@ def weighted(residual: np.ndarray, white: list[Whitener]) -> np.ndarray:
     """``WᵀW r`` (n·c,)."""
     out = np.zeros_like(residual)
     for whitener in white:
-        out[whitener.rows] = whole(whitener.factor, residual[whitener.rows])
+        out[whitener.rows] = whitener.weighted(residual[whitener.rows])
     return out
 
 

@@ -16,7 +16,6 @@ believes, and says so.
 """
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 from scipy import linalg
@@ -24,7 +23,7 @@ from scipy import linalg
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate.correlated import SLOW, not_rounding, of_mean
 from stepdiag_ros.estimate.reduce import MOVED_M, StopTable
-from stepdiag_ros.estimate.triangular import Banded, backward, forward
+from stepdiag_ros.estimate.triangular import Banded, Full, kept
 from stepdiag_ros.model.description import Noise
 from stepdiag_ros.model.log import NONE, STOOD
 
@@ -109,7 +108,17 @@ class Whitener:
     """Lower Cholesky factor of the covariance of the readings ``rows`` (flat [stop, channel]) of one run."""
 
     rows: np.ndarray
-    factor: np.ndarray
+    triangle: Full | Banded
+
+    @classmethod
+    def of(cls, rows: np.ndarray, factor: np.ndarray) -> 'Whitener':
+        """The whitener of ``rows`` (k,) by a factor (k, k) that is written out."""
+        return cls(rows, kept(factor))
+
+    @property
+    def factor(self) -> np.ndarray:
+        """The factor (k, k), written out."""
+        return self.triangle.factor
 
     def __call__(self, values: np.ndarray) -> np.ndarray:
         """White version of the readings or Jacobian rows, all of the log's given: (N, …) → (k, …)."""
@@ -121,15 +130,15 @@ class Whitener:
 
     def solve(self, right: np.ndarray) -> np.ndarray:
         """``L⁻¹ b`` of the factor for ``right`` (k, …)."""
-        return forward(self.factor, right) if self._band is None else self._band.forward(right)
+        return self.triangle.forward(right)
 
     def solve_back(self, right: np.ndarray) -> np.ndarray:
         """``L⁻ᵀ b`` for ``right`` (k, m)."""
-        return backward(self.factor, right) if self._band is None else self._band.backward(right)
+        return self.triangle.backward(right)
 
-    @cached_property
-    def _band(self) -> Banded | None:
-        return Banded.of(self.factor)
+    def weighted(self, right: np.ndarray) -> np.ndarray:
+        """``Σ⁻¹ b`` for ``right`` (k, …), Σ the covariance of its rows."""
+        return self.solve_back(self.solve(right))
 
 
 def sensor_noise(table: StopTable, belief: Noise) -> np.ndarray:
@@ -300,7 +309,7 @@ def whiteners(table: StopTable, noise: NoiseModel, arrival: np.ndarray,
         covariance = run_covariance(rows, noise.position, noise.angle, noise.sensor, arrival, numbers, correlation)
         _add_to_lengths(covariance, lasting(table, rows, as_steps=True), channels)
         flat = (rows[:, None] * channels + np.arange(channels)).ravel()[keep]
-        result.append(Whitener(flat, _root(covariance[np.ix_(keep, keep)], table, int(run))))
+        result.append(Whitener.of(flat, _root(covariance[np.ix_(keep, keep)], table, int(run))))
     return result
 
 

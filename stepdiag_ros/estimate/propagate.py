@@ -17,7 +17,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import linalg, sparse, special
+from scipy import sparse, special
 
 from stepdiag_ros.estimate.columns import STOPWISE, Setting, arrival_columns, stop_columns, systematic, turn_columns
 from stepdiag_ros.estimate.conditions import ANY_SCALE, MOST_SCALE, UNREFERRED, Conditions
@@ -155,7 +155,7 @@ def gain(result: Fit, rows: np.ndarray | None = None) -> np.ndarray:
     out = np.zeros((len(left), result.jacobian.shape[0]))
     for white in result.whiteners:
         block = (result.jacobian[white.rows] @ left.T)
-        out[:, white.rows] = linalg.cho_solve((white.factor, True), block, check_finite=False).T
+        out[:, white.rows] = white.weighted(block).T
     return out
 
 

@@ -53,7 +53,7 @@ def weigh(result: Fit, reporting: np.ndarray, columns: np.ndarray, misfit: float
     gain = np.zeros((len(half), result.jacobian.shape[0]))
     for one in white:
         block = result.jacobian[one.rows] @ half.T
-        gain[:, one.rows] = linalg.cho_solve((one.factor, True), block, check_finite=False).T
+        gain[:, one.rows] = one.weighted(block).T
     gain += shared @ weighted.T
     residual = np.where(result.present, result.residual, 0.0).ravel()
     return Weighed(gain, half, gain @ residual - half @ (result.precision @ result.theta))
@@ -61,14 +61,15 @@ def weigh(result: Fit, reporting: np.ndarray, columns: np.ndarray, misfit: float
 
 def _whiteners(result: Fit, misfit: float, stopwise: sparse.csr_array | None) -> list[Whitener]:
     """Those of the fit, with its noise ``misfit`` times as large and what is ``stopwise`` added."""
-    scaled = [Whitener(one.rows, misfit * one.factor) for one in result.whiteners]
+    scaled = [Whitener.of(one.rows, misfit * one.factor) for one in result.whiteners]
     if stopwise is None:
         return scaled
     found = []
     for one in scaled:
         own = stopwise[one.rows]
-        covariance = one.factor @ one.factor.T + (own @ own.T).toarray()
-        found.append(Whitener(one.rows, linalg.cholesky(covariance, lower=True, check_finite=False)))
+        factor = one.factor
+        covariance = factor @ factor.T + (own @ own.T).toarray()
+        found.append(Whitener.of(one.rows, linalg.cholesky(covariance, lower=True, check_finite=False)))
     return found
 
 
@@ -76,5 +77,5 @@ def _over_noise(white: list[Whitener], columns: np.ndarray) -> np.ndarray:
     """``Σ⁻¹ B`` (n·c, k)."""
     out = np.zeros_like(columns)
     for one in white:
-        out[one.rows] = linalg.cho_solve((one.factor, True), columns[one.rows], check_finite=False)
+        out[one.rows] = one.weighted(columns[one.rows])
     return out

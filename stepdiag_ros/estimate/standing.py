@@ -17,7 +17,6 @@ from stepdiag_ros.estimate.gauge import reporting_matrix
 from stepdiag_ros.estimate.noise import arrivals
 from stepdiag_ros.estimate.reduce import StopTable
 from stepdiag_ros.estimate.solution import Solution
-from stepdiag_ros.estimate.triangular import whole
 
 SAME_M = 1e-9
 """An axis stands if it is commanded to the same place within this."""
@@ -50,7 +49,7 @@ def with_standing(solution: Solution, result: Fit, table: StopTable) -> Solution
             own = numbers[white.rows // channels, axis]
             shared = np.unique(own)
             columns, jacobian = block_of(result.jacobian, white.rows)
-            weight = whole(white.factor, (own[:, None] == shared) * effect[white.rows, None])
+            weight = white.weighted((own[:, None] == shared) * effect[white.rows, None])
             for number, change in zip(shared, (follow[:, columns] @ (jacobian.T @ weight)).T, strict=True):
                 moved.setdefault(number, []).append(change)
         of_several = [parts for parts in moved.values() if len(parts) > 1]

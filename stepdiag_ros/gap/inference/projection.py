@@ -68,8 +68,8 @@ class Projection:
         own, resets, white, volume = result.jacobian[:, :shared], result.jacobian[:, shared:], [], 0.0
         for one in whiteners(table, noise, result.arrival, result.present):
             free, triangle = np.linalg.qr(one.forward(block_of(resets, one.rows)[1]))
-            white.append(Freed(one.rows, one.factor, free))
-            volume -= float(np.sum(np.log(np.diag(one.factor))) + np.sum(np.log(np.abs(np.diag(triangle)))))
+            white.append(Freed(one.rows, one.triangle, free))
+            volume -= float(np.sum(np.log(one.triangle.diagonal)) + np.sum(np.log(np.abs(np.diag(triangle)))))
         # The unknowns are held to their priors as in the fit: else errors of metres, along directions that the
         # readings hardly tell, would imitate what no machine does.
         held = np.linalg.cholesky(result.precision[:shared, :shared]).T

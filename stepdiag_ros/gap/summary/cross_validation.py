@@ -180,7 +180,7 @@ def _predicted(joint: Joint, parts: list[np.ndarray], with_effects: bool) -> _Fo
         sizes = np.concatenate([a.coefficients / a.form.scale for a in joint.active])
     runs = [Run(w, jacobian[w.rows], plain[w.rows]) for w in white]
     rest = HeldOut(runs, [[held[run.whitener.rows // channels] for run in runs] for held in parts], precision)
-    factors = {int(w.rows[0]): w.factor for w in joint.parity.projection.white}
+    noise = {int(w.rows[0]): w for w in joint.parity.projection.white}
     total, freedom, count = 0.0, 0, 0
     sums = {kind: np.zeros(4) for kind in ('displacement', 'spot')}
     for number, held in enumerate(parts):
@@ -195,13 +195,14 @@ def _predicted(joint: Joint, parts: list[np.ndarray], with_effects: bool) -> _Fo
         freedom -= len(new) * beams if np.isfinite(table.displacement[held]).any() else 0
         for run, flag in rest.rows(number):
             rows, own = run.whitener.rows, run.left(expected)
+            factor = noise[int(rows[0])].factor
             freedom, count = freedom + int(flag.sum()), count + int(flag.sum())
             fresh = bool(table.run[rows[0] // channels] in new)
             for channel in np.unique(rows[flag] % channels):
                 mine = flag & (rows % channels == channel)
                 length = channel < beams
                 sums['displacement' if length else 'spot'] += _squares(
-                    own[mine], run.jacobian[mine], covariance, factors[int(rows[0])][mine], fresh and bool(length))
+                    own[mine], run.jacobian[mine], covariance, factor[mine], fresh and bool(length))
     rms = {kind: np.sqrt(np.maximum(of[:3], 0.0) / max(of[3], 1.0)) for kind, of in sums.items() if of[3] > 0.0}
     return _Forecast(total, freedom, count, *({kind: float(of[k]) for kind, of in rms.items()} for k in range(3)))
 
@@ -220,7 +221,7 @@ def _with_resets(joint: Joint, parts: list[np.ndarray]) -> tuple[list[Whitener],
         if not split[run[one.rows[0] // channels]]:
             _, shared = block_of(resets, one.rows)
             factor = linalg.cholesky(factor @ factor.T + PRIOR_RESET_M**2 * shared @ shared.T, lower=True)
-        white.append(Whitener(one.rows, factor))
+        white.append(Whitener.of(one.rows, factor))
     apart = np.flatnonzero(np.repeat(split, result.parameters.beams))
     return white, np.concatenate([np.arange(first), first + apart])
 
