@@ -82,5 +82,9 @@ def solved(factor: np.ndarray, scale: np.ndarray, right: np.ndarray) -> np.ndarr
 
 def inverse(factor: np.ndarray, scale: np.ndarray) -> np.ndarray:
     """Inverse (size, size) of the matrix that :func:`factored` took."""
+    # Above the diagonal both hold zeros.
     half, _ = linalg.lapack.dpotri(factor, lower=1)
-    return (np.tril(half) + np.tril(half, -1).T) * scale[:, None] * scale
+    half += np.tril(half, -1).T
+    half *= scale[:, None]
+    half *= scale
+    return half

@@ -83,7 +83,9 @@ def _features(parameters: Parameters, names: list[tuple[str, int]],
     for setup in parameters.setups:
         for k, what in enumerate(parameters.unknowns[setup]):
             labels.append(f'{setup} {what}')
-            rows.append(np.eye(parameters.size)[parameters.setup_first[setup] + k])
+            alone = np.zeros(parameters.size)
+            alone[parameters.setup_first[setup] + k] = 1.0
+            rows.append(alone)
     rows = np.array(rows)
     # Of a straightness curve the slope is the reference line: nothing is left of it to judge.
     real = np.sum(rows**2, axis=1) > 1e-20

@@ -102,12 +102,12 @@ class HeldOut:
         expected = covariance @ along
         right = np.zeros(len(expected))
         right[mine.columns] = mine.along - mine.normal @ expected[mine.columns]
-        both = normal.copy()
-        mine.onto(both)
-        moved = inverse(both) @ right
+        mine.onto(normal)
+        moved = inverse(normal) @ right
+        own = moved[mine.columns]
         left = sum(float(np.sum(run.whitener.forward(run.left(expected + moved))[flag]**2))
                    for run, flag in self.rows(number))
-        return left + float(moved @ normal @ moved), expected, covariance
+        return left + float(moved @ normal @ moved - own @ mine.normal @ own), expected, covariance
 
     def rows(self, number: int) -> Iterator[tuple[Run, np.ndarray]]:
         """The runs that have rows in a part, and which (m,) these are."""
