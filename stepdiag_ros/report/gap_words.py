@@ -236,7 +236,7 @@ def how_far(diagnosis: Diagnosis) -> str:
         return (f'The readings at the stops differ by {micrometres(gap.before_m)} (noise alone, with what it adds: '
                 f'{micrometres(gap.floor_m)}); it has no pattern that the simulator could be given.')
     if diagnosis.unmodelled and not diagnosis.effects and (closed_share(diagnosis) or 0.0) < LEAST_CLOSED:
-        return f'The gap {_stays(gap)}.'
+        return _hardly_shows(diagnosis) if gap.before < HARDLY else f'The gap {_stays(gap)}.'
     if diagnosis.unmodelled and not diagnosis.effects:
         return (f'Unmodelled structure brings the gap from {micrometres(gap.before_m)} to '
                 f'{micrometres(gap.after_m)} (noise alone: {micrometres(gap.floor_m)}). It describes the trouble; '
@@ -245,11 +245,7 @@ def how_far(diagnosis: Diagnosis) -> str:
         return (f'The mean readings at the stops differ by {micrometres(gap.before_m)}; '
                 f'noise alone makes {micrometres(gap.floor_m)}.')
     if gap.before < HARDLY:
-        still = diagnosis.margins is not None and diagnosis.margins.state[SETTLING] > 0.5
-        return (f'In the means of single stops it hardly shows: {micrometres(gap.before_m)} where '
-                f'{_expected(gap.gap)}. ' + (
-                    'It shows in how the readings move while the machine stands still.' if still else
-                    'It shows in what many stops have in common.'))
+        return _hardly_shows(diagnosis)
     share = closed_share(diagnosis)
     rest = f'the residual is still {gap.after_m / max(gap.floor_m, 1e-300):.1f} times the noise'
     if gap.after < NOISE_LIKE:
@@ -264,6 +260,15 @@ def how_far(diagnosis: Diagnosis) -> str:
         return f'{with_it} {_stays(gap)}; {rest}.'
     return (f'{with_it} falls from {micrometres(gap.before_m)} to {micrometres(gap.after_m)} (noise alone: '
             f'{micrometres(gap.floor_m)}): {closed_percent(share or 0.0)} of it is gone, {rest}.')
+
+
+def _hardly_shows(diagnosis: Diagnosis) -> str:
+    """That the stops' means hardly tell of what was found, and what does."""
+    gap = diagnosis.cross_validation
+    still = diagnosis.margins is not None and diagnosis.margins.state[SETTLING] > 0.5
+    return (f'In the means of single stops it hardly shows: {micrometres(gap.before_m)} where {_expected(gap.gap)}. '
+            + ('It shows in how the readings move while the machine stands still.' if still else
+               'It shows in what many stops have in common.'))
 
 
 def _stays(gap: CrossValidation) -> str:

@@ -22,6 +22,9 @@ from stepdiag_ros.gap.preprocess.observe import channels
 CONCENTRATED = 0.85
 """Share of a cell in one axis or direction from which it is reported."""
 
+ONE_SIGMA = 1.0
+"""Squares at all stops together below which what acts inside the dwells too shows there alone: one σ."""
+
 
 @dataclass(frozen=True)
 class Share:
@@ -74,6 +77,8 @@ def excess_of(joint: Joint, unmodelled: bool = False) -> np.ndarray:
         # Of a variance that holds a disturbance, no less than a hundredth is the sensors' and the arrivals'.
         own = whole if held is None else np.maximum(whole - held, 0.01 * whole)
         excess = excess + added / np.maximum(own, 1e-32)
+    elif excess.sum() < ONE_SIGMA and any(a.form.inside is not None for a in joint.active):
+        return _inside(joint)
     elif unmodelled or not joint.active:
         excess = excess + _of_residuals(joint)
     if excess.any():
