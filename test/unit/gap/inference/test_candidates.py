@@ -4,8 +4,11 @@ import numpy as np
 import pytest
 
 from stepdiag_ros.effects.base import Form
+from stepdiag_ros.gap.alternatives.unmodelled import unknown_families
 from stepdiag_ros.gap.inference.candidates import Candidate, Member, Screen
 from stepdiag_ros.gap.inference.evidence import SIZES, log_mean
+from stepdiag_ros.gap.inference.joint import fit_jointly
+from stepdiag_ros.gap.inference.select_effects import noise_of
 from test.unit.gap.inference.white_space import white_space
 
 N = 60
@@ -82,3 +85,19 @@ def test_how_well_a_coefficient_is_known_does_not_drown_in_the_size_it_is_allowe
         value, sigma = screen.with_sigmas(members, number)
         assert sigma == pytest.approx(np.sqrt(known[number, number]), rel=1e-3)
         assert value == pytest.approx(screen.sizes(members, number), abs=1e-2 * float(sigma[0]))
+
+
+def test_places_of_one_setup_are_among_all_places_and_judged_as_alone(case):
+    """Their columns are kept once; what each is worth is what it is worth in a screen of its own."""
+    observation = case.observe()
+    space = fit_jointly(observation, [], noise_of(observation)).parity
+    forms = [form for form in unknown_families(observation.view)['places'] if form.label.startswith('spot_x: places')]
+    screen = Screen(space, [Candidate('unknown', 'places', form) for form in forms], 100.0)
+    width = screen._brought.width
+    assert width == sum(len(f.columns) for f in forms if ' in ' not in f.label) \
+        < sum(len(form.columns) for form in forms)
+    together = screen.judge_all((), np.arange(len(forms))).log_bayes
+    for number, form in enumerate(forms):
+        alone = Screen(space, [Candidate('unknown', 'places', form)], 100.0)
+        assert together[number] == pytest.approx(alone.judge_all((), [0]).log_bayes[0], abs=1e-6)
+        np.testing.assert_allclose(screen.columns_of(number), alone.columns_of(0), atol=1e-9)
