@@ -79,7 +79,6 @@ class Split(Made):
         parts = _split(self.columns[:, stops], self.group[stops], self.numbers[there], self.channels)
         return (there[:, None] * each + np.arange(each)).ravel(), parts
 
-
     def begins_in(self, other: 'Split') -> int | None:
         """The column of ``other`` from which on its columns are these; None where they are not among them."""
         if any(mine is not theirs for mine, theirs in ((self.columns, other.columns), (self.group, other.group),

@@ -39,12 +39,12 @@ def _channels(view: StopView) -> list[tuple[str, slice, float]]:
 def pattern_form(view: StopView, label: str, patterns: np.ndarray, columns: slice, scale: float) -> Form:
     """Patterns (k, n), or (k, n, c) of their own in each, put into c channels."""
     full = Made((len(patterns), *view.reading.shape), _put, view.reading.shape, patterns, columns)
-    return Form(label, full, tuple(str(i) for i in range(len(patterns))),
-                np.full(len(patterns), scale))
+    return _numbered(label, full, scale)
 
 
-def _split_form(label: str, full: Split, scale: float) -> Form:
-    return Form(label, full, tuple(str(i) for i in range(len(full))), np.full(len(full), scale))
+def _numbered(label: str, columns: np.ndarray | Made, scale: float) -> Form:
+    """Columns (k, n, c) of one typical size that have numbers for names."""
+    return Form(label, columns, tuple(str(i) for i in range(len(columns))), np.full(len(columns), scale))
 
 
 def _in_channels(view: StopView, columns: slice) -> np.ndarray:
@@ -87,11 +87,11 @@ def _static(view: StopView) -> Iterator[Form]:
         for what, sign in (('places', np.ones(len(place))), ('places by direction', view.direction)):
             course = _in_all_channels(view, sign[None])
             # All of them first: those of one setup are some of their columns.
-            yield _split_form(f'{name}: {what}', Split(course, place, np.unique(place), channels), scale)
+            yield _numbered(f'{name}: {what}', Split(course, place, np.unique(place), channels), scale)
             for setup in range(len(view.setup_names)):
                 mine = view.setup == setup
                 if mine.sum() >= 8:
-                    yield _split_form(f'{name}: {what} in {view.setup_names[setup]}',
+                    yield _numbered(f'{name}: {what} in {view.setup_names[setup]}',
                                       Split(course, place, np.unique(place[mine]), channels), scale)
     # Few-parameter shapes along the travel, the same in all setups, by direction.
     share = view.commanded.T / np.array(view.description.machine.volume)[:, None]
@@ -120,7 +120,7 @@ def _in_time(view: StopView) -> Iterator[Form]:
         if len(long):
             for kind, courses in (('drift', np.stack([ramp, ramp**2])), ('ramp', ramp[None])):
                 full = Split(_in_all_channels(view, courses), view.run, long, _in_channels(view, columns))
-                yield _split_form(f'{name}: {kind} inside the runs', full, scale)
+                yield _numbered(f'{name}: {kind} inside the runs', full, scale)
         yield pattern_form(view, f'{name}: slow in time', slow, columns, scale)
         for setup in range(len(view.setup_names)):
             mine = (view.setup == setup).astype(float)
@@ -137,8 +137,7 @@ def _in_time(view: StopView) -> Iterator[Form]:
                        if run_wise else list(slow))
             profiles = [c for c in profiles if np.any(c)]
             columns = Product(np.array(profiles), derivative)
-            yield Form(f'{label}: wandering {"inside the runs" if run_wise else "in time"}', columns,
-                       tuple(str(i) for i in range(len(columns))), np.full(len(columns), scale))
+            yield _numbered(f'{label}: wandering {"inside the runs" if run_wise else "in time"}', columns, scale)
 
 
 def _beginnings(view: StopView) -> np.ndarray:
@@ -230,8 +229,7 @@ def _between_channels(view: StopView) -> Iterator[Form]:
         if not source.startswith('spot'):
             full = view.zeros(2 * len(patterns))
             full[:len(patterns), :, b] = full[len(patterns):, :, b + 1] = patterns
-            yield Form(f'spot: follows {source}', full, tuple(str(i) for i in range(len(full))),
-                       np.full(len(full), 3e-6))
+            yield _numbered(f'spot: follows {source}', full, 3e-6)
 
 
 def _put_inside(shape: tuple[int, int], sign: np.ndarray, pattern: np.ndarray, columns: slice) -> np.ndarray:

@@ -104,9 +104,12 @@ class Joint:
     def along(self, white: np.ndarray, run: int | None = None) -> np.ndarray:
         """Products ``Jᵀ`` (size, k) of the white Jacobian with a change (rows, k) of the readings, or of one run's."""
         space = self.parity.projection
+        if run is not None:
+            one = space.white[run]
+            return self.fit.jacobian[one.rows].T @ one.solve_back(white)
         back = np.zeros((self.fit.jacobian.shape[0], white.shape[1]))
-        for number, one in enumerate(space.white) if run is None else [(run, space.white[run])]:
-            back[one.rows] = one.solve_back(white[space.runs[number]] if run is None else white)
+        for one, rows in zip(space.white, space.runs, strict=True):
+            back[one.rows] = one.solve_back(white[rows])
         return self.fit.jacobian.T @ back
 
     def followed(self, along: np.ndarray) -> np.ndarray:

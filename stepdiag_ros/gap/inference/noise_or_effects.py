@@ -58,10 +58,10 @@ def settle_in_noise(observation: Observation, effects: Mapping[str, Effect]) -> 
     tidy = noise_of(observation)
     alone = fit_jointly(observation, [], tidy)
     plain = Settled(alone, *settle(alone, effects))
-    hint = suspicion(observation, tidy, alone.parity.projection, observation.table)
+    hint = suspicion(alone.parity.projection, observation.table)
     if not hint or _settles(plain, hint):
         return plain
-    noise, gain = as_it_is(observation, tidy, observation.table)
+    noise, gain = as_it_is(alone.parity.projection, observation.table)
     if gain < SUSPICION:
         return plain
     if noise.has_tails and len(_patterns(plain)) < len(plain.joint.active):
@@ -70,7 +70,7 @@ def settle_in_noise(observation: Observation, effects: Mapping[str, Effect]) -> 
     nothing, own = _settled_in(noise, observation, effects), plain
     if _patterns(plain):
         joint = _without_outliers(plain.joint)
-        noise, gain = as_it_is(joint.observation, tidy, left(joint))
+        noise, gain = as_it_is(joint.parity.projection.in_noise(tidy), left(joint))
         if gain >= SUSPICION:
             # What was found in a noise that its own rest refutes is held to what that rest shows.
             again = _settled_in(noise, observation, effects)
@@ -135,7 +135,7 @@ def _settles(plain: Settled, hint: float) -> bool:
     """Whether a single effect explains far more than tails could, ``hint``, and leaves none."""
     joint, best = plain.joint, plain.sets[0]
     return len(best.key) == 1 and bool(joint.active) and best.log_bayes > FAR * hint \
-        and not suspicion(joint.observation, joint.noise, joint.parity.projection, left(joint))
+        and not suspicion(joint.parity.projection, left(joint))
 
 
 def left(joint: Joint, beside: Likeliest | None = None) -> StopTable:
@@ -150,12 +150,12 @@ def total_evidence(joint: Joint, sets: list[EffectSet], screen: Screen) -> float
 
     The noise is given tails beside the effects too, where they leave any.
     """
-    observation, space = joint.observation, joint.parity
+    space = joint.parity
     beside = Likeliest.of(joint)
     table = left(joint, beside)
-    stops = log_evidence(observation, joint.noise, space.projection, table)
+    stops = log_evidence(space.projection, table)
     if joint.noise.tidy:
-        stops += as_it_is(observation, joint.noise, table)[1]
+        stops += as_it_is(space.projection, table)[1]
     inside = (unexplained(space, joint.active) - beside.white)[space.stops:]
     loud = float(np.sum(np.log(space.bin_scale[space.channel[space.stops:]])))
     slopes = slopes_of([a.form for a in joint.active], lambda number: joint.active[number].coefficients)

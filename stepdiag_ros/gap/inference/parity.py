@@ -90,7 +90,7 @@ class Parity:
 
     @cached_property
     def run_of_stop(self) -> np.ndarray:
-        """Numbers (n,) among :attr:`runs` of the stops' runs; −1 where no reading is there."""
+        """Numbers (n,) among :attr:`Projection.runs` of the stops' runs; −1 where no reading is there."""
         run = np.full(len(self._bin_present), -1)
         for number, white in enumerate(self.projection.white):
             run[white.rows // self._bin_present.shape[2]] = number
@@ -180,19 +180,24 @@ class Parity:
     def _bin_weight(self) -> np.ndarray:
         return 1.0 / (self.bin_scale * self._bin_sigma)
 
-    @cached_property
+    @property
     def own_share(self) -> np.ndarray:
         """Share (n·c,) of each reading's own noise that is left here after the fit; 0 for what is absent.
 
         Where beams side by side share their noise it is the diagonal of an oblique projection, which need be no share.
         """
-        channels = self._bin_present.shape[2]
-        share = np.zeros(len(self._bin_present) * channels)
+        return self._shares[0]
+
+    @cached_property
+    def _shares(self) -> tuple[np.ndarray, np.ndarray]:
+        """:attr:`own_share`, and the share (m,) of each white row of readings that can be imitated."""
+        share, imitated = np.zeros(len(self._bin_present) * self._bin_present.shape[2]), []
         for number, white in enumerate(self.projection.white):
             basis = np.concatenate([white.free, self.projection.directions(number)], axis=1)
             taken = np.sum((white.factor @ basis) * white.solve_back(basis), axis=1)
             share[white.rows] = np.clip(1.0 - taken, 0.0, 1.0)
-        return share
+            imitated.append(np.sum(basis**2, axis=1))
+        return share, np.concatenate(imitated)
 
     def own_rows(self, form: Form) -> np.ndarray:
         """The Jacobian correction of columns made of readings, as rows (m, k) beside those of the data, against
@@ -255,9 +260,7 @@ class Parity:
     def level(self) -> float:
         """Mean square of the lengths' data where it is below what is expected of noise, as a share of that; else 1."""
         mine = np.flatnonzero((self.channel >= 0)[:self.stops] & ~self.of_spot[:self.stops])
-        taken = np.concatenate([np.sum(self.projection.directions(number)**2, axis=1) + np.sum(white.free**2, axis=1)
-                                for number, white in enumerate(self.projection.white)])
-        expected = len(mine) - float(np.sum(taken[mine]))
+        expected = len(mine) - float(np.sum(self._shares[1][mine]))
         return min(1.0, float(np.sum(self.data[mine]**2)) / expected) if len(mine) else 1.0
 
     def project(self, form: Form) -> np.ndarray:

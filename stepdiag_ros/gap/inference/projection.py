@@ -10,9 +10,10 @@ z′ the own rows of z: J is sparse, and W there run by run.  Rounding errors gr
 one length: 10⁴ to 10⁵, priors included.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import chain
 
 import numpy as np
 from scipy import sparse
@@ -20,6 +21,7 @@ from scipy import sparse
 from stepdiag_ros.estimate.dense import block_of
 from stepdiag_ros.estimate.enhanced import Fit
 from stepdiag_ros.estimate.noise import NoiseModel, Whitener, whiteners
+from stepdiag_ros.estimate.noise_law import Errors, Latent, errors_of, latents
 from stepdiag_ros.estimate.reduce import StopTable
 from stepdiag_ros.estimate.triangular import backward, forward
 
@@ -49,15 +51,17 @@ class Freed(Whitener):
 
 @dataclass(frozen=True)
 class Projection:
-    """The projection at one fit in one noise.
+    """The projection at one ``fit`` of a ``table`` in one ``noise``.
 
     ``white``: whiteners, one a run, that take out its resets: a reset may be anything, its prior of metres is left out.
     ``volume``: −½ ln|C| − ½ ln|JᵀC⁻¹J + P|, the logarithm of what noise and unknowns leave open.
     """
 
+    table: StopTable
+    fit: Fit
+    noise: NoiseModel
     white: list[Freed]
     volume: float
-    _fit: Fit
     _jacobian: sparse.csr_array
     _held: np.ndarray
     _factor: np.ndarray
@@ -74,9 +78,13 @@ class Projection:
         # readings hardly tell, would imitate what no machine does.
         held = np.linalg.cholesky(result.precision[:shared, :shared]).T
         jacobian = own[np.concatenate([w.rows for w in white])]
-        triangle = _triangle(_whole(white, own, held))
+        triangle = _triangle(chain((_white_rows(one, own, one.rows) for one in white), [held]))
         volume -= float(np.sum(np.log(np.abs(np.diag(triangle)))))
-        return cls(white, volume, result, jacobian, held, np.asfortranarray(triangle.T))
+        return cls(table, result, noise, white, volume, jacobian, held, np.asfortranarray(triangle.T))
+
+    def in_noise(self, noise: NoiseModel) -> 'Projection':
+        """The projection at the same fit in another noise."""
+        return Projection.of(self.table, self.fit, noise)
 
     @property
     def size(self) -> int:
@@ -104,7 +112,7 @@ class Projection:
 
     def data(self, readings: np.ndarray) -> np.ndarray:
         """White ``readings`` (n, c) without the fit's prediction and what the unknowns can imitate (size,)."""
-        result = self._fit
+        result = self.fit
         # What the fit has put into its residual is gone already; only the rest is left to look at.
         residual = np.where(result.present, readings - result.model.predict(result.theta), 0.0).ravel()
         own = -self._held @ result.theta[:len(self._held)]
@@ -139,9 +147,19 @@ class Projection:
         result[self.readings:] -= self._held @ unknowns
         return result
 
+    def latents(self) -> Iterator[tuple[Latent, np.ndarray]]:
+        """The errors of the arrivals, run by run, and coordinates (r, m) of their columns in what can be imitated."""
+        for run, latent in enumerate(latents(self.table, self.noise, self.fit.arrival, self.white)):
+            yield latent, self.absorbed(latent.columns, run)
+
+    def errors(self, data: np.ndarray) -> Iterator[Errors]:
+        """The same errors given ``data`` (size,)."""
+        return (errors_of(latent, lost.T, data) for latent, lost in self.latents())
+
     def directions(self, run: int) -> np.ndarray:
         """What can be imitated (m, r) in one run: its rows of orthonormal directions."""
-        white = self.white[run].forward(self._jacobian[self.runs[run]].toarray(order='F'))
+        rows = self.runs[run]
+        white = _white_rows(self.white[run], self._jacobian, np.arange(rows.start, rows.stop))
         return forward(self._factor, np.asfortranarray(white.T)).T
 
     @cached_property
@@ -150,14 +168,12 @@ class Projection:
         return [self._jacobian[rows].T.tocsr() for rows in self.runs]
 
 
-def _whole(white: Iterable[Freed], jacobian: sparse.csr_array, held: np.ndarray) -> Iterable[np.ndarray]:
-    """The rows of ``[W J; H]``, run by run, the unknowns' own last."""
-    for one in white:
-        columns, part = block_of(jacobian, one.rows)
-        rows = np.zeros((len(part), jacobian.shape[1]))
-        rows[:, columns] = one.forward(part)
-        yield rows
-    yield held
+def _white_rows(one: Freed, jacobian: sparse.csr_array, rows: np.ndarray) -> np.ndarray:
+    """White version (m, r) of some ``rows`` (m,) of a Jacobian, those of one run."""
+    columns, part = block_of(jacobian, rows)
+    white = np.zeros((len(part), jacobian.shape[1]))
+    white[:, columns] = one.forward(part)
+    return white
 
 
 def _triangle(parts: Iterable[np.ndarray]) -> np.ndarray:

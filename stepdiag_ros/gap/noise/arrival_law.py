@@ -13,7 +13,7 @@ from scipy import special
 
 from stepdiag_ros.estimate.enhanced import readings_of
 from stepdiag_ros.estimate.noise import Law, NoiseModel
-from stepdiag_ros.estimate.noise_law import Repeats, errors_of, latents, sized, weighed
+from stepdiag_ros.estimate.noise_law import Repeats, sized, weighed
 from stepdiag_ros.estimate.reduce import StopTable
 from stepdiag_ros.gap.inference.projection import Projection
 from stepdiag_ros.gap.preprocess.observe import Observation
@@ -58,19 +58,17 @@ class _Held:
                        angle=min(self.noise.angle * factor[1], largest.angle))
 
 
-def as_it_is(observation: Observation, noise: NoiseModel, table: StopTable) -> tuple[NoiseModel, float]:
-    """The noise with the laws that explain best what is read in ``table``, the stops freed of all effects, and the log
-    evidence that the laws bring beyond normal, independent errors (0 where these do)."""
-    noise = replace(noise, position_law=Law(), angle_law=Law(), spread=None)
-    if min(noise.dof) < LEAST_DOF:
-        return noise, 0.0
-    readings = readings_of(table)
-    space = Projection.of(observation.table, observation.fit, noise)
-    suspected = [hint for hint in _hints(observation, noise, space, readings) if hint.evidence > HINT]
+def as_it_is(space: Projection, table: StopTable) -> tuple[NoiseModel, float]:
+    """The noise of a projection with the laws that explain best what is read in ``table``, the stops freed of all
+    effects, and the log evidence that the laws bring beyond normal, independent errors (0 where these do)."""
+    if min(space.noise.dof) < LEAST_DOF:
+        return tidied(space.noise), 0.0
+    space, readings = made_tidy(space), readings_of(table)
+    suspected = [hint for hint in _hints(space, readings) if hint.evidence > HINT]
     if not suspected:
-        return noise, 0.0
-    best = plain = _held(observation, noise, space, readings)
-    repeats, largest = Repeats(table, observation.fit.arrival), noise
+        return space.noise, 0.0
+    best = plain = _held(space, readings)
+    repeats, largest = Repeats(table, space.fit.arrival), space.noise
     for hint in suspected:
         begin = tried = best
         for value in hint.values:
@@ -79,7 +77,7 @@ def as_it_is(observation: Observation, noise: NoiseModel, table: StopTable) -> t
             if hint.parameter == 'correlation':
                 # A parabola in time takes more of what is correlated: the repeats are asked anew.
                 largest = given = sized(given, repeats)
-            tried = _settled(observation, given, readings, largest)
+            tried = _settled(space, given, readings, largest)
             if tried.evidence < best.evidence - PATIENCE:
                 break
             if tried.evidence > max(best.evidence, begin.evidence + WORTH):
@@ -87,58 +85,53 @@ def as_it_is(observation: Observation, noise: NoiseModel, table: StopTable) -> t
     return best.noise, best.evidence - plain.evidence
 
 
-def suspicion(observation: Observation, noise: NoiseModel, space: Projection, table: StopTable) -> float:
+def suspicion(space: Projection, table: StopTable) -> float:
     """Log evidence, by the single errors' scores alone, that the arrivals' noise has another law than a tidy one; 0
-    where nothing speaks for one.  ``space``: the projection in ``noise``; ``table``: the stops freed of all effects."""
-    if min(noise.dof) < LEAST_DOF:
+    where nothing speaks for one.  ``table``: the stops freed of all effects."""
+    if min(space.noise.dof) < LEAST_DOF:
         return 0.0
-    noise, space = made_tidy(observation, noise, space)
-    return sum(hint.evidence for hint in _hints(observation, noise, space, readings_of(table)) if hint.evidence > HINT)
+    return sum(hint.evidence for hint in _hints(made_tidy(space), readings_of(table)) if hint.evidence > HINT)
 
 
-def made_tidy(observation: Observation, noise: NoiseModel, space: Projection) -> tuple[NoiseModel, Projection]:
-    """A noise with normal, independent errors of arrivals, and the projection in it; ``space``: that in the noise."""
-    if noise.tidy:
-        return noise, space
-    noise = replace(noise, position_law=Law(), angle_law=Law(), spread=None)
-    return noise, Projection.of(observation.table, observation.fit, noise)
+def tidied(noise: NoiseModel) -> NoiseModel:
+    """A noise with normal, independent errors of arrivals."""
+    return replace(noise, position_law=Law(), angle_law=Law(), spread=None)
+
+
+def made_tidy(space: Projection) -> Projection:
+    """The projection in its noise with normal, independent errors of arrivals."""
+    return space if space.noise.tidy else space.in_noise(tidied(space.noise))
 
 
 def reweighed(observation: Observation, noise: NoiseModel, table: StopTable) -> NoiseModel:
     """The noise with its sizes, none above what it has, and with what single arrivals are wider by, as ``table``, the
     stops freed of all effects, shows them under its laws."""
-    return _settled(observation, noise, readings_of(table), noise).noise
+    space = Projection.of(observation.table, observation.fit, noise)
+    return _settled(space, noise, readings_of(table), noise).noise
 
 
-def log_evidence(observation: Observation, noise: NoiseModel, space: Projection, table: StopTable) -> float:
-    """Log evidence of a noise, but for a constant of the log, for ``table``, the stops freed of all effects; ``space``:
-    the projection in that noise."""
-    return _held(observation, noise, space, readings_of(table)).evidence
+def log_evidence(space: Projection, table: StopTable) -> float:
+    """Log evidence of a projection's noise, but for a constant of the log, for ``table``, the stops freed of all
+    effects."""
+    return _held(space, readings_of(table)).evidence
 
 
-def _settled(observation: Observation, noise: NoiseModel, readings: np.ndarray, largest: NoiseModel) -> _Held:
-    """The noise with sizes and spread settled under its laws."""
-    held, moved = _weighed(observation, noise, readings), np.inf
+def _settled(space: Projection, noise: NoiseModel, readings: np.ndarray, largest: NoiseModel) -> _Held:
+    """The noise with sizes and spread settled under its laws, at the fit of a projection."""
+    held, moved = _held(space if space.noise is noise else space.in_noise(noise), readings), np.inf
     for turn in range(1, SWEEPS):
         before, last = held.evidence, moved
-        held = _weighed(observation, held.next_within(largest), readings, turn)
+        held = _held(space.in_noise(held.next_within(largest)), readings, turn)
         moved = abs(held.evidence - before)
         if max(moved, last) < STEADY:
             break
     return held
 
 
-def _weighed(observation: Observation, noise: NoiseModel, readings: np.ndarray, turn: int = 0) -> _Held:
-    return _held(observation, noise, Projection.of(observation.table, observation.fit, noise), readings, turn)
-
-
-def _held(observation: Observation, noise: NoiseModel, space: Projection, readings: np.ndarray,
-          turn: int = 0) -> _Held:
+def _held(space: Projection, readings: np.ndarray, turn: int = 0) -> _Held:
     data = space.data(readings)
-    found = [errors_of(latent, space.absorbed(latent.columns, run).T, data) for run, latent in enumerate(
-        latents(observation.table, noise, observation.fit.arrival, space.white))]
-    wider, tails, squares, source = weighed(noise, found, len(observation.table), turn)
-    return _Held(noise, space.volume - 0.5 * float(data @ data) + tails, wider, source, squares)
+    wider, tails, squares, source = weighed(space.noise, list(space.errors(data)), len(space.table), turn)
+    return _Held(space.noise, space.volume - 0.5 * float(data @ data) + tails, wider, source, squares)
 
 
 @dataclass(frozen=True)
@@ -151,14 +144,13 @@ class _Hint:
     evidence: float
 
 
-def _hints(observation: Observation, noise: NoiseModel, space: Projection, readings: np.ndarray) -> list[_Hint]:
+def _hints(space: Projection, readings: np.ndarray) -> list[_Hint]:
     """What the errors' scores say for each parameter of each law."""
     data = space.data(readings)
     scores: dict[str, list] = {'angle_law': [], 'position_law': []}
     pairs: dict[str, list] = {'angle_law': [], 'position_law': []}
-    for run, latent in enumerate(latents(observation.table, noise, observation.fit.arrival, space.white)):
+    for latent, lost in space.latents():
         along = latent.columns.T @ data[latent.at]
-        lost = space.absorbed(latent.columns, run)
         spread = latent.columns.T @ latent.columns - lost.T @ lost
         seen = np.maximum(np.diag(spread), 1e-12)
         score = along / np.sqrt(seen)

@@ -76,8 +76,8 @@ def _scores(joint: Joint, axis: int, stops: np.ndarray, number: int, data: np.nd
     space, view = joint.parity, joint.observation.view
     columns = np.zeros((len(stops), *view.reading.shape))
     columns[np.arange(len(stops)), stops] = view.by_shift[axis][stops] * view.approach[stops, axis, None]
-    rows, _, white = space.white_run(columns, number)
-    white = white / np.linalg.norm(space.white_run(columns, number, resets=True)[2], axis=0)
+    rows, _, whole = space.white_run(columns, number, resets=True)
+    white = space.projection.white[number].without(whole) / np.linalg.norm(whole, axis=0)
     lost = space.projection.absorbed(white, number)
     value, vector = eigen(white.T @ white - lost.T @ lost)
     # What the fit takes whole is rounding; patterns of many steps in a row are much alike, but none of them is lost.

@@ -6,7 +6,6 @@ import numpy as np
 
 from stepdiag_ros.estimate.enhanced import readings_of
 from stepdiag_ros.estimate.noise import Law, NoiseModel
-from stepdiag_ros.estimate.noise_law import errors_of
 from stepdiag_ros.gap.constants import NOISIER
 from stepdiag_ros.gap.inference.joint import Joint, freed
 
@@ -59,9 +58,8 @@ def _alone(joint: Joint) -> Iterator[str]:
         return
     table, noise, space = joint.observation.table, joint.noise, joint.parity.projection
     data, far = space.data(readings_of(freed(table, joint.active))), []
-    for run, latent in enumerate(joint.latents()):
-        mean = errors_of(latent, space.absorbed(latent.columns, run).T, data).mean
-        for source, stops, error in zip(latent.source, latent.stops, mean, strict=True):
+    for errors in space.errors(data):
+        for source, stops, error in zip(errors.latent.source, errors.latent.stops, errors.mean, strict=True):
             times = abs(error) * (1.0 if noise.spread is None else noise.spread[source, stops[0]])
             if times > ALONE:
                 far.append((float(times), int(source), int(stops[0])))

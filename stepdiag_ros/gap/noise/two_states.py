@@ -15,7 +15,6 @@ from scipy.special import gammaln, ndtr
 
 from stepdiag_ros.estimate.eigen import eigen
 from stepdiag_ros.estimate.enhanced import readings_of
-from stepdiag_ros.estimate.noise_law import latents
 from stepdiag_ros.gap.constants import SUSPICION
 from stepdiag_ros.gap.inference.joint import Joint, freed
 from stepdiag_ros.gap.noise.arrival_law import made_tidy
@@ -42,12 +41,10 @@ WHAT = ("the mirror's angle", "an axis's error of X", "an axis's error of Y", "a
 
 def two_states(joint: Joint) -> tuple[float, str]:
     """Log evidence that arrivals come to two states, and of what, in words."""
-    observation = joint.observation
-    noise, space = made_tidy(observation, joint.noise, joint.parity.projection)
-    data = space.data(readings_of(freed(observation.table, joint.active)))
+    space = made_tidy(joint.parity.projection)
+    data = space.data(readings_of(freed(joint.observation.table, joint.active)))
     turns, axes = [], [[] for _ in range(3)]
-    for run, latent in enumerate(latents(observation.table, noise, joint.fit.arrival, space.white)):
-        lost = space.absorbed(latent.columns, run)
+    for latent, lost in space.latents():
         seen = np.maximum(np.sum(latent.columns**2, axis=0) - np.sum(lost**2, axis=0), 1e-12)
         score = np.where(seen > SEEN, latent.columns.T @ data[latent.at] / np.sqrt(seen), np.nan)
         turns.append(np.stack([score[latent.source == 0], score[latent.source == 1]], axis=1))

@@ -67,8 +67,10 @@ def bands(joint: Joint) -> tuple[Band, ...]:
             patterns = joint.observation.view.zeros(len(waves))
             patterns[:, :, columns] = waves[:, :, None]
             patterns = np.where(joint.fit.present, patterns, 0.0)
-            size = np.linalg.norm(space.white_part(patterns, resets=True), axis=0)
-            white = space.white_part(patterns) / np.maximum(size, 1e-300)
+            white = space.white_part(patterns, resets=True)
+            white /= np.maximum(np.linalg.norm(white, axis=0), 1e-300)
+            for one, rows in zip(space.projection.white, space.projection.runs, strict=True):
+                white[rows] = one.without(white[rows])
             absorbed = space.projection.absorbed(white)
             value, vector = eigen(white.T @ white - absorbed.T @ absorbed)
             keep = value > SEEN

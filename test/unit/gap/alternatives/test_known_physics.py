@@ -12,6 +12,7 @@ from stepdiag_ros.gap.alternatives.known_physics import BEARINGS, beyond_familie
 from stepdiag_ros.gap.alternatives.unmodelled import inconsistent_forms, unknown_families
 from stepdiag_ros.gap.constants import SCATTER_ALARM
 from stepdiag_ros.gap.summary.cross_validation import CrossValidation, excess_forecast
+from test.unit.gap.ring import Ring
 
 
 class Leak(Effect):
@@ -176,17 +177,6 @@ def test_a_standoff_off_is_what_a_fit_of_the_wrong_description_leaves(case):
     mine = view.setup == view.setup_names.index('npp')
     expected = form.columns[0][mine][:, -2:] * 1e-3
     np.testing.assert_allclose(moved[mine][:, -2:], expected, atol=0.02 * np.abs(expected).max())
-
-
-class Ring(Effect):
-    """The mirror's arm rings after each move and dies away."""
-
-    name = 'ring'
-
-    def before_light(self, moment):
-        since = np.maximum(moment.since_arrival, 0.0)
-        swing = 4e-5 * np.exp(-since / 0.28) * np.sin(2.0 * np.pi * 5.13 * since)
-        moment.mirror = moment.mirror + swing[:, None] * np.array([0.8, -0.6])
 
 
 def test_a_ringing_mirror_is_no_servo(case):

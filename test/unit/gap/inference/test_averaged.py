@@ -13,6 +13,7 @@ from stepdiag_ros.gap.alternatives.unmodelled import NAME as UNKNOWN
 from stepdiag_ros.gap.inference.averaged import WITHIN, averaged_solution, compositions
 from stepdiag_ros.gap.inference.candidates import Candidate, Screen
 from stepdiag_ros.gap.inference.joint import fit_jointly, refitted
+from stepdiag_ros.gap.inference.projection import Projection
 from stepdiag_ros.gap.inference.search import EffectSet
 from stepdiag_ros.gap.inference.select_effects import noise_of
 from stepdiag_ros.gap.noise.arrival_law import as_it_is
@@ -120,7 +121,8 @@ def test_errors_are_as_uncertain_as_tails_leave_them(case):
     for seed in range(12):
         observation = observe(case.untidy('{position: {dof: 4}, angle: {dof: 4}}', seed=seed))
         true = to_reference_lines(parse_cell(case.text.replace('seed: 11', f'seed: {seed}')).geometry)
-        noise, _ = as_it_is(observation, noise_of(observation), observation.table)
+        space = Projection.of(observation.table, observation.fit, noise_of(observation))
+        noise, _ = as_it_is(space, observation.table)
         fit = sane_fit(observation.log, observation.table, observation.fit.theta, noise)
         joint = fit_jointly(refitted(observation, fit), [], noise)
         found = averaged_solution(joint, None, EffectSet((), 0.0))

@@ -70,8 +70,8 @@ def test_a_form_that_is_not_quite_right_makes_no_law_of_the_noise(case):
     table = replace(observation.table, spot=observation.table.spot + truly[:, -2:])
     joint = fit_jointly(replace(observation, table=table), [(Effect(), form)], noise)
     space = joint.parity.projection
-    assert suspicion(joint.observation, joint.noise, space, freed(joint.observation.table, joint.active)) > 12.0
-    assert suspicion(joint.observation, joint.noise, space, left(joint)) < 6.0
+    assert suspicion(space, freed(joint.observation.table, joint.active)) > 12.0
+    assert suspicion(space, left(joint)) < 6.0
     exact = Form('as it is', truly[None] / 1e-5, ('a',), np.full(1, 1e-5))
     best = fit_jointly(replace(observation, table=table), [(Effect(), exact)], noise)
     chosen, screen = [EffectSet((Member('', 0, 10.0),), 10.0)], SimpleNamespace(candidates=[Candidate('', '', form)])
@@ -104,9 +104,10 @@ def test_what_was_found_in_a_noise_that_its_rest_refutes_is_held_to_that_rest(mo
 
     def one(name, active, evidence):
         return SimpleNamespace(name=name, evidence=evidence, sets=[],
-                               joint=SimpleNamespace(active=active, observation=None, noise=None))
+                               joint=SimpleNamespace(active=active, observation=None, parity=parity))
 
-    plain, alone = one('plain', shaped, 120.0), SimpleNamespace(parity=SimpleNamespace(projection=None))
+    parity = SimpleNamespace(projection=SimpleNamespace(in_noise=lambda noise: None))
+    plain, alone = one('plain', shaped, 120.0), SimpleNamespace(parity=parity)
     in_noise = iter([one('alone', empty, 0.0), one('again', shaped if again == 'shaped' else empty, 110.0)])
     monkeypatch.setattr(noise_or_effects, 'Settled', lambda *parts: plain)
     for name, value in {'noise_of': noise, 'fit_jointly': alone, 'settle': (), 'suspicion': 50.0, '_settles': False,

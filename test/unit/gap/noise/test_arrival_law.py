@@ -12,6 +12,7 @@ from stepdiag_ros.estimate.noise import Law, arrivals, run_covariance, sensor_no
 from stepdiag_ros.estimate.noise_law import Errors, Latent, weighed
 from stepdiag_ros.estimate.reduce import reduce_log
 from stepdiag_ros.gap import diagnose
+from stepdiag_ros.gap.inference.projection import Projection
 from stepdiag_ros.gap.inference.select_effects import noise_of
 from stepdiag_ros.gap.noise.arrival_law import as_it_is
 from stepdiag_ros.gap.preprocess.observe import observe
@@ -24,7 +25,7 @@ ALIKE = '{position: {correlation: 0.6}, angle: {correlation: 0.6}}'
 
 def law_of(log):
     observation = observe(log)
-    return as_it_is(observation, noise_of(observation), observation.table)
+    return as_it_is(Projection.of(observation.table, observation.fit, noise_of(observation)), observation.table)
 
 
 def test_normal_independent_arrivals_stay_so(case):

@@ -9,10 +9,10 @@ from stepdiag_ros.blind.score import cells
 from stepdiag_ros.blind.visibility import Yardstick
 from stepdiag_ros.blind.world import Order, make
 from stepdiag_ros.effects import effect_class
-from stepdiag_ros.effects.base import Effect
 from stepdiag_ros.gap.diagnose import diagnose
 from stepdiag_ros.gap.summary.where import shares
 from stepdiag_ros.report.gap_words import how_far
+from test.unit.gap.ring import FaintRing
 
 
 @pytest.mark.parametrize(('name', 'values'), [
@@ -50,17 +50,6 @@ def test_cells_that_hold_only_noise_are_left_out(case):
 def test_nothing_is_said_where_nothing_was_found(case):
     null = case.diagnose()
     assert shares(null.joint, (), False) == ()
-
-
-class FaintRing(Effect):
-    """The mirror's arm rings after each move: no dwell's mean shows it."""
-
-    name = 'ring'
-
-    def before_light(self, moment):
-        since = np.maximum(moment.since_arrival, 0.0)
-        swing = 4e-7 * np.exp(-since / 0.28) * np.sin(2.0 * np.pi * 5.13 * since)
-        moment.mirror = moment.mirror + swing[:, None] * np.array([0.8, -0.6])
 
 
 def test_what_shows_inside_the_dwells_alone_lies_where_it_shows_there(case):
