@@ -19,6 +19,7 @@ from stepdiag_ros.blind.cells import KINDS
 from stepdiag_ros.blind.live import write_live
 from stepdiag_ros.blind.outside import OUTSIDE
 from stepdiag_ros.blind.outside_more import MORE
+from stepdiag_ros.blind.outside_unseen import UNSEEN
 from stepdiag_ros.blind.pool import side_by_side
 from stepdiag_ros.blind.vocabulary import NAMES
 from stepdiag_ros.blind.world import PURPOSES, Order, make
@@ -36,7 +37,8 @@ def orders(purpose: str, seed: int, counts: dict[str, int], world: str = 'varied
     """The orders of a set in the order of its logs, every effect about equally often.
 
     ``untidy``: share of the simulated worlds whose noise is as instruments have it; ``counts['live']`` logs come last,
-    measured through the running graph, every second one on a busy computer.  ``wide``: more kinds from outside, larger
+    measured through the running graph, every second one on a busy computer; ``counts['unseen']`` are from outside, of
+    kinds for which no form was written.  ``wide``: more kinds from outside, larger
     sizes, and time profiles that begin with anything.
     """
     if not 0.0 <= untidy <= 1.0:
@@ -53,6 +55,7 @@ def orders(purpose: str, seed: int, counts: dict[str, int], world: str = 'varied
     for first in _evenly(rng, NAMES, counts.get('pair', 0)):
         others = [n for n in NAMES if n != first and {n, first} not in NOT_TOGETHER]
         wanted.append(('pair', (first, str(rng.choice(others)))))
+    wanted += [('outside', (name,)) for name in _evenly(rng, [k.name for k in UNSEEN], counts.get('unseen', 0))]
     simulated = [Order(purpose, seed, number + 1, *wanted[place], world, small, untidy, wide=wide)
                  for number, place in enumerate(rng.permutation(len(wanted)))]
     return simulated + [Order(purpose, seed, len(wanted) + number + 1, 'null', (), world, small, live=True,
@@ -81,7 +84,7 @@ def seal(out: Path, todo: list[Order], processes: int = 2, progress: bool = True
     """Write the set; returns the SHA-256 of the truth.  Logs that are there are kept and made again
     only in memory where their truth is missing."""
     if not todo:
-        raise StepdiagError('blind seal: nothing to seal; give --null, --single, --pair, --outside or --live')
+        raise StepdiagError('blind seal: nothing to seal; give --null, --single, --pair, --outside, --unseen or --live')
     if (out / MANIFEST).exists():
         raise StepdiagError(f'{out}: is sealed already; give another --out')
     (out / LOGS).mkdir(parents=True, exist_ok=True)

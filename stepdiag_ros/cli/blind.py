@@ -23,6 +23,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     seal.add_argument('--single', type=int, default=0, help='logs with one effect of the vocabulary')
     seal.add_argument('--pair', type=int, default=0, help='logs with two')
     seal.add_argument('--outside', type=int, default=0, help='logs with an effect from outside it')
+    seal.add_argument('--unseen', type=int, default=0,
+                      help='logs with an effect from outside for which the diagnosis has no form')
     seal.add_argument('--live', type=int, default=0,
                       help='logs without an effect that are measured through the running graph, every second one on a '
                            'busy computer (a minute or two each)')
@@ -60,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _seal(args: argparse.Namespace) -> int:
     from stepdiag_ros.blind.seal import orders, seal
-    counts = {name: getattr(args, name) for name in ('null', 'single', 'pair', 'outside', 'live')}
+    counts = {name: getattr(args, name) for name in ('null', 'single', 'pair', 'outside', 'unseen', 'live')}
     todo = orders(args.purpose, args.seed, counts, args.world, args.small, args.untidy, args.wide)
     digest = seal(args.out, todo, args.processes, not args.quiet)
     print(f'{len(todo)} logs in {args.out / "logs"}\ntruth sealed, SHA-256 {digest}')

@@ -7,11 +7,12 @@ from stepdiag_ros.blind.forms_instrument import COUNTS, CountSlip
 from stepdiag_ros.blind.hidden import ANY, Hidden, Stage, profile
 from stepdiag_ros.blind.outside import OUTSIDE
 from stepdiag_ros.blind.outside_more import MORE
+from stepdiag_ros.blind.outside_unseen import UNSEEN
 from stepdiag_ros.blind.vocabulary import NAMES, VOCABULARY
 from stepdiag_ros.blind.world import LARGE, Order, draw_target, make
 from stepdiag_ros.effects import VOCABULARY as CONTRACT
 
-ALL = [kind.name for kind in (*VOCABULARY, *OUTSIDE, *MORE)]
+ALL = [kind.name for kind in (*VOCABULARY, *OUTSIDE, *MORE, *UNSEEN)]
 
 
 def test_vocabulary_is_the_contracts() -> None:
@@ -19,10 +20,10 @@ def test_vocabulary_is_the_contracts() -> None:
 
 
 def test_outside_is_outside() -> None:
-    names = {kind.name for kind in (*OUTSIDE, *MORE)}
+    names = {kind.name for kind in (*OUTSIDE, *MORE, *UNSEEN)}
     assert len(names) >= 10
     assert not names & set(CONTRACT)
-    assert all(kind.outside for kind in (*OUTSIDE, *MORE))
+    assert all(kind.outside for kind in (*OUTSIDE, *MORE, *UNSEEN))
     assert not any(kind.outside for kind in VOCABULARY)
 
 
