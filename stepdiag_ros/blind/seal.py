@@ -18,6 +18,7 @@ from stepdiag_ros.bag.export import write_log
 from stepdiag_ros.blind.cells import KINDS
 from stepdiag_ros.blind.live import write_live
 from stepdiag_ros.blind.outside import OUTSIDE
+from stepdiag_ros.blind.outside_cells import CELLS
 from stepdiag_ros.blind.outside_more import MORE
 from stepdiag_ros.blind.outside_unseen import UNSEEN
 from stepdiag_ros.blind.pool import side_by_side
@@ -51,7 +52,7 @@ def orders(purpose: str, seed: int, counts: dict[str, int], world: str = 'varied
     wanted: list[tuple[str, tuple[str, ...]]] = [('null', ())] * counts.get('null', 0)
     wanted += [('single', (name,)) for name in _evenly(rng, NAMES, counts.get('single', 0))]
     wanted += [('outside', (name,)) for name in
-               _evenly(rng, [kind.name for kind in (*OUTSIDE, *(MORE if wide else ()))], counts.get('outside', 0))]
+               _evenly(rng, [kind.name for kind in OUTSIDE + (MORE + CELLS if wide else ())], counts.get('outside', 0))]
     for first in _evenly(rng, NAMES, counts.get('pair', 0)):
         others = [n for n in NAMES if n != first and {n, first} not in NOT_TOGETHER]
         wanted.append(('pair', (first, str(rng.choice(others)))))

@@ -14,6 +14,7 @@ from stepdiag_ros.blind.cells import Conditions, draw_cell, untidy_law, without_
 from stepdiag_ros.blind.hidden import Hidden
 from stepdiag_ros.blind.logs import measure, stage_of
 from stepdiag_ros.blind.outside import OUTSIDE
+from stepdiag_ros.blind.outside_cells import CELLS
 from stepdiag_ros.blind.outside_more import MORE
 from stepdiag_ros.blind.outside_unseen import UNSEEN
 from stepdiag_ros.blind.visibility import Visibility, Yardstick
@@ -75,7 +76,7 @@ class SealedWorld:
 
 def kind_of(name: str) -> type[Hidden]:
     """The class of a hidden effect."""
-    return next(kind for kind in (*VOCABULARY, *OUTSIDE, *MORE, *UNSEEN) if kind.name == name)
+    return next(kind for kind in (*VOCABULARY, *OUTSIDE, *MORE, *CELLS, *UNSEEN) if kind.name == name)
 
 
 def draw_target(rng: np.random.Generator, pair: bool, wide: bool = False) -> float:

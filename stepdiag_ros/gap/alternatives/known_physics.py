@@ -16,9 +16,8 @@ import numpy as np
 
 from stepdiag_ros.effects.base import Effect, Form, StopView
 from stepdiag_ros.effects.fading import fading_columns, last_arrivals, swing_means
-from stepdiag_ros.effects.timeforms import drift_form, time_profiles
 from stepdiag_ros.gap.alternatives.unmodelled import NAME, lasting_jumps, pattern_form
-from stepdiag_ros.model.machine import AXES, CURVES
+from stepdiag_ros.gap.alternatives.where_and_how import table_families
 
 KNEES = (0.2, 0.35, 0.5, 0.65, 0.8)
 """Shares of the range of lengths beyond which a reading is bent, or at which a leak of it saturates."""
@@ -46,10 +45,10 @@ class Beyond(Effect):
 
 def beyond_families(view: StopView) -> dict[str, list[Form]]:
     """The forms by family; each counts as one effect does, however many forms it has."""
-    families = {'range': _at_long_range(view), 'leak': _leak(view), 'twist': _twist(view), 'bow': _bow(view),
+    families = {'range': _at_long_range(view), 'leak': _leak(view),
                 'detector': _detector(view), 'standoff': _standoff(view), 'light': _light(view),
                 'ring': _ringing(view), 'slip': lasting_jumps(view, 'mirror', view.by_mirror, 1e-5)}
-    forms = {family: list(found) for family, found in families.items()}
+    forms = {family: list(found) for family, found in families.items()} | table_families(view)
     return {family: found for family, found in forms.items() if found}
 
 
@@ -92,35 +91,6 @@ def _leak(view: StopView) -> Iterator[Form]:
             columns[0, :, view.beams] = columns[1, :, view.beams + 1] = np.tanh(length / (knee * most))
             yield Form(f'spot: follows the {what}, saturating at {knee * most:.2g} m', columns, ('x', 'y'),
                        np.full(2, 3e-6))
-
-
-def _twist(view: StopView) -> Iterator[Form]:
-    """The tool or the beam turns with the direction of an axis's motion, alike or more at one end."""
-    place = view.commanded / np.array(view.description.machine.volume)
-    for axis, letter in enumerate(AXES):
-        sign = view.approach[:, axis].astype(float)
-        turning = view.by_motion[6 * axis + 3:6 * axis + 6]
-        for what, derivative in (('tool', turning), ('beam', view.by_laser)):
-            for kind, sides in (('', np.stack([sign])), (', by place', np.stack([sign * (0.5 + place[:, axis])]))):
-                columns = np.einsum('tn,anc->tanc', sides, derivative).reshape(-1, *view.reading.shape)
-                yield Form(f'{what}: turned by the direction of {letter}{kind}', columns,
-                           tuple(str(i) for i in range(len(columns))), np.full(len(columns), 2e-6), 'rad')
-
-
-def _bow(view: StopView) -> Iterator[Form]:
-    """A guideway's straightness changes its shape with time: a bow or an S that follows a time profile."""
-    place = view.commanded / np.array(view.description.machine.volume)
-    pace = [c for c in time_profiles(view.time, view.watches) if c.label != 'winding']
-    for axis, letter in enumerate(AXES):
-        for across in range(3):
-            if across == axis:
-                continue
-            motion = view.by_motion[CURVES.index(f'E{AXES[across]}{letter}')]
-            for waves, shape in ((1, 'bow'), (2, 'S')):
-                signature = (np.sin(np.pi * waves * place[:, axis])[:, None] * motion)[None]
-                for profile in pace:
-                    yield drift_form(view, profile, signature, ('0',), np.full(1, 2e-6),
-                                     f'E{AXES[across]}{letter} changes its shape, {shape}')
 
 
 def _detector(view: StopView) -> Iterator[Form]:

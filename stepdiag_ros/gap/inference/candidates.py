@@ -20,6 +20,8 @@ from stepdiag_ros.gap.inference.evidence import SIZES, judge, log_evidence, log_
 from stepdiag_ros.gap.inference.explained import Explained
 from stepdiag_ros.gap.inference.parity import Parity, slopes_of
 
+LEAN = 'unknown, in few parameters'
+"""The cause of what has no name and competes as names do (``own``), beside that of shapeless patterns."""
 REMEMBERED = 12
 """Sets of which is remembered what they explain, those last worked out: each takes hundreds of numbers a reading."""
 
@@ -46,7 +48,7 @@ class Member:
     """An effect in a set, in the form that suits best, and its evidence given those before it; ``size`` of
     its coefficients, in the form's scales, that is allowed for; ``refused``: why it may not be claimed, else ''.
     ``at``: the coefficients, in units of ``size``, of which its form's discrepancy is a share, () for those that it has
-    beside the members before it."""
+    beside the members before it.  ``lean``: whether it has no name and competes as names do."""
 
     effect: str
     candidate: int
@@ -55,6 +57,12 @@ class Member:
     penalty: float = 0.0
     refused: str = ''
     at: tuple[float, ...] = ()
+    lean: bool = False
+
+    @property
+    def cause(self) -> str:
+        """What counts as one cause in a search."""
+        return LEAN if self.lean else self.effect
 
 
 @dataclass
@@ -290,43 +298,45 @@ class Screen:
         """A member of a set in the same form as if it were the first: the evidence of that form alone, as one
         of all that the effect has."""
         number = member.candidate
-        forms = sum(candidate.effect == member.effect for candidate in self.candidates)
+        forms = next(len(family.numbers) for family in self._families if number in family.numbers) if member.lean \
+            else sum(candidate.effect == member.effect for candidate in self.candidates)
         known = self.judge_all((), [number])
         return replace(member, log_bayes=float(known.log_bayes[number] - np.log(forms)),
                        size=self.allowed(number, known))
 
-    def by_effect(self, members: Sequence[Member] = (),
-                  asked: Callable[[str], bool] = lambda effect: True) -> dict[str, Member]:
-        """The evidence of every effect ``asked`` for given ``members``, averaged over its forms; the best form,
+    def by_cause(self, members: Sequence[Member] = (),
+                 asked: Callable[[str], bool] = lambda cause: True) -> dict[str, Member]:
+        """The evidence of every cause ``asked`` for given ``members``, averaged over its forms; the best form,
         penalties weighed."""
         present = {m.effect for m in members}
         sources: dict[str, set[str]] = {}
         for m in members:
             if source := self.candidates[m.candidate].form.source:
                 sources.setdefault(m.effect, set()).add(source)
-        wanted = {effect for effect in {family.effect for family in self._families} if asked(effect)}
+        wanted = {cause for cause in {family.cause for family in self._families} if asked(cause)}
         groups: dict[str, list[_Family]] = {}
         for family in self._families:
             # Beside the name its negative controls do not compete.
-            if family.effect in wanted and not (family.negative_control and family.name in present):
+            if family.cause in wanted and not (family.negative_control and family.name in present):
                 some = family.of_source(sources[family.effect]) if family.effect in sources else family
                 if len(some.numbers):
-                    groups.setdefault(family.effect, []).append(some)
+                    groups.setdefault(family.cause, []).append(some)
         every = [family.numbers for families in groups.values() for family in families]
         known = self.judge_all(members, np.concatenate([np.zeros(0, np.intp), *every]))
         result = {}
-        for effect, families in groups.items():
+        for cause, families in groups.items():
+            effect = families[0].effect
             logs = [known.log_bayes[family.numbers] for family in families]
             penalties = [_penalty(family, mine) for family, mine in zip(families, logs, strict=True)]
-            shared = float(np.log(max(sum(not family.own for family in families), 1)))
-            means = [log_mean(mine) - penalty - (0.0 if family.own else shared)
-                     for family, mine, penalty in zip(families, logs, penalties, strict=True)]
+            shared = 0.0 if cause == LEAN else float(np.log(len(families)))
+            means = [log_mean(mine) - penalty - shared for mine, penalty in zip(logs, penalties, strict=True)]
             # The penalty is that against the family which carries the sum: another's would be paid back unpaid.
             k = int(np.argmax(means))
             best = int(families[k].numbers[logs[k].argmax()])
-            member = Member(effect, best, log_sum(means) + penalties[k], self.allowed(best, known), penalties[k])
+            member = Member(effect, best, log_sum(means) + penalties[k], self.allowed(best, known), penalties[k],
+                            lean=cause == LEAN)
             as_rich = self._controls.get((effect, len(self.candidates[best].form.columns)))
-            result[effect] = member if as_rich is None else self._beyond_controls(members, member, as_rich)
+            result[cause] = member if as_rich is None else self._beyond_controls(members, member, as_rich)
         return result
 
     def allowed(self, number: int, known: 'Known') -> float:
@@ -382,6 +392,10 @@ class _Family:
     own: bool
     numbers: np.ndarray
     sources: np.ndarray
+
+    @property
+    def cause(self) -> str:
+        return LEAN if self.own else self.effect
 
     @classmethod
     def of(cls, candidates: Sequence[Candidate], numbers: Sequence[int]) -> '_Family':

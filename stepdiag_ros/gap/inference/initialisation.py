@@ -80,7 +80,7 @@ def _suspects(trial: _Trial, effects: Mapping[str, Effect], noise: NoiseModel) -
                   for form in effect.appearance(trial.observation.view)]
     screen = Screen(space, candidates, float(sum(noise.dof)))
     taken = {effect.name for effect, _ in trial.chosen}
-    found = sorted((m for m in screen.by_effect().values() if m.log_bayes > SUSPICION and m.effect not in taken),
+    found = sorted((m for m in screen.by_cause().values() if m.log_bayes > SUSPICION and m.effect not in taken),
                    key=lambda m: -m.log_bayes)
     return [(effects[m.effect], candidates[m.candidate].form) for m in found[:TRIED]]
 

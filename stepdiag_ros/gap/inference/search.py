@@ -6,7 +6,7 @@ each further one given those before, the largest over the orders.  A form's coef
 set, are free: what is left is what nothing in the set can explain.
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
@@ -19,7 +19,7 @@ from stepdiag_ros.gap.constants import (
     LARGE_EVIDENCE,
     MEMBER_ALARM,
 )
-from stepdiag_ros.gap.inference.candidates import Member, Screen
+from stepdiag_ros.gap.inference.candidates import LEAN, Member, Screen
 
 NOTHING = 'nothing'
 """What it is called that no effect acts."""
@@ -59,6 +59,16 @@ class EffectSet:
         return frozenset(m.effect for m in self.members)
 
     @cached_property
+    def causes(self) -> tuple[str, ...]:
+        """Causes in rising order, one for each form."""
+        return tuple(sorted(m.cause for m in self.members))
+
+    @property
+    def shapeless(self) -> bool:
+        """Whether a pattern that fits anything is among the members."""
+        return UNKNOWN in self.causes
+
+    @cached_property
     def penalty(self) -> float:
         """Log prior odds against what has no name among the members."""
         return max((m.penalty for m in self.members if m.effect == UNKNOWN), default=0.0)
@@ -81,37 +91,38 @@ def joined(screen: Screen, found: EffectSet, member: Member) -> EffectSet:
 def search(screen: Screen) -> list[EffectSet]:
     """Sets of effects worth a thought: those that may be claimed first, the likeliest first; the empty set is among
     them."""
-    first = screen.by_effect()
+    first = screen.by_cause()
     sets: dict[tuple, EffectSet] = {(): EffectSet((), 0.0)}
     front = []
     for member in first.values():
         found = joined(screen, sets[()], member)
-        sets[found.names] = found
+        sets[found.causes] = found
         front.append(found)
         for again in _repeated(screen, found):
-            sets[again.names] = again
+            sets[again.causes] = again
             front.append(again)
-    alone = max((s.log_bayes for s in front if UNKNOWN not in s.key), default=0.0)
+    alone = max((s.log_bayes for s in front if not s.shapeless), default=0.0)
     while front:
-        # Unmodelled patterns, which fit anything, must not crowd out the names.
-        front = _leading([s for s in front if UNKNOWN not in s.key], BEAM) \
-            + _leading([s for s in front if UNKNOWN in s.key], BEAM_OF_UNMODELLED)
+        # Unmodelled patterns, which fit anything, must not crowd out what competes as names do.
+        front = _leading([s for s in front if not s.shapeless], BEAM) \
+            + _leading([s for s in front if s.shapeless], BEAM_OF_UNMODELLED)
         grown = []
         for found in front:
-            for member in screen.by_effect(found.members, partial(_may_join, screen, found)).values():
-                again = member.effect in found.names
+            for member in screen.by_cause(found.members, partial(_may_join, screen, found)).values():
+                again = member.cause in found.causes
                 if again and not _adds_a_form(found, member):
                     continue
                 larger = joined(screen, found, member)
-                if larger.log_bayes > alone and len(larger.members) == 2 and not again and UNKNOWN not in larger.key:
+                if larger.log_bayes > alone and len(larger.members) == 2 and not again and not larger.shapeless:
                     larger = _recomposed(screen, larger)
-                if larger.names not in sets or sets[larger.names].log_bayes < larger.log_bayes:
-                    sets[larger.names] = larger
+                if larger.causes not in sets or sets[larger.causes].log_bayes < larger.log_bayes:
+                    sets[larger.causes] = larger
                     if larger.log_bayes > found.log_bayes + GAIN:
                         grown.append(larger)
         front = grown
     found = _each_earned(_best_compositions(_with_imitations(screen, _in_place(screen, sets.values()))))
-    return sorted(found, key=lambda s: (bool(s.refused), -(s.log_bayes + log_prior(s, len(first)))))
+    among = len({m.effect for m in first.values()})
+    return sorted(found, key=lambda s: (bool(s.refused), -(s.log_bayes + log_prior(s, among))))
 
 
 def _in_place(screen: Screen, sets: Iterable[EffectSet]) -> Iterator[EffectSet]:
@@ -161,11 +172,11 @@ def _repeated(screen: Screen, found: EffectSet) -> Iterator[EffectSet]:
     a part of all.  And of an effect of large evidence one form leaves so much that any other effect in its place looks
     better than it alone: it is carried on with all its forms, or it would be laid aside before it has them.
     """
-    effect = found.members[0].effect
-    if effect == UNKNOWN or found.log_bayes < (MEMBER_ALARM if effect in screen.repeatable else LARGE_EVIDENCE):
+    cause = found.members[0].cause
+    if found.shapeless or found.log_bayes < (MEMBER_ALARM if cause in screen.repeatable else LARGE_EVIDENCE):
         return
-    while _may_join(screen, found, effect):
-        member = screen.by_effect(found.members, lambda other: other == effect).get(effect)
+    while _may_join(screen, found, cause):
+        member = screen.by_cause(found.members, lambda other: other == cause).get(cause)
         if member is None or not _adds_a_form(found, member):
             return
         found = joined(screen, found, member)
@@ -185,7 +196,7 @@ def _recomposed(screen: Screen, pair: EffectSet) -> EffectSet:
     """
     first, second = pair.members
     kept = joined(screen, EffectSet((), 0.0), screen.as_first(second))
-    other = screen.by_effect(kept.members, lambda effect: effect == first.effect).get(first.effect)
+    other = screen.by_cause(kept.members, lambda cause: cause == first.cause).get(first.cause)
     if other is None:
         return pair
     found = joined(screen, kept, other)
@@ -206,22 +217,24 @@ def _each_earned(best: Mapping[frozenset, EffectSet]) -> list[EffectSet]:
     return result
 
 
-def _best_compositions(sets: Iterable[EffectSet]) -> dict[frozenset, EffectSet]:
-    """One set of names counts once, in its best composition."""
+def _best_compositions(sets: Iterable[EffectSet],
+                       key_of: Callable[[EffectSet], frozenset] = lambda s: s.key) -> dict[frozenset, EffectSet]:
+    """One set of names, or what else is the ``key_of`` a set, counts once, in its best composition."""
     best: dict[frozenset, EffectSet] = {}
     for found in sets:
-        if found.key not in best or best[found.key].log_bayes < found.log_bayes:
-            best[found.key] = found
+        key = key_of(found)
+        if key not in best or best[key].log_bayes < found.log_bayes:
+            best[key] = found
     return best
 
 
 def _leading(sets: list[EffectSet], most: int) -> list[EffectSet]:
-    """The best sets, each set of names once: the further forms of one must not crowd out others.
+    """The best sets, each set of causes once: the further forms of one must not crowd out others.
 
     A set is held against those of no more forms than it has: three forms of a rich effect explain much of anything, and
     what a lean one explains would be laid aside before it has the company in which it explains all.
     """
-    compositions = list(_best_compositions(sets).values())
+    compositions = list(_best_compositions(sets, lambda s: frozenset(s.causes)).values())
     best = [max((s.log_bayes for s in compositions if len(s.members) <= count), default=0.0)
             for count in range(max((len(s.members) for s in compositions), default=0) + 1)]
     near = [(best[len(s.members)] - s.log_bayes, s) for s in compositions]
@@ -230,15 +243,15 @@ def _leading(sets: list[EffectSet], most: int) -> list[EffectSet]:
     return [s for _, s in sorted(near, key=lambda pair: (pair[0], -pair[1].log_bayes))[:most]]
 
 
-def _may_join(screen: Screen, found: EffectSet, effect: str) -> bool:
-    """Whether an effect may join a set, or add one more form to it: two time constants, a shape parameter
+def _may_join(screen: Screen, found: EffectSet, cause: str) -> bool:
+    """Whether a cause may join a set, or add one more form to it: two time constants, a shape parameter
     between two values of the list.  What only repeats (a slip) may do so more often."""
-    if UNKNOWN in found.names and effect != UNKNOWN:
-        return False  # names are sought first: what has none is what they leave
-    times = found.names.count(effect)
+    if (UNKNOWN in found.key and cause not in (LEAN, UNKNOWN)) or (found.shapeless and cause == LEAN):
+        return False  # names are sought first, lean patterns before shapeless ones: each is what those before leave
+    times = found.causes.count(cause)
     if not times:
-        return len(found.key) < LARGEST and len(found.members) <= MOST_FORMS
-    return times < (MOST_REPEATS if effect in {*screen.repeatable, UNKNOWN} else FORMS_OF_ONE)
+        return len(set(found.causes)) < LARGEST and len(found.members) <= MOST_FORMS
+    return times < (MOST_REPEATS if cause in {*screen.repeatable, UNKNOWN} else FORMS_OF_ONE)
 
 
 def log_prior(found: EffectSet, effects: int) -> float:

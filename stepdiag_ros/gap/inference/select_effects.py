@@ -130,7 +130,7 @@ def _screen(joint: Joint, effects: Mapping[str, Effect], tails: bool) -> Screen:
 def _sharpened(screen: Screen) -> Screen:
     """The screen with the best forms of the leading effects tuned: a coarse net of time constants must not
     make a mixture of two look better than the right one."""
-    first = screen.by_effect()
+    first = screen.by_cause()
     if not first:
         return screen
     leading = sorted(first.values(), key=lambda m: -m.log_bayes)[:TUNED]

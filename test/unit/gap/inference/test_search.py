@@ -10,7 +10,7 @@ from stepdiag_ros.effects.count_slip import CountSlip
 from stepdiag_ros.gap.alternatives.unmodelled import NAME as UNKNOWN
 from stepdiag_ros.gap.constants import IMITATION_PENALTY, LARGE_EVIDENCE, MEMBER_ALARM
 from stepdiag_ros.gap.inference import search as search_module
-from stepdiag_ros.gap.inference.candidates import Candidate, Member, Screen
+from stepdiag_ros.gap.inference.candidates import LEAN, Candidate, Member, Screen
 from stepdiag_ros.gap.inference.evidence import SIZES
 from stepdiag_ros.gap.inference.joint import solve, tuned
 from stepdiag_ros.gap.inference.parity import Parity
@@ -55,12 +55,12 @@ def test_an_unknown_profile_does_not_swallow_another_effect(wide):
     profile = np.tensordot(wide.columns[:, :, 0].T, wide.scale * rng.normal(size=40) * 30.0, axes=1)
     data = profile + 4.0 * other.columns[0, :, 0] + rng.normal(size=N)
     screen = Screen(space(data), [Candidate('wide', '', wide), Candidate('other', '', other)], 1e9)
-    first = screen.by_effect()['wide']
+    first = screen.by_cause()['wide']
     assert first.size < SIZES[-1] * 1.01
-    assert screen.by_effect([first])['other'].log_bayes > 20.0
+    assert screen.by_cause([first])['other'].log_bayes > 20.0
     # Were the profile free, it could be all of it.
     free = Member('wide', 0, first.log_bayes, 1e6)
-    assert screen.by_effect([free])['other'].log_bayes < 1.0
+    assert screen.by_cause([free])['other'].log_bayes < 1.0
 
 
 def test_the_joint_fit_holds_a_process_to_the_size_it_shows(wide):
@@ -85,9 +85,9 @@ def test_a_pair_is_found_although_a_rich_form_of_the_first_swallows_the_second()
     other = form('other', b[None], np.ones(1))
     screen = Screen(space(14.0 * a + 14.0 * b + rng.normal(size=N)),
                     [Candidate('A', '', lean), Candidate('A', '', rich), Candidate('B', '', other)], 1e9)
-    first = screen.by_effect()['A']
+    first = screen.by_cause()['A']
     assert screen.candidates[first.candidate].form is rich
-    assert screen.by_effect([first])['B'].log_bayes < 3.0
+    assert screen.by_cause([first])['B'].log_bayes < 3.0
     best = search(screen)[0]
     assert best.key == {'A', 'B'}
     assert {screen.candidates[m.candidate].form.label for m in best.members} == {'lean', 'other'}
@@ -100,7 +100,7 @@ def test_what_happens_twice_is_found_though_each_time_it_explains_less_than_a_ri
     rich = form('rich', np.stack([0.8 * once + 0.8 * again, *more]), np.ones(5))
     data = 40.0 * (once + again) + rng.normal(size=N)
     screen = Screen(space(data), [*slips, Candidate('rich', '', rich)], 1e9, frozenset({'slip'}))
-    alone = screen.by_effect()
+    alone = screen.by_cause()
     assert alone['rich'].log_bayes > alone['slip'].log_bayes + HOPELESS
     best = search(screen)[0]
     assert best.names == ('slip', 'slip')
@@ -116,7 +116,7 @@ def test_an_effect_of_gross_evidence_is_carried_on_in_further_forms_of_its_own()
     screen = Screen(space(data), [Candidate('true', '', form('one', one[None], np.ones(1))),
                                   Candidate('true', '', form('two', two[None], np.ones(1))),
                                   Candidate('like', '', form('like', like[None], np.ones(1)))], 1e9)
-    alone = screen.by_effect()
+    alone = screen.by_cause()
     assert alone['true'].log_bayes > LARGE_EVIDENCE
     assert alone['like'].log_bayes > alone['true'].log_bayes + HOPELESS
     best = search(screen)[0]
@@ -133,7 +133,7 @@ def test_gross_effects_behind_others_meet_their_partners_although_those_take_fur
     candidates = [Candidate(name, '', form(f'{name} {k}', (column / np.linalg.norm(column))[None], np.ones(1)))
                   for name, columns in forms.items() for k, column in enumerate(columns)]
     screen = Screen(space(truth + 5.0 * sum(more) + rng.normal(size=N)), candidates, 1e9)
-    alone = screen.by_effect()
+    alone = screen.by_cause()
     assert min(alone['like'].log_bayes, alone['alike'].log_bayes) > alone['first'].log_bayes + 2.0 * HOPELESS
     assert search(screen)[0].key >= {'first', 'second'}
 
@@ -173,8 +173,8 @@ def test_a_name_is_held_to_what_its_controls_show_beside_it(size, named):
     candidates = [Candidate('swing', '', form('swing', rich[0], np.ones(20)))]
     controls = [Candidate(UNKNOWN, 'swing', form(f'negative control {k}', rich[k], np.ones(20)), negative_control=True)
                 for k in range(1, 11)]
-    alone = Screen(space(data), candidates, 1e9).by_effect()['swing']
-    beside = Screen(space(data), [*candidates, *controls], 1e9).by_effect()['swing']
+    alone = Screen(space(data), candidates, 1e9).by_cause()['swing']
+    beside = Screen(space(data), [*candidates, *controls], 1e9).by_cause()['swing']
     assert alone.log_bayes > MEMBER_ALARM
     assert beside.log_bayes == alone.log_bayes
     assert (not beside.refused) is named
@@ -216,7 +216,7 @@ def test_by_how_much_a_wrong_form_falls_behind_saturates():
         forms = {name: form(name, (column / np.linalg.norm(column))[None], np.full(1, size))
                  for name, column in (('right', right), ('wrong', wrong))}
         screen = Screen(space(data), [Candidate(name, '', f) for name, f in forms.items()], 1e9, modulations=functions)
-        alone = screen.by_effect()
+        alone = screen.by_cause()
         return joined(screen, NONE, alone['right']).log_bayes - joined(screen, NONE, alone['wrong']).log_bayes
 
     assert behind(1000.0, None) > 50.0 * behind(100.0, None) > 50.0
@@ -234,20 +234,20 @@ def test_profiles_that_share_columns_are_judged_as_if_each_were_alone(wide):
     together = Screen(space(data), candidates, 1e9)
     grown = Screen(space(data), candidates[2:], 1e9).extended(candidates[:2])
     for name, candidate in (('rough', candidates[0]), ('smooth', candidates[1])):
-        alone = Screen(space(data), [candidate], 1e9).by_effect()[name].log_bayes
-        assert together.by_effect()[name].log_bayes == pytest.approx(alone, rel=1e-9)
-        assert grown.by_effect()[name].log_bayes == pytest.approx(alone, rel=1e-9)
-    given = together.by_effect([Member('smooth', 1, 10.0, 3.0)])
-    same = grown.by_effect([Member('smooth', 2, 10.0, 3.0)])
+        alone = Screen(space(data), [candidate], 1e9).by_cause()[name].log_bayes
+        assert together.by_cause()[name].log_bayes == pytest.approx(alone, rel=1e-9)
+        assert grown.by_cause()[name].log_bayes == pytest.approx(alone, rel=1e-9)
+    given = together.by_cause([Member('smooth', 1, 10.0, 3.0)])
+    same = grown.by_cause([Member('smooth', 2, 10.0, 3.0)])
     for name, member in given.items():
         assert same[name].log_bayes == pytest.approx(member.log_bayes, rel=1e-9)
 
 
 def test_what_is_not_asked_for_is_not_judged(wide):
     screen = Screen(space(np.zeros(N)), [Candidate('wide', '', wide), Candidate('other', '', wide)], 1e9)
-    assert set(screen.by_effect((), lambda effect: effect == 'other')) == {'other'}
+    assert set(screen.by_cause((), lambda effect: effect == 'other')) == {'other'}
     assert np.flatnonzero(np.isfinite(screen.judge_all((), []).log_bayes)).tolist() == [1]
-    assert set(screen.by_effect()) == {'wide', 'other'}
+    assert set(screen.by_cause()) == {'wide', 'other'}
 
 
 def test_forms_of_two_sources_are_not_of_one_effect():
@@ -259,7 +259,7 @@ def test_forms_of_two_sources_are_not_of_one_effect():
     data = 30.0 * columns.sum(axis=0) + rng.normal(size=N)
     screen = Screen(space(data), [Candidate('air', '', here), Candidate('air', '', there),
                                   Candidate('fringes', '', laser)], 1e9)
-    further = screen.by_effect([Member('air', 0, 10.0)])
+    further = screen.by_cause([Member('air', 0, 10.0)])
     assert further['fringes'].log_bayes > 20.0
     assert 'air' not in further or further['air'].log_bayes < 1.0
 
@@ -274,8 +274,8 @@ def test_a_family_of_its_own_is_not_thinned_by_others():
 
     def evidence(own: bool) -> float:
         lean = [Candidate('?', 'lean', cause, 1.0, own=own), Candidate('name', '', cause)]
-        found = Screen(space(data), [*lean, *others], 1e9).by_effect()
-        return found['?'].log_bayes - found['name'].log_bayes
+        found = Screen(space(data), [*lean, *others], 1e9).by_cause()
+        return found[LEAN if own else '?'].log_bayes - found['name'].log_bayes
 
     assert evidence(own=True) == pytest.approx(0.0, abs=1e-6)
     assert evidence(own=False) == pytest.approx(-np.log(13.0), abs=1e-6)

@@ -1,0 +1,200 @@
+"""The table of where something may act and what it may follow: its cells that no effect of the vocabulary has.
+
+Whatever errs acts somewhere (an axis, the tool's angle, the beam, a length, the spot) and follows something (a place,
+the direction of motion, what moved before, time, the spot itself).  An effect of the vocabulary is one cell of this
+table: a scale that warms shifts an axis by its own place and time, backlash shifts it by the direction from which it
+came.  What acts in another cell would be given the name of a neighbour if only names competed.  So every cell competes
+in few parameters; it has no name, and which one a log shows is said in its label.
+
+Cells that the 21 errors are (an axis shifted by its own place) or that a name has are left out.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.polynomial import legendre
+
+from stepdiag_ros.effects.base import Form, StopView
+from stepdiag_ros.effects.timeforms import TimeProfile, drift_form, exponential, unknown
+from stepdiag_ros.model.machine import AXES, CURVES
+
+BENDS = 3
+"""Degree of the polynomials by which something follows a place."""
+TAUS = (0.06, 0.25)
+"""Time constants tried of what changes with time, as shares of the log's length; they are tuned."""
+FEW_WAVES = 6
+"""Half waves of the time profile of a shape that is open too."""
+PERIODS_M = tuple(np.geomspace(1.5e-4, 1e-3, 7))
+"""Periods tried [m] of what swings as the spot wanders; they are tuned."""
+BEARINGS = 8
+"""Directions in the detector's plane in which it may, evenly over half a turn."""
+
+
+@dataclass(frozen=True)
+class Where:
+    """Where something acts: derivatives ``columns`` (k, n, c) of the readings; a typical size ``scale``, ``units``."""
+
+    label: str
+    columns: np.ndarray
+    scale: float
+    units: str
+
+    def following(self, view: StopView, what: str, courses: np.ndarray) -> Form:
+        """What acts here and follows ``courses`` (m, n) of the stops, each with a size of its own."""
+        columns = np.einsum('mn,knc->mknc', courses, self.columns).reshape(-1, *view.reading.shape)
+        return Form(f'{self.label} {what}', columns, tuple(str(i) for i in range(len(columns))),
+                    np.full(len(columns), self.scale), self.units)
+
+
+def table_families(view: StopView) -> dict[str, list[Form]]:
+    """The cells by what is followed."""
+    return {'place': _shown(_by_place(view)), 'direction': _shown(_by_direction(view)),
+            'history': _shown(_by_history(view)), 'shape': list(_shapes_in_time(view)),
+            'fringes': _shown(_fringes(view))}
+
+
+def _shown(forms: Iterator[Form]) -> list[Form]:
+    """Those that this log can show at all."""
+    return [form for form in forms if np.any(form.columns)]
+
+
+def _axes(view: StopView) -> tuple[Where, ...]:
+    return tuple(Where(f'{letter}: shifted', shift[None], 2e-6, 'm')
+                 for letter, shift in zip(AXES, view.by_shift, strict=True))
+
+
+def _tool(view: StopView, axis: int) -> Where:
+    """The tool, and what axis ``axis`` carries of it, turned about X, Y and Z."""
+    return Where('tool: turned', view.by_motion[6 * axis + 3:6 * axis + 6], 2e-6, 'rad')
+
+
+def _beam(view: StopView) -> Where:
+    return Where('beam: turned', view.by_laser, 2e-6, 'rad')
+
+
+def _length(view: StopView) -> Where:
+    column = view.zeros(1)
+    column[..., :view.beams] = 1.0
+    return Where('displacement: off', column, 1e-6, 'm')
+
+
+def _stretch(view: StopView) -> Where:
+    column = view.zeros(1)
+    column[0, :, :view.beams] = view.distance
+    return Where('displacement: stretched', column, 1e-6, '1')
+
+
+def _spot(view: StopView) -> Where:
+    columns = view.zeros(2)
+    columns[0, :, view.beams] = columns[1, :, view.beams + 1] = 1.0
+    return Where('spot: off', columns, 3e-6, 'm')
+
+
+def _map(view: StopView) -> Where:
+    """The detector's linear map: gains and shears."""
+    columns = view.zeros(4)
+    for k in range(4):
+        columns[k, :, view.beams + k // 2] = view.spot_model[:, k % 2]
+    return Where('spot: its scale or its axes off', columns, 0.01, '1')
+
+
+def _bends(view: StopView, axis: int) -> np.ndarray:
+    """Polynomials (1 + BENDS, n) of the place along an axis, of order one."""
+    share = view.commanded[:, axis] / view.description.machine.volume[axis]
+    return legendre.legvander(2.0 * share - 1.0, BENDS).T
+
+
+def _moving(view: StopView) -> Iterator[tuple[int, str]]:
+    """The axes that move in this log."""
+    return ((axis, letter) for axis, letter in enumerate(AXES) if np.ptp(view.commanded[:, axis]) > 0.0)
+
+
+def _by_place(view: StopView) -> Iterator[Form]:
+    """The beam, lengths or the detector follow where an axis stands; shifts and turns of the tool that do are errors
+    of that axis, or of two of them."""
+    for axis, letter in _moving(view):
+        bends = _bends(view, axis)[1:]
+        for where in (_beam(view), _stretch(view), _spot(view), _map(view)):
+            yield where.following(view, f'by the place of {letter}', bends[:1])
+            yield where.following(view, f'by the place of {letter}, bent', bends)
+
+
+def _by_direction(view: StopView) -> Iterator[Form]:
+    """Something follows the direction from which an axis came, alike or otherwise at each place: all but a shift of
+    that axis, which is its backlash."""
+    shifts = _axes(view)
+    for axis, letter in _moving(view):
+        sign, bends = view.approach[:, axis].astype(float), _bends(view, axis)
+        others = [shift for a, shift in enumerate(shifts) if a != axis]
+        for where in (*others, _tool(view, axis), _beam(view), _length(view), _spot(view)):
+            yield where.following(view, f'by the direction of {letter}', sign[None])
+            yield where.following(view, f'by the direction of {letter} at each place', sign * bends)
+
+
+def _by_history(view: StopView) -> Iterator[Form]:
+    """Something follows which axis moved last, or in which direction that was; the detector shows in part what it saw
+    at the stop before."""
+    moved = (view.axis == np.arange(3)[:, None]).astype(float)
+    for where in (*_axes(view), _beam(view), _length(view), _spot(view),
+                  Where('mirror: turned', view.by_mirror, 2e-6, 'rad')):
+        yield where.following(view, 'by which axis moved last', moved)
+        yield where.following(view, 'by the last move, each axis in its direction', moved * view.approach.T)
+    order = np.argsort(view.time, kind='stable')
+    before = np.empty_like(order)
+    before[order] = np.concatenate([order[:1], order[:-1]])
+    before = np.where(view.run[before] == view.run, before, np.arange(len(before)))
+    columns = view.zeros(2)
+    for k in range(2):
+        columns[k, :, view.beams + k] = view.spot_model[before, k] - view.spot_model[:, k]
+    yield Form('spot: in part that of the stop before', columns.sum(axis=0, keepdims=True), ('share',),
+               np.full(1, 0.02), '1')
+    yield Form('spot: in part that of the stop before, apart in x and y', columns, ('x', 'y'), np.full(2, 0.02), '1')
+
+
+def _shapes_in_time(view: StopView) -> Iterator[Form]:
+    """An error motion of an axis changes its shape with time: what a squareness or a scale shifts grows in proportion
+    to the place, this does not; turns of a carriage have no name in time at all."""
+    time = view.elapsed
+    span = max(float(np.ptp(view.time)), 1e-9)
+    smooth = unknown(time, view.watches)[-1]
+    paces = [TimeProfile('linear', (time / span)[None], np.full((1, len(time)), 1.0 / span), {}),
+             *(exponential(time, share * span) for share in TAUS)]
+    for axis, _ in _moving(view):
+        share = view.commanded[:, axis] / view.description.machine.volume[axis]
+        bends = _bends(view, axis)
+        for k in range(6):
+            motion = view.by_motion[6 * axis + k]
+            if not np.any(motion):
+                continue
+            name, units = CURVES[6 * axis + k], 'm' if k < 3 else 'rad'
+            straight = {} if k < 3 else {'slope': share}
+            for shape, course in {**straight, 'bow': np.sin(np.pi * share), 'S': np.sin(2.0 * np.pi * share)}.items():
+                signature = course[:, None] * motion
+                for pace in (*paces, smooth):
+                    yield drift_form(view, pace, signature[None], ('0',), np.full(1, 2e-6),
+                                     f'{name} changes its shape, {shape}', units)
+            some = bends[2 if k < 3 else 1:, :, None] * motion
+            names = tuple(str(i) for i in range(len(some)))
+            for pace in (*paces, unknown(time, most=FEW_WAVES)[-1]):
+                yield drift_form(view, pace, some, names, np.full(len(some), 2e-6), f'{name} changes its shape', units)
+
+
+def _fringes(view: StopView) -> Iterator[Form]:
+    """Lengths or spots swing as the spot wanders: light from another surface runs beside the beam."""
+    for angle in np.arange(BEARINGS) * np.pi / BEARINGS:
+        along = view.spot_model @ (np.cos(angle), np.sin(angle))
+        for where in (_length(view), _spot(view)):
+            yield from (_fringe(view, where, float(np.degrees(angle)), along, period)
+                        for period in PERIODS_M if np.ptp(along) > 0.5 * period)
+
+
+def _fringe(view: StopView, where: Where, bearing: float, along: np.ndarray, period: float) -> Form:
+    phase = 2.0 * np.pi * along / period
+    form = where.following(view, f'and on as the spot wanders {period * 1e3:.2g} mm along {bearing:.0f}°',
+                           np.stack([np.cos(phase), np.sin(phase)]))
+
+    def retune(shape: Mapping[str, float]) -> Form:
+        return _fringe(view, where, bearing, along, shape['period_m'])
+
+    return Form(form.label, form.columns, form.names, form.scale, form.units, shape={'period_m': period}, retune=retune)

@@ -1,0 +1,127 @@
+"""The cells of the table of where and how against worlds in which something acts there: an independent way to their
+columns."""
+
+import numpy as np
+import pytest
+
+from stepdiag_ros.effects.base import Effect
+from stepdiag_ros.gap.alternatives.where_and_how import table_families
+from stepdiag_ros.gap.preprocess.observe import observe
+from stepdiag_ros.model.machine import compose
+from stepdiag_ros.virtual.cell import parse_cell
+from stepdiag_ros.virtual.offline import simulate_log
+from test.unit.gap.ring import quiet
+
+TRAVEL = np.array([0.5, 0.4, 0.3])
+
+
+class TiltingFloor(Effect):
+    """The laser tilts as the table moves away."""
+
+    name, family = 'tilting_floor', 'place'
+
+    def before_light(self, moment):
+        moment.laser = moment.laser + 2e-5 * (moment.commanded[:, [0]] / TRAVEL[0])**2 * np.array([0.6, 0.8])
+
+
+class Climbing(Effect):
+    """A carriage climbs on another flank one way."""
+
+    name, family = 'climbing', 'direction'
+
+    def before_pose(self, moment):
+        place = moment.commanded[:, 1] / TRAVEL[1]
+        moment.shift = moment.shift + (5e-6 * (moment.approach[:, 1] < 0.0) * place * (1.0 - place))[:, None] \
+            * np.array([0.0, 0.0, 1.0])
+
+
+class Sinking(Effect):
+    """Z sinks while others move."""
+
+    name, family = 'sinking', 'history'
+
+    def before_pose(self, moment):
+        rested = np.where(moment.moved < 3, (moment.moved - 2) % 3, 0)
+        moment.position = moment.position - 4e-6 * rested[:, None] * np.array([0.0, 0.0, 1.0])
+
+
+class WarmScrew(Effect):
+    """The middle of X's screw warms."""
+
+    name, family = 'warm_screw', 'shape'
+
+    def before_pose(self, moment):
+        place = moment.commanded[:, 0] / TRAVEL[0]
+        grown = 1.0 - np.exp(-moment.seconds / 500.0)
+        moment.position = moment.position + (8e-6 * grown * np.sin(np.pi * place))[:, None] * np.array([1.0, 0.0, 0.0])
+
+
+class Twisting(Effect):
+    """Y's guideway twists with time."""
+
+    name, family = 'twisting', 'shape'
+
+    def before_pose(self, moment):
+        machine, travel = moment.description.machine, moment.commanded.T[:, :, None] * np.eye(3)[:, None]
+        turns = np.zeros_like(travel)
+        turns[1, :, 1] = 2e-5 * moment.seconds / 1000.0 * moment.commanded[:, 1] / TRAVEL[1]
+        straight, _ = compose(machine.chain, travel, 0.0 * turns, machine.tool)
+        twisted, _ = compose(machine.chain, travel, turns, machine.tool)
+        moment.shift, moment.turn = moment.shift + twisted - straight, moment.turn + turns[1]
+
+
+class Ghost(Effect):
+    """Light from the back of a window runs beside the beam."""
+
+    name, family = 'ghost', 'fringes'
+
+    def after_light(self, moment):
+        swing = np.sin(2.0 * np.pi * (moment.spot @ (np.cos(np.pi / 4), np.sin(np.pi / 4))) / 4.1e-4 + 0.7)
+        moment.spot = moment.spot + 5e-6 * swing[:, None] * np.array([0.3, 0.9])
+
+
+@pytest.mark.parametrize('kind', [TiltingFloor, Climbing, Sinking, WarmScrew, Twisting, Ghost])
+def test_what_acts_in_a_cell_does_what_its_form_does(case, kind):
+    cell = parse_cell(quiet(case.text))
+    view = observe(simulate_log(cell)).view
+    moved = observe(simulate_log(cell, effects=[kind()])).view.reading - view.reading
+    # Free is what a run's reset takes away, how the axes came to its first stop, how each setup is aligned; and what
+    # acts in one direction alone is half a bow of the guideway.
+    runs, setups = (np.array([each == k for k in np.unique(each)]) for each in (view.run, view.setup))
+    beams, place = np.arange(view.reading.shape[1]) < view.beams, view.commanded[:, 1] / TRAVEL[1]
+    free = [runs[:, :, None] * beams, (setups[:, None, :, None] * view.by_laser).reshape(-1, *view.reading.shape)]
+    if kind.family == 'direction':
+        free.append(((place * (1.0 - place))[:, None] * view.by_shift[2])[None])
+    if kind.family == 'history':
+        free.append((runs & (view.axis > 2))[:, :, None] * view.by_shift[2])
+    resets = np.concatenate(free)
+    least = np.inf
+    for form in table_families(view)[kind.family]:
+        tried = form if form.retune is None else _tuned(form, moved, resets)
+        least = min(least, _left(tried, moved, resets))
+    assert least < 0.03
+
+
+def _left(form, moved, resets):
+    """Share of what moved that a form leaves."""
+    free = resets.reshape(len(resets), -1).T
+    mine = np.asarray(form.columns).reshape(len(form.names), -1).T * form.scale
+    columns = np.concatenate([mine, 1e-6 * free], axis=1)
+    data = moved.ravel()
+    whole = data - free @ np.linalg.lstsq(free, data, rcond=None)[0]
+    rest = data - columns @ np.linalg.lstsq(columns, data, rcond=1e-12)[0]
+    return np.linalg.norm(rest) / np.linalg.norm(whole)
+
+
+def _tuned(form, moved, resets):
+    from stepdiag_ros.effects.tuning import tune
+    return tune(form, lambda tried: -_left(tried, moved, resets), within=1.3, close=0.01)
+
+
+def test_cells_that_a_name_has_are_not_in_the_table(case):
+    """A shift of an axis by its own direction is its backlash."""
+    view = case.observe().view
+    labels = [form.label for form in table_families(view)['direction']]
+    for letter in 'XYZ':
+        assert any(label.startswith(f'{letter}: shifted by the direction of') for label in labels)
+        assert not any(label.startswith(f'{letter}: shifted by the direction of {letter}') for label in labels)
