@@ -26,7 +26,7 @@ from stepdiag_ros.gap.constants import (
     LEAST_LEFT,
     SCATTER_ALARM,
 )
-from stepdiag_ros.gap.diagnosis import AXIS_LIKE, Diagnosis, Found
+from stepdiag_ros.gap.diagnosis import AXIS_LIKE, STAMPS, Diagnosis, Found
 from stepdiag_ros.gap.experiment_design.advice import advise
 from stepdiag_ros.gap.experiment_design.competing_models import competing_models, confused, separations
 from stepdiag_ros.gap.inference.candidates import Candidate
@@ -36,6 +36,7 @@ from stepdiag_ros.gap.inference.joint import Joint, unexplained
 from stepdiag_ros.gap.inference.noise_or_effects import settle_in_noise
 from stepdiag_ros.gap.inference.search import NOTHING, EffectSet, probabilities
 from stepdiag_ros.gap.noise.disturbances import disturbed
+from stepdiag_ros.gap.noise.far_arrivals import beyond_tails
 from stepdiag_ros.gap.noise.incoherent_lines import Vibration
 from stepdiag_ros.gap.noise.scatter import excess_scatter
 from stepdiag_ros.gap.noise.slips_at_rest import words as slip_words
@@ -90,7 +91,9 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
     before, instead = disturbances.words({name: names.get(name, 0.0) for name in best.key})
     unmodelled = before or unmodelled or instead
     if not unmodelled and not shakes:
-        unmodelled = _without_pattern(joint, how_far, bool(found)) or ('' if found else noisier(joint))
+        # Stamps make no arrival noisier.
+        at_rest = any(f.name != STAMPS for f in found)
+        unmodelled = _without_pattern(joint, how_far, bool(found)) or ('' if at_rest else noisier(joint))
     if unmodelled and UNKNOWN not in best.key and not untimed:
         outside[UNKNOWN] = BEYOND_PATTERNS
     if found and not unmodelled and (how_far.left > LEAST_LEFT and how_far.beyond_chance
@@ -138,15 +141,15 @@ def _well_timed(log: CalibrationLog) -> tuple[CalibrationLog, Observation, Mappi
 
 
 def _without_pattern(joint: Joint, how_far: CrossValidation, found: bool) -> str:
-    """Scatter beyond the noise and the discrepancies of the forms, arrivals with two states, or runs predicted worse
-    than noise, in words; '' where there is none."""
+    """Scatter beyond the noise and the discrepancies of the forms, arrivals with two states or farther off than tails
+    reach, or runs predicted worse than noise, in words; '' where there is none."""
     rest = residual(joint)
     evidence, words = excess_scatter(joint, rest)
     if evidence > SCATTER_ALARM:
         return words
-    evidence, words = two_states(joint)
-    if evidence > SCATTER_ALARM:
-        return words
+    for evidence, words in (two_states(joint), beyond_tails(joint)):
+        if evidence > SCATTER_ALARM:
+            return words
     evidence, words = excess_forecast(how_far)
     return words if evidence > SCATTER_ALARM and not found else ''
 

@@ -16,6 +16,8 @@ import numpy as np
 from numpy.polynomial import legendre
 
 from stepdiag_ros.effects.base import Form, StopView
+from stepdiag_ros.effects.fading import last_arrivals
+from stepdiag_ros.effects.patterns import anew
 from stepdiag_ros.effects.timeforms import TimeProfile, drift_form, exponential, unknown
 from stepdiag_ros.model.machine import AXES, CURVES
 
@@ -40,8 +42,12 @@ class Where:
     scale: float
     units: str
 
-    def following(self, view: StopView, what: str, courses: np.ndarray) -> Form:
-        """What acts here and follows ``courses`` (m, n) of the stops, each with a size of its own."""
+    def following(self, view: StopView, what: str, courses: np.ndarray, unsettled: np.ndarray | None = None) -> Form:
+        """What acts here and follows ``courses`` (m, n) of the stops, each with a size of its own; at ``unsettled``
+        (n,) ones, where nothing tells what to follow, it is by any amount in each setup."""
+        if unsettled is not None:
+            own = unsettled & (view.setup == np.unique(view.setup)[:, None])
+            courses = np.concatenate([courses, own[own.any(axis=1)]])
         columns = np.einsum('mn,knc->mknc', courses, self.columns).reshape(-1, *view.reading.shape)
         return Form(f'{self.label} {what}', columns, tuple(str(i) for i in range(len(columns))),
                     np.full(len(columns), self.scale), self.units)
@@ -126,20 +132,22 @@ def _by_direction(view: StopView) -> Iterator[Form]:
     shifts = _axes(view)
     for axis, letter in _moving(view):
         sign, bends = view.approach[:, axis].astype(float), _bends(view, axis)
+        unsettled = sign == 0.0
         others = [shift for a, shift in enumerate(shifts) if a != axis]
         for where in (*others, _tool(view, axis), _beam(view), _length(view), _spot(view)):
-            yield where.following(view, f'by the direction of {letter}', sign[None])
-            yield where.following(view, f'by the direction of {letter} at each place', sign * bends)
+            yield where.following(view, f'by the direction of {letter}', sign[None], unsettled)
+            yield where.following(view, f'by the direction of {letter} at each place', sign * bends, unsettled)
 
 
 def _by_history(view: StopView) -> Iterator[Form]:
     """Something follows which axis moved last, or in which direction that was; the detector shows in part what it saw
     at the stop before."""
-    moved = (view.axis == np.arange(3)[:, None]).astype(float)
+    moved = last_arrivals(view)[0].T.astype(float)
+    unsettled = ~moved.any(axis=0)
     for where in (*_axes(view), _beam(view), _length(view), _spot(view),
                   Where('mirror: turned', view.by_mirror, 2e-6, 'rad')):
-        yield where.following(view, 'by which axis moved last', moved)
-        yield where.following(view, 'by the last move, each axis in its direction', moved * view.approach.T)
+        yield where.following(view, 'by which axis moved last', moved, unsettled)
+        yield where.following(view, 'by the last move, each axis in its direction', moved * view.approach.T, unsettled)
     order = np.argsort(view.time, kind='stable')
     before = np.empty_like(order)
     before[order] = np.concatenate([order[:1], order[:-1]])
@@ -160,6 +168,8 @@ def _shapes_in_time(view: StopView) -> Iterator[Form]:
     smooth = unknown(time, view.watches)[-1]
     paces = [TimeProfile('linear', (time / span)[None], np.full((1, len(time)), 1.0 / span), {}),
              *(exponential(time, share * span) for share in TAUS)]
+    again = [pace for since, part, what in ((view.run_time, view.run, 'run'), (view.mount_time, view.setup, 'setup'))
+             for pace in anew(since, part, what) if pace.label == f'anew in each {what}, smooth']
     for axis, _ in _moving(view):
         share = view.commanded[:, axis] / view.description.machine.volume[axis]
         bends = _bends(view, axis)
@@ -171,7 +181,7 @@ def _shapes_in_time(view: StopView) -> Iterator[Form]:
             straight = {} if k < 3 else {'slope': share}
             for shape, course in {**straight, 'bow': np.sin(np.pi * share), 'S': np.sin(2.0 * np.pi * share)}.items():
                 signature = course[:, None] * motion
-                for pace in (*paces, smooth):
+                for pace in (*paces, smooth, *again):
                     yield drift_form(view, pace, signature[None], ('0',), np.full(1, 2e-6),
                                      f'{name} changes its shape, {shape}', units)
             some = bends[2 if k < 3 else 1:, :, None] * motion

@@ -4,19 +4,15 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from stepdiag_ros.estimate.enhanced import readings_of
 from stepdiag_ros.estimate.noise import Law, NoiseModel
 from stepdiag_ros.gap.constants import NOISIER
-from stepdiag_ros.gap.inference.joint import Joint, freed
+from stepdiag_ros.gap.inference.joint import Joint
+from stepdiag_ros.gap.noise.far_arrivals import alone
 
 FAR = 3.0
 """Times the noise that the description states from which it is spoken of: a maker's guess is good to two."""
 ALIKE = 1.3
 """Times the noise of white samples from which what the samples add inside the dwells is spoken of."""
-ALONE = 30.0
-"""Times what arrivals scatter from which one that is off is spoken of: of errors with 2.5 degrees of freedom, the
-wildest that are taken for noise, one in three thousand is so far off."""
-MOST_ALONE = 3
 
 
 def rms(size: float, law: Law) -> float:
@@ -32,7 +28,7 @@ def law_of(noise: NoiseModel) -> dict:
 
 def stated(joint: Joint, steps: np.ndarray) -> tuple[str, ...]:
     """What there is to say of the noise; ``steps`` (c,) [m] in which readings move, 0: in none."""
-    return (*_laws(joint.noise), *_alone(joint), *_inside(joint), *_steps(steps),
+    return (*_laws(joint.noise), *alone(joint), *_inside(joint), *_steps(steps),
             *(words for times, words in _beyond_description(joint) if times > FAR))
 
 
@@ -50,25 +46,6 @@ def _laws(noise: NoiseModel) -> Iterator[str]:
                    'weighed as such')
         if law.correlation:
             yield f'noise: {what} correlates with the one before (correlation about {law.correlation:.2g})'
-
-
-def _alone(joint: Joint) -> Iterator[str]:
-    """Arrivals that a law with tails takes for noise and that are off by far, the farthest first."""
-    if not joint.noise.has_tails:
-        return
-    table, noise, space = joint.observation.table, joint.noise, joint.parity.projection
-    data, far = space.data(readings_of(freed(table, joint.active))), []
-    for errors in space.errors(data):
-        for source, stops, error in zip(errors.latent.source, errors.latent.stops, errors.mean, strict=True):
-            times = abs(error) * (1.0 if noise.spread is None else noise.spread[source, stops[0]])
-            if times > ALONE:
-                far.append((float(times), int(source), int(stops[0])))
-    for times, source, stop in sorted(far, reverse=True)[:MOST_ALONE]:
-        what, size, unit = ('the mirror', noise.angle, 'µrad') if source < 2 else (
-            'XYZ'[source - 2], noise.position, 'µm')
-        yield (f'noise: {what} is off by {1e6 * times * size:.3g} {unit} at {table.run_ids[table.run[stop]]} stop '
-               f'{table.index[stop]}, {times:.0f} times as far as arrivals scatter; it is weighed as one of their '
-               'tails, and a lost count or a knock at that stop would look the same')
 
 
 def _channels(beams: int) -> list[str]:

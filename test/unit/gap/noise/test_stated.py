@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from stepdiag_ros.effects import all_effects
-from stepdiag_ros.estimate.reduce import reduce_log
 from stepdiag_ros.gap import diagnose
 from stepdiag_ros.gap.noise.stated import _steps
 from stepdiag_ros.model.description import Noise
@@ -27,17 +26,3 @@ def test_of_several_beams_it_is_said_which():
     one, two = _steps(np.array([5e-9, 0.0, 5e-9, 0.0, 0.0]))
     assert 'displacement of beam 0:' in one and 'displacement of beam 2:' in two
     assert list(_steps(np.array([5e-9, 0.0, 0.0]))) == ['noise: displacement: readings move in steps of 0.005 µm']
-
-
-def test_an_arrival_that_is_far_off_is_spoken_of_where_tails_take_it(case):
-    """A count lost before the last stop of a run: nobody can tell it from an arrival that is off, and it is said."""
-    log = case.untidy('{position: {dof: 3}}')
-    table = reduce_log(log)
-    stop = int(np.flatnonzero(table.run == table.run[0])[-1])
-    low, high = table.displacement_rows[stop]
-    values = log.displacement.values.copy()
-    values[low:high] += 28e-6
-    far = replace(log, displacement=replace(log.displacement, values=values))
-    said = [next((w for w in diagnose(one, [kind() for kind in all_effects().values()]).warnings
-                  if 'would look the same' in w), '') for one in (log, far)]
-    assert not said[0] and f'{table.run_ids[table.run[stop]]} stop {table.index[stop]}' in said[1]
