@@ -8,7 +8,7 @@ where more are that far off, or farther, than chance would have it, something is
 from collections.abc import Iterator
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from stepdiag_ros.estimate.enhanced import readings_of
 from stepdiag_ros.gap.inference.joint import Joint, freed
@@ -17,6 +17,7 @@ from stepdiag_ros.gap.noise.arrival_law import DOFS
 ALONE = 30.0
 """Times what arrivals scatter from which one that is off is spoken of."""
 MOST_ALONE = 3
+LEAST_CHANCE = 1e-300
 
 
 def alone(joint: Joint) -> Iterator[str]:
@@ -41,8 +42,8 @@ def beyond_tails(joint: Joint) -> tuple[float, str]:
     number = np.arange(1, np.count_nonzero(times > ALONE) + 1)
     if not len(number):
         return 0.0, ''
-    chance = 2.0 * stats.t.sf(times[:len(number)], min(DOFS))
-    surprise = -stats.binom.logsf(number - 1, len(times), chance)
+    chance = 2.0 * special.stdtr(min(DOFS), -times[:len(number)])
+    surprise = -np.log(np.maximum(special.bdtrc(number - 1, len(times), chance), LEAST_CHANCE))
     return (float(surprise.max() - np.log(len(number))),
             f'{len(number)} of {len(times)} arrivals are off by more than {ALONE:.0f} times what arrivals scatter, '
             f'which no noise does; the farthest: {_where(joint, times[0], source[0], stop[0])}')

@@ -36,10 +36,10 @@ def cause_and_parts() -> tuple[np.ndarray, dict[str, np.ndarray]]:
 def test_the_order_in_which_members_were_found_does_not_matter(cause_and_parts):
     data, columns = cause_and_parts
     screen = screen_of(data, columns)
-    alone = screen.by_effect()
+    alone = screen.by_cause()
     evidence = {}
     for first, second in (('left', 'right'), ('right', 'left')):
-        found = joined(screen, joined(screen, NONE, alone[first]), screen.by_effect([alone[first]])[second])
+        found = joined(screen, joined(screen, NONE, alone[first]), screen.by_cause([alone[first]])[second])
         placed = screen.in_place(found.members)
         evidence[first] = found.log_bayes, sum(m.log_bayes for m in placed)
     assert abs(evidence['left'][1] - evidence['right'][1]) < 1.0

@@ -172,9 +172,9 @@ def test_what_is_corrected_once_is_not_corrected_again(case):
     phase, length = np.random.default_rng(3).uniform(-1.0, 1.0, (1, n, c)), np.arange(c) == 0
     swing = Form('swing', np.sin(phase) * length, ('a',), np.full(1, 3e-8), by_reading=4e6 * np.cos(phase) * length)
     screen = Screen(space, [Candidate('swing', '', swing), Candidate('again', '', swing)], 1e9)
-    first = screen.by_effect()['swing']
+    first = screen.by_cause()['swing']
     assert first.log_bayes > 6.0, 'the correction alone speaks for the form'
-    assert screen.by_effect((first,))['again'].log_bayes < 0.5
+    assert screen.by_cause((first,))['again'].log_bayes < 0.5
 
 
 def test_a_fringe_owes_less_to_less_noise(case):
