@@ -9,7 +9,8 @@ another gain on one side of its middle, a standoff that is not as described, rea
 its mount.  None has a name here; which of them a log shows is reported in its label.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -20,9 +21,10 @@ from stepdiag_ros.gap.alternatives.unmodelled import NAME, lasting_jumps, patter
 from stepdiag_ros.gap.alternatives.where_and_how import table_families
 
 KNEES = (0.2, 0.35, 0.5, 0.65, 0.8)
-"""Shares of the range of lengths beyond which a reading is bent, or at which a leak of it saturates."""
+"""Shares of the range of lengths tried beyond which a reading is bent, or at which a leak of it saturates; tuned."""
+LAST_KNEE = 0.95
 SPOTS_M = (2.5e-4, 4e-4, 6.3e-4, 1e-3)
-"""Spots from which a leak saturates [m], so close that between two of them little is lost."""
+"""Spots from which a leak saturates [m], so close that between two of them little is lost; tuned."""
 LEAST_MISSING = 0.01
 """Standard deviation of the light that is missing, as a share of the most, from which readings may follow it."""
 BEARINGS = 8
@@ -59,10 +61,21 @@ def _lengths(view: StopView, label: str, patterns: np.ndarray, scale: float) -> 
 def _at_long_range(view: StopView) -> Iterator[Form]:
     """Lengths compressed or stretched beyond a part of the range, straight on or as the square."""
     far = view.distance / max(float(np.nanmax(np.abs(view.distance))), 1e-9)
-    for knee in KNEES:
-        excess = np.maximum(far - knee, 0.0) / (1.0 - knee)
-        yield _lengths(view, f'displacement: bent beyond {100 * knee:.0f} % of the range', excess[None]**2, 2e-6)
+    yield from (_bent(view, far, knee) for knee in KNEES)
     yield _lengths(view, 'displacement: bent over the range', np.stack([far**2, far**3]), 2e-6)
+
+
+def _bent(view: StopView, far: np.ndarray, knee: float) -> Form:
+    """Lengths bent where the share ``far`` (n, beams) of their range is beyond a ``knee``."""
+    knee = min(knee, LAST_KNEE)
+    excess = np.maximum(far - knee, 0.0) / (1.0 - knee)
+    return _tunable(_lengths(view, f'displacement: bent beyond {100 * knee:.0f} % of the range', excess[None]**2, 2e-6),
+                    'knee', knee, lambda other: _bent(view, far, other))
+
+
+def _tunable(form: Form, name: str, value: float, made: Callable[[float], Form]) -> Form:
+    """A form ``made`` with one shape parameter."""
+    return replace(form, shape={name: value}, retune=lambda shape: made(shape[name]))
 
 
 def _leak(view: StopView) -> Iterator[Form]:
@@ -74,23 +87,34 @@ def _leak(view: StopView) -> Iterator[Form]:
     yield _lengths(view, "displacement: follows the spot's distance, squared", (radius / size)[None] ** 2, 1e-6)
     yield _lengths(view, "displacement: follows the spot's distance, squared and cubed",
                    np.stack([(radius / size) ** 2, (radius / size) ** 3]), 1e-6)
-    # Between two bearings to first order: half a mesh away a strong leak would fit no longer.
-    between = np.pi / BEARINGS / np.sqrt(12.0)
     for angle in np.arange(BEARINGS) * np.pi / BEARINGS:
-        along, across = spot @ (np.cos(angle), np.sin(angle)), spot @ (-np.sin(angle), np.cos(angle))
-        for knee in SPOTS_M:
-            leak = np.tanh(along / knee)
-            yield _lengths(view, f'displacement: follows the spot at {np.degrees(angle):.0f}°, saturating at '
-                           f'{knee * 1e3:.1g} mm',
-                           np.stack([leak, between * (1.0 - leak**2) * across / knee]), 1e-6)
+        yield from (_leaking(view, float(angle), knee) for knee in SPOTS_M)
     # And the other way about, anywhere in the detector's plane: the length to the mirror, or as it is counted.
     distance = view.distance[:, 0]
     for what, length in (('distance', distance), ('displacement', distance - np.nanmin(distance))):
-        for knee in KNEES:
-            columns, most = view.zeros(2), max(float(np.nanmax(length)), 1e-9)
-            columns[0, :, view.beams] = columns[1, :, view.beams + 1] = np.tanh(length / (knee * most))
-            yield Form(f'spot: follows the {what}, saturating at {knee * most:.2g} m', columns, ('x', 'y'),
-                       np.full(2, 3e-6))
+        most = max(float(np.nanmax(length)), 1e-9)
+        yield from (_followed(view, what, length, knee * most) for knee in KNEES)
+
+
+def _leaking(view: StopView, angle: float, knee: float) -> Form:
+    """The spot along a bearing [rad] shows in the length, saturating at ``knee`` [m]."""
+    spot = view.spot_model
+    along, across = spot @ (np.cos(angle), np.sin(angle)), spot @ (-np.sin(angle), np.cos(angle))
+    leak = np.tanh(along / knee)
+    # Between two bearings to first order: half a mesh away a strong leak would fit no longer.
+    between = np.pi / BEARINGS / np.sqrt(12.0)
+    return _tunable(_lengths(
+        view, f'displacement: follows the spot at {np.degrees(angle):.0f}°, saturating at {knee * 1e3:.1g} mm',
+        np.stack([leak, between * (1.0 - leak**2) * across / knee]), 1e-6),
+        'knee_m', knee, lambda other: _leaking(view, angle, other))
+
+
+def _followed(view: StopView, what: str, length: np.ndarray, knee: float) -> Form:
+    """The ``length`` (n,) [m], in words ``what``, shows in the spot, saturating at ``knee`` [m]."""
+    columns = view.zeros(2)
+    columns[0, :, view.beams] = columns[1, :, view.beams + 1] = np.tanh(length / knee)
+    form = Form(f'spot: follows the {what}, saturating at {knee:.2g} m', columns, ('x', 'y'), np.full(2, 3e-6))
+    return _tunable(form, 'knee_m', knee, lambda other: _followed(view, what, length, other))
 
 
 def _detector(view: StopView) -> Iterator[Form]:

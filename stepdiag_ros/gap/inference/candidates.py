@@ -339,6 +339,14 @@ class Screen:
             result[cause] = member if as_rich is None else self._beyond_controls(members, member, as_rich)
         return result
 
+    def lean(self) -> list[Member]:
+        """Of each family without a name that competes as names do the form that suits best, its evidence its own."""
+        families = [family for family in self._families if family.own]
+        known = self.judge_all((), np.concatenate([np.zeros(0, np.intp), *(family.numbers for family in families)]))
+        best = [int(family.numbers[known.log_bayes[family.numbers].argmax()]) for family in families]
+        return [Member(self.candidates[number].effect, number, float(known.log_bayes[number]),
+                       self.allowed(number, known), lean=True) for number in best]
+
     def allowed(self, number: int, known: 'Known') -> float:
         """The size that a candidate's coefficients are allowed in a set: an unknown profile the one that the log shows
         of it."""

@@ -29,7 +29,8 @@ from stepdiag_ros.gap.preprocess.observe import Observation
 
 ROUNDS = 4
 TUNED = 4
-"""Leading effects whose shape parameters are tuned before sets are formed."""
+"""Leading effects whose shape parameters are tuned before sets are formed, besides the best form of each family of
+known physics without a name."""
 
 
 def settle(nominal: Joint, effects: Mapping[str, Effect], tails: bool = False) -> tuple[Joint, list[EffectSet], Screen]:
@@ -128,12 +129,10 @@ def _screen(joint: Joint, effects: Mapping[str, Effect], tails: bool) -> Screen:
 
 
 def _sharpened(screen: Screen) -> Screen:
-    """The screen with the best forms of the leading effects tuned: a coarse net of time constants must not
-    make a mixture of two look better than the right one."""
-    first = screen.by_cause()
-    if not first:
-        return screen
-    leading = sorted(first.values(), key=lambda m: -m.log_bayes)[:TUNED]
+    """The screen with the best forms of the leading effects, and of all known physics without a name, tuned: a coarse
+    net of time constants must not make a mixture of two look better than the right one, nor a name."""
+    named = [member for member in screen.by_cause().values() if not member.lean]
+    leading = sorted(named, key=lambda m: -m.log_bayes)[:TUNED] + screen.lean()
     data, added = screen.parity.data, []
     for member in leading:
         candidate = screen.candidates[member.candidate]
