@@ -186,6 +186,7 @@ class Form:
     readings themselves, by the reading.  ``source``: what it comes from where a cell has but one, as its
     laser or its dead path; two forms of an effect with different sources do not act together.  ``beside``: what may act
     beside it as large without the log telling; no part of what is found, but of how uncertain the errors are.
+    ``family``: forms of an effect of one family share one weight, however many they are, one to each stop.
     ``of_one_arrival``: whether it does no more than the error of a single arrival does.  ``gain`` (k, c): by which
     share of itself a unit of each coefficient makes a reading larger, errors of arrivals in it too; None: by none.
     """
@@ -204,12 +205,14 @@ class Form:
     by_reading: np.ndarray | None = None
     source: str = ''
     beside: 'Form | None' = None
+    family: str = ''
     of_one_arrival: bool = False
     gain: np.ndarray | None = None
 
     def at(self, shape: Mapping[str, float]) -> 'Form':
         """The same form with other shape parameters; only where there is something to tune."""
-        return replace(self.retune(shape), tuned_from=self.tuned_from or self.label, source=self.source)
+        return replace(self.retune(shape), tuned_from=self.tuned_from or self.label, source=self.source,
+                       family=self.family)
 
 
 class Effect:

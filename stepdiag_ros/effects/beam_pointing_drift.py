@@ -6,12 +6,13 @@ a mirror's turn but by what the geometry leaves of a beam's turn: derivatives of
 """
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
 from stepdiag_ros.effects.adoption import Fitted
 from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
-from stepdiag_ros.effects.patterns import Drawn, drawn_size, drift_profiles, follow, saturating
+from stepdiag_ros.effects.patterns import Drawn, drawn_size, drift_profiles, follow, saturating, switches
 
 
 class BeamPointingDrift(Effect):
@@ -36,7 +37,10 @@ class BeamPointingDrift(Effect):
         moment.laser = moment.laser + saturating(moment.seconds, self.tau)[:, None] * self.amp
 
     def appearance(self, view: StopView) -> list[Form]:
-        return [follow(view, profile, view.by_laser, ('u', 'v'), 1e-5, 'rad') for profile in drift_profiles(view)]
+        knocked = [replace(follow(view, profile, view.by_laser, ('u', 'v'), 1e-5, 'rad'), inside=None, family='knocked')
+                   for profile in switches(view)]
+        return knocked + [follow(view, profile, view.by_laser, ('u', 'v'), 1e-5, 'rad')
+                          for profile in drift_profiles(view)]
 
     def guess(self, fitted: Fitted) -> Mapping[str, object]:
         return fitted.profile(fitted.view.by_laser)

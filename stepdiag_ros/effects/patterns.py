@@ -1,6 +1,6 @@
 """Columns that several effects share: a signature that follows a time profile, one for each setup."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -168,6 +168,8 @@ ANEW_WAVES = 6
 """Half waves of an unknown profile that begins anew."""
 BETWEEN_PARTS = 0.3
 """Standard deviation from one to the next of the amount of what begins anew nearly alike, as a share of it."""
+MOST_JUMPS = 500
+"""Places at which something may jump that are tried in a log; a longer log is tried at every second, third …"""
 MOST_OWN = 40
 """Parts of a log up to which each may have an amount of its own; with more the whole log's unknown profile tells."""
 
@@ -178,6 +180,19 @@ def drift_profiles(view: StopView) -> list[TimeProfile]:
     all of them or by an amount of its own in each."""
     return [*time_profiles(view.elapsed, view.watches), *anew(view.run_time, view.run, 'run'),
             *anew(view.mount_time, view.setup, 'setup')]
+
+
+def switches(view: StopView) -> list[TimeProfile]:
+    """Profiles of what changes at once: from one of the stops on, which of them is not known."""
+    order = at_most(np.argsort(view.time, kind='stable')[1:])
+    still = np.zeros((1, len(view.time)))
+    return [TimeProfile(f'from {view.run_ids[view.run[stop]]} stop {view.index[stop]} on',
+                        (view.time >= view.time[stop]).astype(float)[None], still, {}) for stop in order]
+
+
+def at_most(places: Sequence[int]) -> Sequence[int]:
+    """Every one of some places, or every second, third … where they are too many to be tried."""
+    return places[::max(1, -(-len(places) // MOST_JUMPS))]
 
 
 def anew(since: np.ndarray, part: np.ndarray, what: str) -> list[TimeProfile]:

@@ -5,13 +5,14 @@ same price of complexity, so that a name must predict the log better than a shap
 does, and what a name leaves behind is noticed although no name fits it.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 
 from stepdiag_ros.effects.base import Form, StopView
 from stepdiag_ros.effects.made import Made, Product, Split
+from stepdiag_ros.effects.patterns import at_most
 from stepdiag_ros.gap.preprocess.observe import channels
 
 NAME = 'unknown'
@@ -19,8 +20,6 @@ LEAN = ('jumps', 'lengths')
 """Families whose forms have one column each: they hold as exactly as a name's do, and are doubted less."""
 LEAST_STOPS = 5
 """A run of fewer stops has none to spare for a course of its own."""
-MOST_JUMPS = 500
-"""Places at which something may jump that are tried in a log; a longer log is tried at every second, third …"""
 
 
 def unknown_families(view: StopView) -> dict[str, list[Form]]:
@@ -143,12 +142,7 @@ def _in_time(view: StopView) -> Iterator[Form]:
 def _beginnings(view: StopView) -> np.ndarray:
     """Stops, in order of time, at which a jump is tried."""
     order = np.argsort(view.time, kind='stable')
-    return _at_most(order)
-
-
-def _at_most(places: Sequence[int]) -> Sequence[int]:
-    """Every one of some places, or every second, third … where they are too many to be tried."""
-    return places[::max(1, -(-len(places) // MOST_JUMPS))]
+    return at_most(order)
 
 
 def _after(view: StopView, stop: int) -> np.ndarray:
@@ -197,7 +191,7 @@ def _lengths(view: StopView) -> Iterator[Form]:
     ordered = np.argsort(view.time, kind='stable')
     begins = [place for place in range(1, len(ordered))
               if view.run[ordered[place]] != view.run[ordered[place - 1]] or not place % 4]
-    for place in _at_most(begins):
+    for place in at_most(begins):
         i = ordered[place]
         yield Form(f'length: another unit from {view.run_ids[view.run[i]]} stop {view.index[i]} on',
                    Made((1, *view.reading.shape), _stretched, view.distance, view.reading.shape, ordered[place:]),

@@ -294,15 +294,15 @@ class Screen:
             known.size[alike.numbers[chosen]] = judged.size
         return known
 
-    def as_first(self, member: Member) -> Member:
-        """A member of a set in the same form as if it were the first: the evidence of that form alone, as one
-        of all that the effect has."""
+    def as_next(self, members: Sequence[Member], member: Member) -> Member:
+        """A member of a set in the same form as if it came next after some ``members``: the evidence of that form
+        alone, as one of all that its cause has."""
         number = member.candidate
         forms = next(len(family.numbers) for family in self._families if number in family.numbers) if member.lean \
             else sum(candidate.effect == member.effect for candidate in self.candidates)
-        known = self.judge_all((), [number])
+        known = self.judge_all(members, [number])
         return replace(member, log_bayes=float(known.log_bayes[number] - np.log(forms)),
-                       size=self.allowed(number, known))
+                       size=self.allowed(number, known), at=())
 
     def by_cause(self, members: Sequence[Member] = (),
                  asked: Callable[[str], bool] = lambda cause: True) -> dict[str, Member]:

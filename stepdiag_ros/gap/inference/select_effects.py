@@ -61,7 +61,8 @@ def settle(nominal: Joint, effects: Mapping[str, Effect], tails: bool = False) -
         fitted = fit_jointly(joint.observation, chosen, joint.noise) if chosen else nominal
         if joint.active and misfit(fitted) > max(LARGE_RESIDUAL, misfit(joint)):
             # The search predicted from its place what the joint fit does not hold: what did hold is kept.
-            screen = Screen(joint.parity, [Candidate(a.effect.name or UNKNOWN, '', a.form) for a in joint.active],
+            screen = Screen(joint.parity,
+                            [Candidate(a.effect.name or UNKNOWN, a.form.family, a.form) for a in joint.active],
                             float(sum(joint.noise.dof)), modulations=modulations(joint.observation.view))
             return joint, search(screen), screen
         if stood and best.log_bayes - _short(joint, chosen, fitted) < _evidence(sets, joint) - SUSPICION:
@@ -103,9 +104,9 @@ def _screen(joint: Joint, effects: Mapping[str, Effect], tails: bool) -> Screen:
     for effect in effects.values():
         if effect.needs_dwells and not joint.parity.dof[1]:
             continue
-        candidates += [Candidate(effect.name, '', form) for form in effect.appearance(view)]
+        candidates += [Candidate(effect.name, form.family, form) for form in effect.appearance(view)]
     tuned = [a for a in joint.active if a.form.tuned_from]
-    candidates += [Candidate(a.effect.name, '', a.form) for a in tuned if a.effect.name]
+    candidates += [Candidate(a.effect.name, a.form.family, a.form) for a in tuned if a.effect.name]
     for family, forms in unknown_families(view).items():
         penalty = LEAN_PENALTY if family in LEAN else UNKNOWN_PENALTY
         candidates += [Candidate(UNKNOWN, family, form, penalty) for form in forms]
