@@ -10,13 +10,13 @@ Cells that the 21 errors are (an axis shifted by its own place) or that a name h
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.polynomial import legendre
 
 from stepdiag_ros.effects.base import Form, StopView
-from stepdiag_ros.effects.fading import last_arrivals
+from stepdiag_ros.effects.fading import bin_means, last_arrivals
 from stepdiag_ros.effects.patterns import anew
 from stepdiag_ros.effects.timeforms import TimeProfile, drift_form, exponential, unknown
 from stepdiag_ros.model.machine import AXES, CURVES
@@ -27,6 +27,10 @@ TAUS = (0.06, 0.25)
 """Time constants tried of what changes with time, as shares of the log's length; they are tuned."""
 FEW_WAVES = 6
 """Half waves of the time profile of a shape that is open too."""
+PLACE_WAVES = 8
+"""Half waves along an axis of such a shape; their sizes fall as those of a walk at random, which a step is too."""
+MEMORY_S = (0.5, 4.0, 30.0)
+"""Time constants tried [s] with which a detector forgets; they are tuned."""
 PERIODS_M = tuple(np.geomspace(1.5e-4, 1e-3, 7))
 """Periods tried [m] of what swings as the spot wanders; they are tuned."""
 BEARINGS = 8
@@ -55,9 +59,9 @@ class Where:
 
 def table_families(view: StopView) -> dict[str, list[Form]]:
     """The cells by what is followed."""
-    return {'place': _shown(_by_place(view)), 'direction': _shown(_by_direction(view)),
-            'history': _shown(_by_history(view)), 'shape': list(_shapes_in_time(view)),
-            'fringes': _shown(_fringes(view))}
+    return {'place': _shown(_by_place(view)), 'distance': _shown(_by_distance(view)),
+            'direction': _shown(_by_direction(view)), 'history': _shown(_by_history(view)),
+            'shape': list(_shapes_in_time(view)), 'fringes': _shown(_fringes(view))}
 
 
 def _shown(forms: Iterator[Form]) -> list[Form]:
@@ -97,17 +101,13 @@ def _spot(view: StopView) -> Where:
     return Where('spot: off', columns, 3e-6, 'm')
 
 
-def _map(view: StopView) -> Where:
-    """The detector's linear map: gains and shears."""
-    columns = view.zeros(4)
-    for k in range(4):
-        columns[k, :, view.beams + k // 2] = view.spot_model[:, k % 2]
-    return Where('spot: its scale or its axes off', columns, 0.01, '1')
-
-
 def _bends(view: StopView, axis: int) -> np.ndarray:
     """Polynomials (1 + BENDS, n) of the place along an axis, of order one."""
-    share = view.commanded[:, axis] / view.description.machine.volume[axis]
+    return _polynomials(view.commanded[:, axis] / view.description.machine.volume[axis])
+
+
+def _polynomials(share: np.ndarray) -> np.ndarray:
+    """Polynomials (1 + BENDS, n) of a share (n,) from 0 to 1, of order one."""
     return legendre.legvander(2.0 * share - 1.0, BENDS).T
 
 
@@ -121,14 +121,26 @@ def _by_place(view: StopView) -> Iterator[Form]:
     of that axis, or of two of them."""
     for axis, letter in _moving(view):
         bends = _bends(view, axis)[1:]
-        for where in (_beam(view), _stretch(view), _spot(view), _map(view)):
+        for where in (_beam(view), _stretch(view), _spot(view)):
             yield where.following(view, f'by the place of {letter}', bends[:1])
             yield where.following(view, f'by the place of {letter}, bent', bends)
 
 
+def _by_distance(view: StopView) -> Iterator[Form]:
+    """The beam's direction or the spot follow the length of the path, alike in all setups or otherwise in each; a spot
+    in proportion to it is the mirror's angle, and beside that the detector's zero."""
+    far = view.distance[:, 0] / max(float(np.nanmax(np.abs(view.distance[:, 0]))), 1e-9)
+    bends = _polynomials(far)
+    setups = (view.setup == np.unique(view.setup)[:, None]).astype(float)
+    for where, courses in ((_beam(view), bends[1:]), (_spot(view), bends[2:])):
+        yield where.following(view, 'by the length of the path', courses[:1])
+        yield where.following(view, 'by the length of the path, bent', courses)
+        yield where.following(view, 'by the length of the path, otherwise in each setup', setups * courses[0])
+
+
 def _by_direction(view: StopView) -> Iterator[Form]:
-    """Something follows the direction from which an axis came, alike or otherwise at each place: all but a shift of
-    that axis, which is its backlash."""
+    """Something follows the direction from which an axis came, alike or otherwise at each place of it or of another:
+    all but a shift of that axis, which is its backlash."""
     shifts = _axes(view)
     for axis, letter in _moving(view):
         sign, bends = view.approach[:, axis].astype(float), _bends(view, axis)
@@ -137,6 +149,10 @@ def _by_direction(view: StopView) -> Iterator[Form]:
         for where in (*others, _tool(view, axis), _beam(view), _length(view), _spot(view)):
             yield where.following(view, f'by the direction of {letter}', sign[None], unsettled)
             yield where.following(view, f'by the direction of {letter} at each place', sign * bends, unsettled)
+            for other, beside in _moving(view):
+                if other != axis:
+                    yield where.following(view, f'by the direction of {letter} along {beside}',
+                                          sign * _bends(view, other)[:2], unsettled)
 
 
 def _by_history(view: StopView) -> Iterator[Form]:
@@ -148,16 +164,24 @@ def _by_history(view: StopView) -> Iterator[Form]:
                   Where('mirror: turned', view.by_mirror, 2e-6, 'rad')):
         yield where.following(view, 'by which axis moved last', moved, unsettled)
         yield where.following(view, 'by the last move, each axis in its direction', moved * view.approach.T, unsettled)
-    order = np.argsort(view.time, kind='stable')
-    before = np.empty_like(order)
-    before[order] = np.concatenate([order[:1], order[:-1]])
-    before = np.where(view.run[before] == view.run, before, np.arange(len(before)))
-    columns = view.zeros(2)
-    for k in range(2):
-        columns[k, :, view.beams + k] = view.spot_model[before, k] - view.spot_model[:, k]
-    yield Form('spot: in part that of the stop before', columns.sum(axis=0, keepdims=True), ('share',),
-               np.full(1, 0.02), '1')
-    yield Form('spot: in part that of the stop before, apart in x and y', columns, ('x', 'y'), np.full(2, 0.02), '1')
+    yield from (_remembered(view, tau) for tau in MEMORY_S)
+
+
+def _remembered(view: StopView, tau: float) -> Form:
+    """The detector shows in part what it saw before, which fades with a time constant ``tau`` [s]."""
+    order, spot = np.argsort(view.time, kind='stable'), view.spot_model
+    behind, last = np.zeros_like(spot), order[0]
+    for stop in order[1:]:
+        if view.run[stop] == view.run[last]:
+            fading = np.exp(-(view.time[stop] - view.time[last]) / tau)
+            behind[stop] = spot[last] - spot[stop] + fading * behind[last]
+        last = stop
+    course = bin_means(view.bin_time, tau)
+    columns, inside = (view.zeros(1), np.zeros((1, *view.bin_time.shape, view.reading.shape[1])))
+    columns[0, :, view.beams:] = course.mean(axis=1, keepdims=True) * behind
+    inside[0, :, :, view.beams:] = (course - course.mean(axis=1, keepdims=True))[:, :, None] * behind[:, None]
+    return Form(f'spot: in part what was seen before, fading with {tau:.2g} s', columns, ('share',), np.full(1, 0.02),
+                '1', inside=inside, shape={'tau_s': tau}, retune=lambda shape: _remembered(view, shape['tau_s']))
 
 
 def _shapes_in_time(view: StopView) -> Iterator[Form]:
@@ -172,7 +196,8 @@ def _shapes_in_time(view: StopView) -> Iterator[Form]:
              for pace in anew(since, part, what) if pace.label == f'anew in each {what}, smooth']
     for axis, _ in _moving(view):
         share = view.commanded[:, axis] / view.description.machine.volume[axis]
-        bends = _bends(view, axis)
+        number = np.arange(1, PLACE_WAVES + 1)
+        waves = np.cos(np.pi * number[:, None] * share)
         for k in range(6):
             motion = view.by_motion[6 * axis + k]
             if not np.any(motion):
@@ -184,10 +209,10 @@ def _shapes_in_time(view: StopView) -> Iterator[Form]:
                 for pace in (*paces, smooth, *again):
                     yield drift_form(view, pace, signature[None], ('0',), np.full(1, 2e-6),
                                      f'{name} changes its shape, {shape}', units)
-            some = bends[2 if k < 3 else 1:, :, None] * motion
-            names = tuple(str(i) for i in range(len(some)))
+            names = tuple(str(i) for i in number)
             for pace in (*paces, unknown(time, most=FEW_WAVES)[-1]):
-                yield drift_form(view, pace, some, names, np.full(len(some), 2e-6), f'{name} changes its shape', units)
+                yield replace(drift_form(view, pace, waves[:, :, None] * motion, names, 2e-6 / number,
+                                         f'{name} changes its shape', units), process=True)
 
 
 def _fringes(view: StopView) -> Iterator[Form]:

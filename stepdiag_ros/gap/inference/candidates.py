@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from stepdiag_ros.effects.base import Effect, Form
 from stepdiag_ros.effects.made import Made, Split
-from stepdiag_ros.gap.constants import CONFUSED, CONTROL_SHARE, DISCREPANCY_SHARE, MEMBER_ALARM
+from stepdiag_ros.gap.constants import CONFUSED, CONTROL_SHARE, DISCREPANCY_SHARE, LEAN_WEIGHT, MEMBER_ALARM
 from stepdiag_ros.gap.inference.brought import Brought
 from stepdiag_ros.gap.inference.discrepancy import LEAST
 from stepdiag_ros.gap.inference.discrepancy import columns as discrepancy_of
@@ -294,15 +294,15 @@ class Screen:
             known.size[alike.numbers[chosen]] = judged.size
         return known
 
-    def as_next(self, members: Sequence[Member], member: Member) -> Member:
-        """A member of a set in the same form as if it came next after some ``members``: the evidence of that form
-        alone, as one of all that its cause has."""
+    def as_first(self, member: Member) -> Member:
+        """A member of a set in the same form as if it were the first: the evidence of that form alone, as one
+        of all that its cause has."""
         number = member.candidate
         forms = next(len(family.numbers) for family in self._families if number in family.numbers) if member.lean \
             else sum(candidate.effect == member.effect for candidate in self.candidates)
-        known = self.judge_all(members, [number])
+        known = self.judge_all((), [number])
         return replace(member, log_bayes=float(known.log_bayes[number] - np.log(forms)),
-                       size=self.allowed(number, known), at=())
+                       size=self.allowed(number, known))
 
     def by_cause(self, members: Sequence[Member] = (),
                  asked: Callable[[str], bool] = lambda cause: True) -> dict[str, Member]:
@@ -328,7 +328,7 @@ class Screen:
             effect = families[0].effect
             logs = [known.log_bayes[family.numbers] for family in families]
             penalties = [_penalty(family, mine) for family, mine in zip(families, logs, strict=True)]
-            shared = 0.0 if cause == LEAN else float(np.log(len(families)))
+            shared = float(np.log(max(len(families) / LEAN_WEIGHT, 1.0) if cause == LEAN else len(families)))
             means = [log_mean(mine) - penalty - shared for mine, penalty in zip(logs, penalties, strict=True)]
             # The penalty is that against the family which carries the sum: another's would be paid back unpaid.
             k = int(np.argmax(means))

@@ -35,8 +35,6 @@ MOST_FORMS = 6
 HOPELESS = 60.0
 """Sets this far behind the best of no more forms in log evidence, and by more than ``BEHIND`` of it, go no further."""
 BEHIND = 0.1
-MOST_LEANER = 8
-"""So many leading sets are tried without each of their forms."""
 BEYOND_REACH = 30.0
 """Sets this far behind the best whose discrepancies are in place have no part in the answer, wherever theirs are."""
 GAIN = 3.0
@@ -122,33 +120,9 @@ def search(screen: Screen) -> list[EffectSet]:
                     if larger.log_bayes > found.log_bayes + GAIN:
                         grown.append(larger)
         front = grown
-    whole = _in_place(screen, _leaner(screen, sets.values()))
-    found = _each_earned(_best_compositions(_with_imitations(screen, whole)))
+    found = _each_earned(_best_compositions(_with_imitations(screen, _in_place(screen, sets.values()))))
     among = len({m.effect for m in first.values()})
     return sorted(found, key=lambda s: (bool(s.refused), -(s.log_bayes + log_prior(s, among))))
-
-
-def _leaner(screen: Screen, sets: Iterable[EffectSet]) -> Iterator[EffectSet]:
-    """The sets, those that lead without forms that others of the same cause, found later, make needless: a drift of any
-    shape follows a jump as well as it can, until the jump itself is found."""
-    order = sorted(sets, key=lambda s: -s.log_bayes)
-    best = order[0].log_bayes
-    for place, found in enumerate(order):
-        fewer = found if place < MOST_LEANER and best - found.log_bayes < max(HOPELESS, BEHIND * best) else None
-        while fewer is not None:
-            found = fewer
-            fewer = next((less for less in _less_one(screen, found) if less.log_bayes > found.log_bayes), None)
-        yield found
-
-
-def _less_one(screen: Screen, found: EffectSet) -> Iterator[EffectSet]:
-    """A set without one of its forms, for each that is not the only one of its cause."""
-    for k, member in enumerate(found.members):
-        if found.causes.count(member.cause) > 1:
-            less = EffectSet((), 0.0)
-            for other in found.members[:k] + found.members[k + 1:]:
-                less = joined(screen, less, screen.as_next(less.members, other))
-            yield less
 
 
 def _in_place(screen: Screen, sets: Iterable[EffectSet]) -> Iterator[EffectSet]:
@@ -221,7 +195,7 @@ def _recomposed(screen: Screen, pair: EffectSet) -> EffectSet:
     beside the second a leaner one may do.  So the first's form is chosen anew beside that of the second.
     """
     first, second = pair.members
-    kept = joined(screen, EffectSet((), 0.0), screen.as_next((), second))
+    kept = joined(screen, EffectSet((), 0.0), screen.as_first(second))
     other = screen.by_cause(kept.members, lambda cause: cause == first.cause).get(first.cause)
     if other is None:
         return pair

@@ -281,7 +281,8 @@ def test_forms_are_whole(bench, name):
                                   if n not in ('count_slip', 'non_rigid_coupling', 'vibration', 'clock_skew')])
 def test_forms_are_few(bench, name):
     forms = effect_class(name)().appearance(bench.view)
-    assert 0 < len(forms) <= 80
+    # What changes at once has one form for each stop, and these share one weight.
+    assert 0 < len([form for form in forms if not form.family]) <= 80
     assert len({form.label for form in forms}) == len(forms)
 
 

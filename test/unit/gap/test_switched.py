@@ -7,12 +7,12 @@ from stepdiag_ros.effects.base import Effect
 
 
 class Lamp(Effect):
-    """A lamp is switched on for a while: its light pulls the spot to the detector's middle."""
+    """A lamp is switched on: its light pulls the spot to the detector's middle."""
 
     name = 'lamp'
 
     def after_light(self, moment):
-        lit = (moment.seconds > 350.0) & (moment.seconds < 700.0)
+        lit = moment.seconds > 520.0
         moment.spot = moment.spot * (1.0 - 0.06 * lit)[:, None]
 
 

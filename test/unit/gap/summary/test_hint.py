@@ -124,7 +124,7 @@ def test_light_that_is_only_a_hint_explains_no_hum(case):
             swing = 3e-7 * np.sin(2.0 * np.pi * 11.3 * measurement.seconds)
             measurement.spot = measurement.spot + swing[:, None] * np.array([0.8, 0.6])
 
-    found = case.diagnose(effect_class('ambient_light')(level=0.0, swing=3.57e-3, period=2000.0), Hum())
+    found = case.diagnose(effect_class('ambient_light')(level=0.0, swing=3.8e-3, period=2000.0), Hum())
     assert found.ranking['ambient_light'] >= 0.2 and not found.effects
     assert found.verdict == 'unexplained' and 'swings at 11.3 Hz' in found.unmodelled
 
