@@ -32,7 +32,8 @@ class MirrorCurvature(Effect):
     remedy = ('Use a flatter or smaller mirror, mount it free of strain, or measure its shape and enter it.')
     signature = 'A fixed shape over the strike point, in length as height and in the spot as slope.'
     neighbours = ('mirror_mount_creep is the same at all strike points and changes with time; '
-                  'psd_nonlinearity follows the spot, not the strike.')
+                  'psd_nonlinearity follows the spot, not the strike; air in layers, warm above cold, bends the beam '
+                  'as much as a curved mirror does: measure at another time of day.')
 
     @classmethod
     def draw(cls, rng: np.random.Generator) -> Drawn:

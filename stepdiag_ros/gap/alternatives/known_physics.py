@@ -3,11 +3,10 @@
 A shapeless pattern of many columns pays so much for what it could have fitted that a wrong name with few columns
 beats it.  What physics may do beside the vocabulary is therefore offered in few parameters too: what acts in another
 cell of the table of where and how (:mod:`~stepdiag_ros.gap.alternatives.where_and_how`), and what is no cell of it:
-readings bent at long range, the spot that leaks into the length or the length into the spot, air in layers that bends
-the beam, a detector that is sheared or has another gain on one side of its middle, a standoff that is not as described,
-readings that follow the light received (a beam cut by the mirror's edge), a mirror's arm or a laser's stand that rings
-after each move, a mirror that slips in its mount.  None has a name here; which of them a log shows is reported in its
-label.
+readings bent at long range, the spot that leaks into the length or the length into the spot, a detector that is sheared
+or has another gain on one side of its middle, a standoff that is not as described, readings that follow the light
+received (a beam cut by the mirror's edge), a mirror's arm or a laser's stand that rings after each move, a mirror that
+slips in its mount.  None has a name here; which of them a log shows is reported in its label.
 """
 
 from collections.abc import Callable, Iterator
@@ -20,8 +19,6 @@ from stepdiag_ros.effects.base import Effect, Form, StopView
 from stepdiag_ros.effects.fading import fading_columns, last_arrivals, swing_means
 from stepdiag_ros.gap.alternatives.unmodelled import NAME, lasting_jumps, pattern_form
 from stepdiag_ros.gap.alternatives.where_and_how import table_families
-from stepdiag_ros.model.machine import AXES
-from stepdiag_ros.model.sensor import station
 
 KNEES = (0.2, 0.35, 0.5, 0.65, 0.8)
 """Shares of the range of lengths tried beyond which a reading is bent, or at which a leak of it saturates; tuned."""
@@ -50,7 +47,7 @@ class Beyond(Effect):
 
 def beyond_families(view: StopView) -> dict[str, list[Form]]:
     """The forms by family; each counts as one effect does, however many forms it has."""
-    families = {'range': _at_long_range(view), 'leak': _leak(view), 'layers': _layers(view),
+    families = {'range': _at_long_range(view), 'leak': _leak(view),
                 'detector': _detector(view), 'standoff': _standoff(view), 'light': _light(view),
                 'ring': _ringing(view), 'slip': lasting_jumps(view, 'mirror', view.by_mirror, 1e-5)}
     forms = {family: list(found) for family, found in families.items()} | table_families(view)
@@ -74,24 +71,6 @@ def _bent(view: StopView, far: np.ndarray, knee: float) -> Form:
     excess = np.maximum(far - knee, 0.0) / (1.0 - knee)
     return _tunable(_lengths(view, f'displacement: bent beyond {100 * knee:.0f} % of the range', excess[None]**2, 2e-6),
                     'knee', knee, lambda other: _bent(view, far, other))
-
-
-def _layers(view: StopView) -> Iterator[Form]:
-    """Air in layers along an axis, warm beside cold: a gradient g of the index bends beams, so that there and back the
-    spot falls by 2 g L² across, and a length is longer by g L times how far its middle lies that way."""
-    machine, setups = view.description.machine, view.description.setups
-    fixed = [name for name in view.setup_names if not setups[name].follows]
-    if not fixed:
-        return
-    for axis, letter in enumerate(AXES):
-        column = view.zeros(1)
-        for number, name in enumerate(view.setup_names):
-            if name in fixed:
-                mine, triad = view.setup == number, station(machine, setups[name]).triad
-                length = view.distance[mine]
-                column[0, mine, :view.beams] = 0.5 * length**2 * triad[2, axis]
-                column[0, mine, view.beams:] = 2.0 * length[:, :1]**2 * triad[:2, axis]
-        yield Form(f'air: in layers along {letter}', column, ('gradient',), np.full(1, 1e-6), '1/m')
 
 
 def _tunable(form: Form, name: str, value: float, made: Callable[[float], Form]) -> Form:

@@ -12,7 +12,6 @@ from stepdiag_ros.gap.alternatives.known_physics import BEARINGS, beyond_familie
 from stepdiag_ros.gap.alternatives.unmodelled import inconsistent_forms, unknown_families
 from stepdiag_ros.gap.constants import SCATTER_ALARM
 from stepdiag_ros.gap.summary.cross_validation import CrossValidation, excess_forecast
-from stepdiag_ros.model.sensor import station
 from test.unit.gap.ring import Ring, quiet
 
 
@@ -216,24 +215,3 @@ def test_what_sinks_in_each_dwell_is_no_drift(case):
     assert found.verdict == 'unexplained'
     labels = [found.screen.candidates[m.candidate].form.label for m in found.raw[0].members]
     assert 'displacement: inside the dwells, another slope in each setup' in labels
-
-
-def test_air_in_layers_does_what_a_ray_through_them_does(case):
-    """The form against a ray that is followed step by step through a gradient of the index, to the mirror and back."""
-    view, gradient = case.observe().view, 2e-6
-    form = next(f for f in beyond_families(view)['layers'] if f.label.endswith('along Z'))
-    stop = int(np.flatnonzero(view.setup == view.setup_names.index('npp'))[5])
-    triad = station(view.description.machine, view.description.setups['npp']).triad
-    length, steps = float(view.distance[stop, 0]), 4000
-    place, way, optical = np.zeros(3), triad[2].copy(), 0.0
-    for half in range(2):
-        for _ in range(steps):
-            index = 1.0 + gradient * place[2]
-            slope = np.array([0.0, 0.0, gradient]) / index
-            way = way + (slope - (slope @ way) * way) * length / steps
-            place = place + way * length / steps
-            optical += index * length / steps
-        way = way - 2.0 * (way @ triad[2]) * triad[2] if half == 0 else way
-    column = np.asarray(form.columns)[0, stop] * gradient
-    np.testing.assert_allclose(triad[:2] @ place, column[-2:], rtol=0.01, atol=1e-10)
-    assert 0.5 * optical - length == pytest.approx(column[0], rel=0.01)
