@@ -9,8 +9,9 @@ import numpy as np
 
 from stepdiag_ros.blind.hidden import Stage, direction
 from stepdiag_ros.blind.outside import Outside
+from stepdiag_ros.blind.outside_more import states
 from stepdiag_ros.effects.base import Moment
-from stepdiag_ros.model.machine import compose
+from stepdiag_ros.model.machine import carried
 from stepdiag_ros.model.sensor import station
 
 
@@ -51,13 +52,11 @@ class GuidewayTwists(Outside):
 
     def before_pose(self, moment: Moment) -> None:
         place = moment.commanded[:, self._axis] / self.stage.travel[self._axis]
-        machine, travel = moment.description.machine, moment.commanded.T[:, :, None] * np.eye(3)[:, None]
-        turns = np.zeros_like(travel)
+        machine, turns = moment.description.machine, np.zeros((3, len(place), 3))
         shape = np.sin(np.pi * self._waves * place)
         turns[self._axis, :, self._about] = self.size * self._profile(moment.seconds) * shape
-        straight, _ = compose(machine.chain, travel, np.zeros_like(travel), machine.tool)
-        twisted, _ = compose(machine.chain, travel, turns, machine.tool)
-        moment.shift, moment.turn = moment.shift + twisted - straight, moment.turn + turns[self._axis]
+        moment.shift = moment.shift + carried(machine.chain, moment.commanded, 0.0 * turns, turns, machine.tool)
+        moment.turn = moment.turn + turns[self._axis]
 
 
 class TwoFacedGuideway(Outside):
@@ -144,7 +143,7 @@ class LooseDetector(Outside):
 
     def __init__(self, stage: Stage, rng: np.random.Generator):
         super().__init__(stage, rng)
-        self._state = np.cumsum(rng.random(8000) < rng.uniform(0.05, 0.4)) % 2 - 0.5
+        self._state = states(rng)
 
     def after_light(self, moment: Moment) -> None:
         angle = self.size * self._state[moment.arrival % len(self._state)]

@@ -14,7 +14,7 @@ from stepdiag_ros.model.path import start_corner
 from stepdiag_ros.model.sensor import station
 
 
-def _states(rng: np.random.Generator, count: int = 8000) -> np.ndarray:
+def states(rng: np.random.Generator, count: int = 8000) -> np.ndarray:
     """Two states (count,), ±½, that change at random from one arrival to the next."""
     return np.cumsum(rng.random(count) < rng.uniform(0.05, 0.4)) % 2 - 0.5
 
@@ -92,7 +92,7 @@ class BistableAxis(Outside):
 
     def __init__(self, stage: Stage, rng: np.random.Generator):
         super().__init__(stage, rng)
-        self._axis, self._state = int(rng.integers(3)), _states(rng)
+        self._axis, self._state = int(rng.integers(3)), states(rng)
         self.facts = {'axis': self._axis}
 
     def before_pose(self, moment: Moment) -> None:
@@ -108,7 +108,7 @@ class RattlingMirror(Outside):
 
     def __init__(self, stage: Stage, rng: np.random.Generator):
         super().__init__(stage, rng)
-        self._vector, self._state = direction(rng, 2), _states(rng)
+        self._vector, self._state = direction(rng, 2), states(rng)
 
     def before_light(self, moment: Moment) -> None:
         moment.mirror = moment.mirror + self.size * self._state[moment.arrival % len(self._state), None] * self._vector

@@ -235,7 +235,7 @@ class StuckBit(Outside):
 
 
 class GhostFringes(Outside):
-    """a stray reflection meets the returning spot and interferes with it: the spot swings with each fringe"""
+    """a ghost reflection meets the returning spot and interferes with it: the spot swings with each fringe"""
 
     name, typical, largest, random = 'ghost_fringes', 2e-6, 5e-4, True
 

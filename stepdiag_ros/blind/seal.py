@@ -39,8 +39,8 @@ def orders(purpose: str, seed: int, counts: dict[str, int], world: str = 'varied
 
     ``untidy``: share of the simulated worlds whose noise is as instruments have it; ``counts['live']`` logs come last,
     measured through the running graph, every second one on a busy computer; ``counts['unseen']`` are from outside, of
-    kinds for which no form was written.  ``wide``: more kinds from outside, larger
-    sizes, and time profiles that begin with anything.
+    kinds for which no form was written.  ``wide``: more kinds from outside, larger sizes, and time profiles that begin
+    with anything.
     """
     if not 0.0 <= untidy <= 1.0:
         raise StepdiagError(f'--untidy {untidy:g} is no share; give a number from 0 to 1')

@@ -7,12 +7,10 @@ measured with less light in the beam has as much background, so a larger share: 
 background from a wrong gain.
 """
 
-from dataclasses import replace
-
 import numpy as np
 
 from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
-from stepdiag_ros.effects.patterns import Drawn, drift_profiles, follow, recorded, switches
+from stepdiag_ros.effects.patterns import Drawn, at_once, drift_profiles, follow, recorded
 from stepdiag_ros.effects.timeforms import drift_form, with_constant
 
 DIMMED = 0.7
@@ -52,8 +50,7 @@ class AmbientLight(Effect):
         pull_of_light = pull / beam[:, None]
         forms = [follow(view, with_constant(profile), pull_of_light, ('share',), 0.02, '1')
                  for profile in drift_profiles(view)]
-        switched = [replace(follow(view, profile, pull_of_light, ('share',), 0.02, '1'), inside=None, family='switched')
-                    for profile in switches(view)]
+        switched = at_once(view, pull_of_light, ('share',), 0.02, '1')
         return self._from_intensity(view, pull, beam) + forms + switched
 
     @staticmethod

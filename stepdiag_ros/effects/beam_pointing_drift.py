@@ -6,13 +6,12 @@ a mirror's turn but by what the geometry leaves of a beam's turn: derivatives of
 """
 
 from collections.abc import Mapping
-from dataclasses import replace
 
 import numpy as np
 
 from stepdiag_ros.effects.adoption import Fitted
 from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
-from stepdiag_ros.effects.patterns import Drawn, drawn_size, drift_profiles, follow, saturating, switches
+from stepdiag_ros.effects.patterns import Drawn, at_once, drawn_size, drift_profiles, follow, saturating
 
 
 class BeamPointingDrift(Effect):
@@ -37,10 +36,8 @@ class BeamPointingDrift(Effect):
         moment.laser = moment.laser + saturating(moment.seconds, self.tau)[:, None] * self.amp
 
     def appearance(self, view: StopView) -> list[Form]:
-        knocked = [replace(follow(view, profile, view.by_laser, ('u', 'v'), 1e-5, 'rad'), inside=None, family='knocked')
-                   for profile in switches(view)]
-        return knocked + [follow(view, profile, view.by_laser, ('u', 'v'), 1e-5, 'rad')
-                          for profile in drift_profiles(view)]
+        return at_once(view, view.by_laser, ('u', 'v'), 1e-5, 'rad') \
+            + [follow(view, profile, view.by_laser, ('u', 'v'), 1e-5, 'rad') for profile in drift_profiles(view)]
 
     def guess(self, fitted: Fitted) -> Mapping[str, object]:
         return fitted.profile(fitted.view.by_laser)

@@ -14,7 +14,7 @@ import numpy as np
 from stepdiag_ros.effects.adoption import Fitted
 from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
 from stepdiag_ros.effects.patterns import Drawn, drawn_size
-from stepdiag_ros.model.machine import AXES, CURVES, compose
+from stepdiag_ros.model.machine import AXES, CURVES, carried
 
 SHIFT, TURN = 5e-6, 1e-5
 """Typical sizes with both axes at their ends [m], [rad]."""
@@ -65,13 +65,9 @@ class NonRigidCoupling(Effect):
         share = moment.commanded / np.array(machine.volume)
         # Rounding may leave a start corner a hair below zero.
         size = self.amp * share[:, self.axis] * np.maximum(share[:, by], 0.0) ** self.power
-        travel = moment.commanded.T[:, :, None] * np.eye(3)[:, None]
-        none = np.zeros((3, len(size), 3))
-        straight, _ = compose(machine.chain, travel, none, machine.tool)
-        shifts, turns = travel.copy(), none.copy()
-        (turns if motion % 6 > 2 else shifts)[self.axis, :, motion % 3] += size
-        bent, _ = compose(machine.chain, shifts, turns, machine.tool)
-        moment.shift = moment.shift + bent - straight
+        shifts, turns = np.zeros((2, 3, len(size), 3))
+        (turns if motion % 6 > 2 else shifts)[self.axis, :, motion % 3] = size
+        moment.shift = moment.shift + carried(machine.chain, moment.commanded, shifts, turns, machine.tool)
         moment.turn = moment.turn + turns[self.axis]
 
     def appearance(self, view: StopView) -> list[Form]:

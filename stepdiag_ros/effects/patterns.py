@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from stepdiag_ros.effects.base import Form, StopView
+from stepdiag_ros.effects.made import Product
 from stepdiag_ros.effects.timeforms import SLOWING, TimeProfile, drift_form, exponential, time_profiles, unknown
 
 BETWEEN_SETUPS = 0.1
@@ -182,12 +183,12 @@ def drift_profiles(view: StopView) -> list[TimeProfile]:
             *anew(view.mount_time, view.setup, 'setup')]
 
 
-def switches(view: StopView) -> list[TimeProfile]:
-    """Profiles of what changes at once: from one of the stops on, which of them is not known."""
-    order = at_most(np.argsort(view.time, kind='stable')[1:])
-    still = np.zeros((1, len(view.time)))
-    return [TimeProfile(f'from {view.run_ids[view.run[stop]]} stop {view.index[stop]} on',
-                        (view.time >= view.time[stop]).astype(float)[None], still, {}) for stop in order]
+def at_once(view: StopView, signature: np.ndarray, names: tuple[str, ...], scale: float, units: str) -> list[Form]:
+    """Forms of what changes at once: from one of the stops on, which of them is not known."""
+    return [Form(f'from {view.run_ids[view.run[stop]]} stop {view.index[stop]} on',
+                 Product((view.time >= view.time[stop]).astype(float)[None], signature), names,
+                 np.full(len(names), scale), units, family='at once')
+            for stop in at_most(np.argsort(view.time, kind='stable')[1:])]
 
 
 def at_most(places: Sequence[int]) -> Sequence[int]:

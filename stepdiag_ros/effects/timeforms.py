@@ -42,6 +42,12 @@ class TimeProfile:
     sizes: np.ndarray | None = None
 
 
+def linear(time: np.ndarray) -> TimeProfile:
+    """A straight line over ``time`` (n,) [s], one over the log."""
+    span = max(float(np.ptp(time)), 1e-9)
+    return TimeProfile('linear', (time / span)[None], np.full((1, len(time)), 1.0 / span), {})
+
+
 def exponential(since: np.ndarray, tau: float) -> TimeProfile:
     """``1 − exp(−t/τ)`` over ``since`` (n,) [s]."""
     fading = np.exp(-since / tau)[None]
@@ -117,7 +123,7 @@ def time_profiles(time: np.ndarray, watches: Sequence[np.ndarray] = ()) -> list[
     """Time profiles over ``time`` (n,) [s] since the log began: linear, exponentials of several time constants,
     cycles, unknown ones and one that slows down; ``watches`` as :func:`unknown` takes them."""
     span = max(float(np.ptp(time)), 1e-9)
-    result = [TimeProfile('linear', (time / span)[None], np.full((1, len(time)), 1.0 / span), {})]
+    result = [linear(time)]
     result += [exponential(time, fraction * span) for fraction in TAU_FRACTIONS]
     result += [cycle(time, fraction * span) for fraction in PERIOD_FRACTIONS]
     return [*result, *unknown(time, watches), slowing(time)]

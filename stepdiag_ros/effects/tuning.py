@@ -1,12 +1,18 @@
 """Shape parameters tuned to a log: the tried time constants are a coarse net, a fit wants the best one."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
 from stepdiag_ros.effects.base import Effect, Form, StopView
 
 GOLDEN = (np.sqrt(5.0) - 1.0) / 2.0
+
+
+def tunable(form: Form, name: str, value: float, made: Callable[[float], Form]) -> Form:
+    """A form with one shape parameter: its ``value``, and how it is ``made`` with another."""
+    return replace(form, shape={name: value}, retune=lambda shape: made(shape[name]))
 
 
 def tune(form: Form, score: Callable[[Form], float], within: float = 2.0, close: float = 1e-3) -> Form:

@@ -34,7 +34,7 @@ LEAN_PENALTY = 4.0
 BEYOND_PENALTY = 0.0
 """The same against a lean pattern of physics that no effect has: it errs no more than a name's forms do, and is
 one cause as an effect is one."""
-LEAN_WEIGHT = 9.0
+BEYOND_WEIGHT = 9.0
 """Most effects as which such patterns weigh together, however many families they come in: so many families there were
 when even odds were found right, on four sets for development."""
 IMITATION_PENALTY = 3.0

@@ -36,7 +36,7 @@ from stepdiag_ros.gap.inference.joint import Joint, unexplained
 from stepdiag_ros.gap.inference.noise_or_effects import settle_in_noise
 from stepdiag_ros.gap.inference.search import NOTHING, EffectSet, probabilities
 from stepdiag_ros.gap.noise.disturbances import disturbed
-from stepdiag_ros.gap.noise.far_arrivals import beyond_tails
+from stepdiag_ros.gap.noise.far_arrivals import FarArrivals
 from stepdiag_ros.gap.noise.incoherent_lines import Vibration
 from stepdiag_ros.gap.noise.scatter import excess_scatter
 from stepdiag_ros.gap.noise.slips_at_rest import words as slip_words
@@ -74,6 +74,7 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
         # Below the alarm nothing is claimed, whatever the odds between the sets say.
         joint = alone
     how_far, shakes = cross_validated(joint, alone), disturbances.dwell_spectrum.shakes
+    far = FarArrivals.of(joint)
     found = [_found(name, effects[name], names.get(name, 0.0), joint)
              for name in dict.fromkeys(a.effect.name for a in joint.active) if name in best.key]
     untimed = set() if log.description.timed else {f.name for f in found if effects[f.name].needs_times}
@@ -93,7 +94,7 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
     if not unmodelled and not shakes:
         # Stamps make no arrival noisier.
         at_rest = any(f.name != STAMPS for f in found)
-        unmodelled = _without_pattern(joint, how_far, bool(found)) or ('' if at_rest else noisier(joint))
+        unmodelled = _without_pattern(joint, far, how_far, bool(found)) or ('' if at_rest else noisier(joint))
     if unmodelled and UNKNOWN not in best.key and not untimed:
         outside[UNKNOWN] = BEYOND_PATTERNS
     if found and not unmodelled and (how_far.left > LEAST_LEFT and how_far.beyond_chance
@@ -114,7 +115,7 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
         groups, observation, joint, clocks, disturbances.dwell_spectrum.displacement, unmodelled,
         log.warnings + observation.table.warnings + ((beyond_range,) if beyond_range else ()) + left_out + tuple(unlit)
         + tuple(slip_words(observation.table, slip) for slip in disturbances.slips)
-        + stated(joint, disturbances.quanta) + ((no_metres,) if no_metres else ()), sets, screen, words, run,
+        + stated(joint, far, disturbances.quanta) + ((no_metres,) if no_metres else ()), sets, screen, words, run,
         separations(sets, doubtful), hint, len(effects) + 1, no_metres)
 
 
@@ -140,14 +141,14 @@ def _well_timed(log: CalibrationLog) -> tuple[CalibrationLog, Observation, Mappi
     return log, observation if same else observe(log), clocks, late, left_out
 
 
-def _without_pattern(joint: Joint, how_far: CrossValidation, found: bool) -> str:
+def _without_pattern(joint: Joint, far: FarArrivals, how_far: CrossValidation, found: bool) -> str:
     """Scatter beyond the noise and the discrepancies of the forms, arrivals with two states or farther off than tails
     reach, or runs predicted worse than noise, in words; '' where there is none."""
     rest = residual(joint)
     evidence, words = excess_scatter(joint, rest)
     if evidence > SCATTER_ALARM:
         return words
-    for evidence, words in (two_states(joint), beyond_tails(joint)):
+    for evidence, words in (two_states(joint), far.beyond_tails()):
         if evidence > SCATTER_ALARM:
             return words
     evidence, words = excess_forecast(how_far)

@@ -109,6 +109,13 @@ def compose(chain: str, shifts: np.ndarray, turns: np.ndarray,
     return point, attitude
 
 
+def carried(chain: str, position: np.ndarray, shifts: np.ndarray, turns: np.ndarray, tool: np.ndarray) -> np.ndarray:
+    """By what the tool point (n, 3) [m] is shifted at ``position`` (n, 3) [m] where each axis shifts and turns what it
+    carries besides: ``shifts``, ``turns`` (3, n, 3) [m, rad]."""
+    travel = position.T[:, :, None] * np.eye(3)[:, None]
+    return compose(chain, travel + shifts, turns, tool)[0] - compose(chain, travel, np.zeros_like(turns), tool)[0]
+
+
 def tool_pose(errors: GeometricErrors, position: np.ndarray, tool: np.ndarray,
               chain: str = 'FXYZ') -> tuple[np.ndarray, np.ndarray]:
     """Where the mirror's reference point is and how the mirror is turned.

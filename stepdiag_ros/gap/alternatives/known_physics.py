@@ -9,16 +9,16 @@ received (a beam cut by the mirror's edge), a mirror's arm or a laser's stand th
 slips in its mount.  None has a name here; which of them a log shows is reported in its label.
 """
 
-from collections.abc import Callable, Iterator
-from dataclasses import replace
+from collections.abc import Iterator
 from itertools import product
 
 import numpy as np
 
 from stepdiag_ros.effects.base import Effect, Form, StopView
 from stepdiag_ros.effects.fading import fading_columns, last_arrivals, swing_means
+from stepdiag_ros.effects.tuning import tunable
 from stepdiag_ros.gap.alternatives.unmodelled import NAME, lasting_jumps, pattern_form
-from stepdiag_ros.gap.alternatives.where_and_how import table_families
+from stepdiag_ros.gap.alternatives.where_and_how import BEARINGS, table_families
 
 KNEES = (0.2, 0.35, 0.5, 0.65, 0.8)
 """Shares of the range of lengths tried beyond which a reading is bent, or at which a leak of it saturates; tuned."""
@@ -27,7 +27,7 @@ SPOTS_M = (2.5e-4, 4e-4, 6.3e-4, 1e-3)
 """Spots from which a leak saturates [m], so close that between two of them little is lost; tuned."""
 LEAST_MISSING = 0.01
 """Standard deviation of the light that is missing, as a share of the most, from which readings may follow it."""
-BEARINGS = 8
+RINGS = 8
 """Directions in the detector's plane, evenly over half a turn."""
 RINGS = (1.5, 3.0, 5.0, 8.0, 12.0)
 """Frequencies [Hz] tried of what rings, …"""
@@ -69,13 +69,8 @@ def _bent(view: StopView, far: np.ndarray, knee: float) -> Form:
     """Lengths bent where the share ``far`` (n, beams) of their range is beyond a ``knee``."""
     knee = min(knee, LAST_KNEE)
     excess = np.maximum(far - knee, 0.0) / (1.0 - knee)
-    return _tunable(_lengths(view, f'displacement: bent beyond {100 * knee:.0f} % of the range', excess[None]**2, 2e-6),
+    return tunable(_lengths(view, f'displacement: bent beyond {100 * knee:.0f} % of the range', excess[None]**2, 2e-6),
                     'knee', knee, lambda other: _bent(view, far, other))
-
-
-def _tunable(form: Form, name: str, value: float, made: Callable[[float], Form]) -> Form:
-    """A form ``made`` with one shape parameter."""
-    return replace(form, shape={name: value}, retune=lambda shape: made(shape[name]))
 
 
 def _leak(view: StopView) -> Iterator[Form]:
@@ -103,7 +98,7 @@ def _leaking(view: StopView, angle: float, knee: float) -> Form:
     leak = np.tanh(along / knee)
     # Between two bearings to first order: half a mesh away a strong leak would fit no longer.
     between = np.pi / BEARINGS / np.sqrt(12.0)
-    return _tunable(_lengths(
+    return tunable(_lengths(
         view, f'displacement: follows the spot at {np.degrees(angle):.0f}°, saturating at {knee * 1e3:.1g} mm',
         np.stack([leak, between * (1.0 - leak**2) * across / knee]), 1e-6),
         'knee_m', knee, lambda other: _leaking(view, angle, other))
@@ -114,7 +109,7 @@ def _followed(view: StopView, what: str, length: np.ndarray, knee: float) -> For
     columns = view.zeros(2)
     columns[0, :, view.beams] = columns[1, :, view.beams + 1] = np.tanh(length / knee)
     form = Form(f'spot: follows the {what}, saturating at {knee:.2g} m', columns, ('x', 'y'), np.full(2, 3e-6))
-    return _tunable(form, 'knee_m', knee, lambda other: _followed(view, what, length, other))
+    return tunable(form, 'knee_m', knee, lambda other: _followed(view, what, length, other))
 
 
 def _detector(view: StopView) -> Iterator[Form]:

@@ -38,12 +38,12 @@ def _channels(view: StopView) -> list[tuple[str, slice, float]]:
 def pattern_form(view: StopView, label: str, patterns: np.ndarray, columns: slice, scale: float) -> Form:
     """Patterns (k, n), or (k, n, c) of their own in each, put into c channels."""
     full = Made((len(patterns), *view.reading.shape), _put, view.reading.shape, patterns, columns)
-    return _numbered(label, full, scale)
+    return numbered_form(label, full, scale)
 
 
-def _numbered(label: str, columns: np.ndarray | Made, scale: float) -> Form:
+def numbered_form(label: str, columns: np.ndarray | Made, scale: float, units: str = 'm') -> Form:
     """Columns (k, n, c) of one typical size that have numbers for names."""
-    return Form(label, columns, tuple(str(i) for i in range(len(columns))), np.full(len(columns), scale))
+    return Form(label, columns, tuple(str(i) for i in range(len(columns))), np.full(len(columns), scale), units)
 
 
 def _in_channels(view: StopView, columns: slice) -> np.ndarray:
@@ -86,12 +86,12 @@ def _static(view: StopView) -> Iterator[Form]:
         for what, sign in (('places', np.ones(len(place))), ('places by direction', view.direction)):
             course = _in_all_channels(view, sign[None])
             # All of them first: those of one setup are some of their columns.
-            yield _numbered(f'{name}: {what}', Split(course, place, np.unique(place), channels), scale)
+            yield numbered_form(f'{name}: {what}', Split(course, place, np.unique(place), channels), scale)
             for setup in range(len(view.setup_names)):
                 mine = view.setup == setup
                 if mine.sum() >= 8:
-                    yield _numbered(f'{name}: {what} in {view.setup_names[setup]}',
-                                      Split(course, place, np.unique(place[mine]), channels), scale)
+                    yield numbered_form(f'{name}: {what} in {view.setup_names[setup]}',
+                                        Split(course, place, np.unique(place[mine]), channels), scale)
     # Few-parameter shapes along the travel, the same in all setups, by direction.
     share = view.commanded.T / np.array(view.description.machine.volume)[:, None]
     waves = np.concatenate([np.cos(np.pi * k * share) for k in (1, 2, 3)])
@@ -119,7 +119,7 @@ def _in_time(view: StopView) -> Iterator[Form]:
         if len(long):
             for kind, courses in (('drift', np.stack([ramp, ramp**2])), ('ramp', ramp[None])):
                 full = Split(_in_all_channels(view, courses), view.run, long, _in_channels(view, columns))
-                yield _numbered(f'{name}: {kind} inside the runs', full, scale)
+                yield numbered_form(f'{name}: {kind} inside the runs', full, scale)
         yield pattern_form(view, f'{name}: slow in time', slow, columns, scale)
         for setup in range(len(view.setup_names)):
             mine = (view.setup == setup).astype(float)
@@ -136,7 +136,7 @@ def _in_time(view: StopView) -> Iterator[Form]:
                        if run_wise else list(slow))
             profiles = [c for c in profiles if np.any(c)]
             columns = Product(np.array(profiles), derivative)
-            yield _numbered(f'{label}: wandering {"inside the runs" if run_wise else "in time"}', columns, scale)
+            yield numbered_form(f'{label}: wandering {"inside the runs" if run_wise else "in time"}', columns, scale)
 
 
 def _beginnings(view: StopView) -> np.ndarray:
@@ -223,7 +223,7 @@ def _between_channels(view: StopView) -> Iterator[Form]:
         if not source.startswith('spot'):
             full = view.zeros(2 * len(patterns))
             full[:len(patterns), :, b] = full[len(patterns):, :, b + 1] = patterns
-            yield _numbered(f'spot: follows {source}', full, 3e-6)
+            yield numbered_form(f'spot: follows {source}', full, 3e-6)
 
 
 def _put_inside(shape: tuple[int, int], sign: np.ndarray, pattern: np.ndarray, columns: slice) -> np.ndarray:

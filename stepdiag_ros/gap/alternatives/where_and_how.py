@@ -9,16 +9,18 @@ in few parameters; it has no name, and which one a log shows is said in its labe
 Cells that the 21 errors are (an axis shifted by its own place) or that a name has are left out.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.polynomial import legendre
 
 from stepdiag_ros.effects.base import Form, StopView
-from stepdiag_ros.effects.fading import bin_means, last_arrivals
+from stepdiag_ros.effects.fading import bin_means, fading_columns, last_arrivals
 from stepdiag_ros.effects.patterns import anew
-from stepdiag_ros.effects.timeforms import TimeProfile, drift_form, exponential, unknown
+from stepdiag_ros.effects.timeforms import drift_form, exponential, linear, unknown
+from stepdiag_ros.effects.tuning import tunable
+from stepdiag_ros.gap.alternatives.unmodelled import numbered_form
 from stepdiag_ros.model.machine import AXES, CURVES
 
 BENDS = 3
@@ -53,8 +55,7 @@ class Where:
             own = unsettled & (view.setup == np.unique(view.setup)[:, None])
             courses = np.concatenate([courses, own[own.any(axis=1)]])
         columns = np.einsum('mn,knc->mknc', courses, self.columns).reshape(-1, *view.reading.shape)
-        return Form(f'{self.label} {what}', columns, tuple(str(i) for i in range(len(columns))),
-                    np.full(len(columns), self.scale), self.units)
+        return numbered_form(f'{self.label} {what}', columns, self.scale, self.units)
 
 
 def table_families(view: StopView) -> dict[str, list[Form]]:
@@ -81,6 +82,10 @@ def _tool(view: StopView, axis: int) -> Where:
 
 def _beam(view: StopView) -> Where:
     return Where('beam: turned', view.by_laser, 2e-6, 'rad')
+
+
+def _mirror(view: StopView) -> Where:
+    return Where('mirror: turned', view.by_mirror, 2e-6, 'rad')
 
 
 def _length(view: StopView) -> Where:
@@ -141,18 +146,18 @@ def _by_distance(view: StopView) -> Iterator[Form]:
 def _by_direction(view: StopView) -> Iterator[Form]:
     """Something follows the direction from which an axis came, alike or otherwise at each place of it or of another:
     all but a shift of that axis, which is its backlash."""
-    shifts = _axes(view)
+    shifts, bends = _axes(view), {axis: _bends(view, axis) for axis, _ in _moving(view)}
     for axis, letter in _moving(view):
-        sign, bends = view.approach[:, axis].astype(float), _bends(view, axis)
+        sign = view.approach[:, axis].astype(float)
         unsettled = sign == 0.0
         others = [shift for a, shift in enumerate(shifts) if a != axis]
         for where in (*others, _tool(view, axis), _beam(view), _length(view), _spot(view)):
             yield where.following(view, f'by the direction of {letter}', sign[None], unsettled)
-            yield where.following(view, f'by the direction of {letter} at each place', sign * bends, unsettled)
+            yield where.following(view, f'by the direction of {letter} at each place', sign * bends[axis], unsettled)
             for other, beside in _moving(view):
                 if other != axis:
                     yield where.following(view, f'by the direction of {letter} along {beside}',
-                                          sign * _bends(view, other)[:2], unsettled)
+                                          sign * bends[other][:2], unsettled)
 
 
 def _by_history(view: StopView) -> Iterator[Form]:
@@ -160,8 +165,7 @@ def _by_history(view: StopView) -> Iterator[Form]:
     at the stop before."""
     moved = last_arrivals(view)[0].T.astype(float)
     unsettled = ~moved.any(axis=0)
-    for where in (*_axes(view), _beam(view), _length(view), _spot(view),
-                  Where('mirror: turned', view.by_mirror, 2e-6, 'rad')):
+    for where in (*_axes(view), _beam(view), _mirror(view), _length(view), _spot(view)):
         yield where.following(view, 'by which axis moved last', moved, unsettled)
         yield where.following(view, 'by the last move, each axis in its direction', moved * view.approach.T, unsettled)
     yield from (_remembered(view, tau) for tau in MEMORY_S)
@@ -176,12 +180,12 @@ def _remembered(view: StopView, tau: float) -> Form:
             fading = np.exp(-(view.time[stop] - view.time[last]) / tau)
             behind[stop] = spot[last] - spot[stop] + fading * behind[last]
         last = stop
-    course = bin_means(view.bin_time, tau)
-    columns, inside = (view.zeros(1), np.zeros((1, *view.bin_time.shape, view.reading.shape[1])))
-    columns[0, :, view.beams:] = course.mean(axis=1, keepdims=True) * behind
-    inside[0, :, :, view.beams:] = (course - course.mean(axis=1, keepdims=True))[:, :, None] * behind[:, None]
-    return Form(f'spot: in part what was seen before, fading with {tau:.2g} s', columns, ('share',), np.full(1, 0.02),
-                '1', inside=inside, shape={'tau_s': tau}, retune=lambda shape: _remembered(view, shape['tau_s']))
+    along = view.zeros(1)
+    along[0, :, view.beams:] = behind
+    columns, inside = fading_columns(along, bin_means(view.bin_time, tau)[None])
+    form = Form(f'spot: in part what was seen before, fading with {tau:.2g} s', columns, ('share',), np.full(1, 0.02),
+                '1', inside=inside)
+    return tunable(form, 'tau_s', tau, lambda other: _remembered(view, other))
 
 
 def _shapes_in_time(view: StopView) -> Iterator[Form]:
@@ -190,8 +194,7 @@ def _shapes_in_time(view: StopView) -> Iterator[Form]:
     time = view.elapsed
     span = max(float(np.ptp(view.time)), 1e-9)
     smooth = unknown(time, view.watches)[-1]
-    paces = [TimeProfile('linear', (time / span)[None], np.full((1, len(time)), 1.0 / span), {}),
-             *(exponential(time, share * span) for share in TAUS)]
+    paces = [linear(time), *(exponential(time, share * span) for share in TAUS)]
     again = [pace for since, part, what in ((view.run_time, view.run, 'run'), (view.mount_time, view.setup, 'setup'))
              for pace in anew(since, part, what) if pace.label == f'anew in each {what}, smooth']
     for axis, _ in _moving(view):
@@ -228,8 +231,4 @@ def _fringe(view: StopView, where: Where, bearing: float, along: np.ndarray, per
     phase = 2.0 * np.pi * along / period
     form = where.following(view, f'and on as the spot wanders {period * 1e3:.2g} mm along {bearing:.0f}°',
                            np.stack([np.cos(phase), np.sin(phase)]))
-
-    def retune(shape: Mapping[str, float]) -> Form:
-        return _fringe(view, where, bearing, along, shape['period_m'])
-
-    return Form(form.label, form.columns, form.names, form.scale, form.units, shape={'period_m': period}, retune=retune)
+    return tunable(form, 'period_m', period, lambda other: _fringe(view, where, bearing, along, other))

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from stepdiag_ros.effects.base import Effect, Form
 from stepdiag_ros.effects.made import Made, Split
-from stepdiag_ros.gap.constants import CONFUSED, CONTROL_SHARE, DISCREPANCY_SHARE, LEAN_WEIGHT, MEMBER_ALARM
+from stepdiag_ros.gap.constants import BEYOND_WEIGHT, CONFUSED, CONTROL_SHARE, DISCREPANCY_SHARE, MEMBER_ALARM
 from stepdiag_ros.gap.inference.brought import Brought
 from stepdiag_ros.gap.inference.discrepancy import LEAST
 from stepdiag_ros.gap.inference.discrepancy import columns as discrepancy_of
@@ -20,7 +20,7 @@ from stepdiag_ros.gap.inference.evidence import SIZES, judge, log_evidence, log_
 from stepdiag_ros.gap.inference.explained import Explained
 from stepdiag_ros.gap.inference.parity import Parity, slopes_of
 
-LEAN = 'unknown, in few parameters'
+BEYOND = 'unknown, in few parameters'
 """The cause of what has no name and competes as names do (``own``), beside that of shapeless patterns."""
 REMEMBERED = 12
 """Sets of which is remembered what they explain, those last worked out: each takes hundreds of numbers a reading."""
@@ -48,7 +48,7 @@ class Member:
     """An effect in a set, in the form that suits best, and its evidence given those before it; ``size`` of
     its coefficients, in the form's scales, that is allowed for; ``refused``: why it may not be claimed, else ''.
     ``at``: the coefficients, in units of ``size``, of which its form's discrepancy is a share, () for those that it has
-    beside the members before it.  ``lean``: whether it has no name and competes as names do."""
+    beside the members before it.  ``own``: whether its candidate is."""
 
     effect: str
     candidate: int
@@ -57,12 +57,12 @@ class Member:
     penalty: float = 0.0
     refused: str = ''
     at: tuple[float, ...] = ()
-    lean: bool = False
+    own: bool = False
 
     @property
     def cause(self) -> str:
         """What counts as one cause in a search."""
-        return LEAN if self.lean else self.effect
+        return BEYOND if self.own else self.effect
 
 
 @dataclass
@@ -298,8 +298,9 @@ class Screen:
         """A member of a set in the same form as if it were the first: the evidence of that form alone, as one
         of all that its cause has."""
         number = member.candidate
-        forms = next(len(family.numbers) for family in self._families if number in family.numbers) if member.lean \
-            else sum(candidate.effect == member.effect for candidate in self.candidates)
+        mine = self.candidates[number]
+        forms = sum(other.effect == mine.effect and (other.family == mine.family or not mine.own)
+                    for other in self.candidates)
         known = self.judge_all((), [number])
         return replace(member, log_bayes=float(known.log_bayes[number] - np.log(forms)),
                        size=self.allowed(number, known))
@@ -328,24 +329,24 @@ class Screen:
             effect = families[0].effect
             logs = [known.log_bayes[family.numbers] for family in families]
             penalties = [_penalty(family, mine) for family, mine in zip(families, logs, strict=True)]
-            shared = float(np.log(max(len(families) / LEAN_WEIGHT, 1.0) if cause == LEAN else len(families)))
+            shared = float(np.log(max(len(families) / BEYOND_WEIGHT, 1.0) if cause == BEYOND else len(families)))
             means = [log_mean(mine) - penalty - shared for mine, penalty in zip(logs, penalties, strict=True)]
             # The penalty is that against the family which carries the sum: another's would be paid back unpaid.
             k = int(np.argmax(means))
             best = int(families[k].numbers[logs[k].argmax()])
             member = Member(effect, best, log_sum(means) + penalties[k], self.allowed(best, known), penalties[k],
-                            lean=cause == LEAN)
+                            own=cause == BEYOND)
             as_rich = self._controls.get((effect, len(self.candidates[best].form.columns)))
             result[cause] = member if as_rich is None else self._beyond_controls(members, member, as_rich)
         return result
 
-    def lean(self) -> list[Member]:
+    def beyond(self) -> list[Member]:
         """Of each family without a name that competes as names do the form that suits best, its evidence its own."""
         families = [family for family in self._families if family.own]
         known = self.judge_all((), np.concatenate([np.zeros(0, np.intp), *(family.numbers for family in families)]))
         best = [int(family.numbers[known.log_bayes[family.numbers].argmax()]) for family in families]
         return [Member(self.candidates[number].effect, number, float(known.log_bayes[number]),
-                       self.allowed(number, known), lean=True) for number in best]
+                       self.allowed(number, known), own=True) for number in best]
 
     def allowed(self, number: int, known: 'Known') -> float:
         """The size that a candidate's coefficients are allowed in a set: an unknown profile the one that the log shows
@@ -403,7 +404,7 @@ class _Family:
 
     @property
     def cause(self) -> str:
-        return LEAN if self.own else self.effect
+        return BEYOND if self.own else self.effect
 
     @classmethod
     def of(cls, candidates: Sequence[Candidate], numbers: Sequence[int]) -> '_Family':

@@ -19,7 +19,7 @@ from stepdiag_ros.gap.constants import (
     LARGE_EVIDENCE,
     MEMBER_ALARM,
 )
-from stepdiag_ros.gap.inference.candidates import LEAN, Member, Screen
+from stepdiag_ros.gap.inference.candidates import BEYOND, Member, Screen
 
 NOTHING = 'nothing'
 """What it is called that no effect acts."""
@@ -246,7 +246,7 @@ def _leading(sets: list[EffectSet], most: int) -> list[EffectSet]:
 def _may_join(screen: Screen, found: EffectSet, cause: str) -> bool:
     """Whether a cause may join a set, or add one more form to it: two time constants, a shape parameter
     between two values of the list.  What only repeats (a slip) may do so more often."""
-    if (UNKNOWN in found.key and cause not in (LEAN, UNKNOWN)) or (found.shapeless and cause == LEAN):
+    if (UNKNOWN in found.key and cause not in (BEYOND, UNKNOWN)) or (found.shapeless and cause == BEYOND):
         return False  # names are sought first, lean patterns before shapeless ones: each is what those before leave
     times = found.causes.count(cause)
     if not times:

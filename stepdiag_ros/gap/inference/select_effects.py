@@ -132,8 +132,8 @@ def _screen(joint: Joint, effects: Mapping[str, Effect], tails: bool) -> Screen:
 def _sharpened(screen: Screen) -> Screen:
     """The screen with the best forms of the leading effects, and of all known physics without a name, tuned: a coarse
     net of time constants must not make a mixture of two look better than the right one, nor a name."""
-    named = [member for member in screen.by_cause().values() if not member.lean]
-    leading = sorted(named, key=lambda m: -m.log_bayes)[:TUNED] + screen.lean()
+    named = [member for member in screen.by_cause().values() if not member.own]
+    leading = sorted(named, key=lambda m: -m.log_bayes)[:TUNED] + screen.beyond()
     data, added = screen.parity.data, []
     for member in leading:
         candidate = screen.candidates[member.candidate]

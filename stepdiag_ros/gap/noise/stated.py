@@ -7,7 +7,7 @@ import numpy as np
 from stepdiag_ros.estimate.noise import Law, NoiseModel
 from stepdiag_ros.gap.constants import NOISIER
 from stepdiag_ros.gap.inference.joint import Joint
-from stepdiag_ros.gap.noise.far_arrivals import alone
+from stepdiag_ros.gap.noise.far_arrivals import FarArrivals
 
 FAR = 3.0
 """Times the noise that the description states from which it is spoken of: a maker's guess is good to two."""
@@ -26,9 +26,10 @@ def law_of(noise: NoiseModel) -> dict:
             for name, law in (('position', noise.position_law), ('angle', noise.angle_law))}
 
 
-def stated(joint: Joint, steps: np.ndarray) -> tuple[str, ...]:
-    """What there is to say of the noise; ``steps`` (c,) [m] in which readings move, 0: in none."""
-    return (*_laws(joint.noise), *alone(joint), *_inside(joint), *_steps(steps),
+def stated(joint: Joint, far: FarArrivals, steps: np.ndarray) -> tuple[str, ...]:
+    """What there is to say of the noise, and of arrivals that are ``far`` off; ``steps`` (c,) [m] in which readings
+    move, 0: in none."""
+    return (*_laws(joint.noise), *far.alone(), *_inside(joint), *_steps(steps),
             *(words for times, words in _beyond_description(joint) if times > FAR))
 
 

@@ -10,7 +10,7 @@ from stepdiag_ros.model.log import CalibrationLog
 from stepdiag_ros.virtual.cell import Cell, parse_cell
 from stepdiag_ros.virtual.offline import simulate_log
 
-TEXT = """\
+LAYOUT = """\
 seed: 11
 machine: {name: small, volume: [0.5, 0.4, 0.3], tool: [0.0, 0.0, -0.12]}
 plan: {steps: 5, repeats: 2}
@@ -22,17 +22,20 @@ setups:
   lin_x: {standoff: 0.3, psd_offset: [0.02, 0.0], length: 0.5, stops: 2}
   lin_y: {standoff: 0.3, psd_offset: [0.02, 0.0], length: 0.4, stops: 2}
   lin_z: {standoff: 0.3, psd_offset: [0.02, 0.0], length: 0.3, stops: 2}
-noise: {displacement: 5.0e-9, spot: 2.0e-7, position_repeatability: 3.0e-7, angle_repeatability: 2.0e-7}
+noise: NOISE
 misalignments: {drawn: {laser: 4e-4, mirror: 3e-4}}
 motion: {feed: 0.3, acceleration: 3.0, jerk: 100.0, in_position: 1.0e-9, settling: 0.005, dwell: 0.6, mount: 120.0}
 sampling: {interferometer: 50, psd: 50, in_motion: true}
 """
+NOISE = '{displacement: 5.0e-9, spot: 2.0e-7, position_repeatability: 3.0e-7, angle_repeatability: 2.0e-7}'
+SILENCE = '{displacement: 0.0, spot: 0.0, position_repeatability: 0.0, angle_repeatability: 0.0}'
+TEXT, QUIET = (LAYOUT.replace('NOISE', noise) for noise in (NOISE, SILENCE))
 
 
 class Case:
     """Logs of the small cell with effects, their observation and diagnosis."""
 
-    text = TEXT
+    text, quiet = TEXT, QUIET
 
     def __init__(self):
         self.cell: Cell = parse_cell(TEXT)

@@ -21,11 +21,3 @@ class FaintRing(Ring):
     """So faint that no dwell's mean shows it."""
 
     swing_rad = 4e-7
-
-
-def quiet(text):
-    """A cell file of ``case`` without noise."""
-    return text.replace('noise: {displacement: 5.0e-9, spot: 2.0e-7, position_repeatability: 3.0e-7, '
-                        'angle_repeatability: 2.0e-7}',
-                        'noise: {displacement: 0.0, spot: 0.0, position_repeatability: 0.0, '
-                        'angle_repeatability: 0.0}')

@@ -12,7 +12,7 @@ from stepdiag_ros.gap.alternatives.known_physics import BEARINGS, beyond_familie
 from stepdiag_ros.gap.alternatives.unmodelled import inconsistent_forms, unknown_families
 from stepdiag_ros.gap.constants import SCATTER_ALARM
 from stepdiag_ros.gap.summary.cross_validation import CrossValidation, excess_forecast
-from test.unit.gap.ring import Ring, quiet
+from test.unit.gap.ring import Ring
 
 
 class Leak(Effect):
@@ -162,10 +162,9 @@ def test_a_standoff_off_is_what_a_fit_of_the_wrong_description_leaves(case):
 
     from stepdiag_ros.virtual.cell import parse_cell
     from stepdiag_ros.virtual.offline import simulate_log
-    silent = quiet(case.text)
-    body = yaml.safe_load(silent)
+    body = yaml.safe_load(case.quiet)
     body['setups']['npp']['standoff'] += 1e-3
-    here, there = (simulate_log(parse_cell(text)) for text in (silent, yaml.safe_dump(body, sort_keys=False)))
+    here, there = (simulate_log(parse_cell(text)) for text in (case.quiet, yaml.safe_dump(body, sort_keys=False)))
     from stepdiag_ros.gap.preprocess.observe import observe
     view = observe(here).view
     moved = observe(there).view.reading - view.reading

@@ -5,12 +5,12 @@ import numpy as np
 import pytest
 
 from stepdiag_ros.effects.base import Effect
+from stepdiag_ros.effects.tuning import tune
 from stepdiag_ros.gap.alternatives.where_and_how import table_families
 from stepdiag_ros.gap.preprocess.observe import observe
-from stepdiag_ros.model.machine import compose
+from stepdiag_ros.model.machine import carried
 from stepdiag_ros.virtual.cell import parse_cell
 from stepdiag_ros.virtual.offline import simulate_log
-from test.unit.gap.ring import quiet
 
 TRAVEL = np.array([0.5, 0.4, 0.3])
 
@@ -62,12 +62,10 @@ class Twisting(Effect):
     name, family = 'twisting', 'shape'
 
     def before_pose(self, moment):
-        machine, travel = moment.description.machine, moment.commanded.T[:, :, None] * np.eye(3)[:, None]
-        turns = np.zeros_like(travel)
+        machine, turns = moment.description.machine, np.zeros((3, len(moment.seconds), 3))
         turns[1, :, 1] = 2e-5 * moment.seconds / 1000.0 * moment.commanded[:, 1] / TRAVEL[1]
-        straight, _ = compose(machine.chain, travel, 0.0 * turns, machine.tool)
-        twisted, _ = compose(machine.chain, travel, turns, machine.tool)
-        moment.shift, moment.turn = moment.shift + twisted - straight, moment.turn + turns[1]
+        moment.shift = moment.shift + carried(machine.chain, moment.commanded, 0.0 * turns, turns, machine.tool)
+        moment.turn = moment.turn + turns[1]
 
 
 class Ghost(Effect):
@@ -80,9 +78,18 @@ class Ghost(Effect):
         moment.spot = moment.spot + 5e-6 * swing[:, None] * np.array([0.3, 0.9])
 
 
-@pytest.mark.parametrize('kind', [TiltingFloor, Climbing, Sinking, WarmScrew, Twisting, Ghost])
+class Sagging(Effect):
+    """The beam sags with the square of its way."""
+
+    name, family = 'sagging', 'distance'
+
+    def after_light(self, moment):
+        moment.spot = moment.spot + 2e-5 * moment.length[:, :1]**2 * np.array([0.6, 0.8])
+
+
+@pytest.mark.parametrize('kind', [TiltingFloor, Climbing, Sinking, WarmScrew, Twisting, Ghost, Sagging])
 def test_what_acts_in_a_cell_does_what_its_form_does(case, kind):
-    cell = parse_cell(quiet(case.text))
+    cell = parse_cell(case.quiet)
     view = observe(simulate_log(cell)).view
     moved = observe(simulate_log(cell, effects=[kind()])).view.reading - view.reading
     # Free is what a run's reset takes away, how the axes came to its first stop, how each setup is aligned; and what
@@ -114,7 +121,6 @@ def _left(form, moved, resets):
 
 
 def _tuned(form, moved, resets):
-    from stepdiag_ros.effects.tuning import tune
     return tune(form, lambda tried: -_left(tried, moved, resets), within=1.3, close=0.01)
 
 

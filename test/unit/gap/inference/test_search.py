@@ -10,7 +10,7 @@ from stepdiag_ros.effects.count_slip import CountSlip
 from stepdiag_ros.gap.alternatives.unmodelled import NAME as UNKNOWN
 from stepdiag_ros.gap.constants import IMITATION_PENALTY, LARGE_EVIDENCE, MEMBER_ALARM
 from stepdiag_ros.gap.inference import search as search_module
-from stepdiag_ros.gap.inference.candidates import LEAN, Candidate, Member, Screen
+from stepdiag_ros.gap.inference.candidates import BEYOND, Candidate, Member, Screen
 from stepdiag_ros.gap.inference.evidence import SIZES
 from stepdiag_ros.gap.inference.joint import solve, tuned
 from stepdiag_ros.gap.inference.parity import Parity
@@ -275,7 +275,7 @@ def test_a_family_of_its_own_is_not_thinned_by_others():
     def evidence(own: bool) -> float:
         lean = [Candidate('?', 'lean', cause, 1.0, own=own), Candidate('name', '', cause)]
         found = Screen(space(data), [*lean, *others], 1e9).by_cause()
-        return found[LEAN if own else '?'].log_bayes - found['name'].log_bayes
+        return found[BEYOND if own else '?'].log_bayes - found['name'].log_bayes
 
     assert evidence(own=True) == pytest.approx(0.0, abs=1e-6)
     assert evidence(own=False) == pytest.approx(-np.log(13.0), abs=1e-6)

@@ -12,7 +12,7 @@ from stepdiag_ros.gap.constants import SCATTER_ALARM
 from stepdiag_ros.gap.inference.joint import fit_jointly
 from stepdiag_ros.gap.inference.select_effects import noise_of
 from stepdiag_ros.gap.noise.arrival_law import DOFS, reweighed
-from stepdiag_ros.gap.noise.far_arrivals import beyond_tails
+from stepdiag_ros.gap.noise.far_arrivals import FarArrivals
 from stepdiag_ros.gap.preprocess.observe import observe
 
 
@@ -41,7 +41,8 @@ def test_more_arrivals_far_off_than_tails_reach_are_a_finding(case):
     log, rng = case.untidy('{position: {dof: 3}}'), np.random.default_rng(4)
     moved = np.flatnonzero(reduce_log(log).axis < 3)
     amounts = dict(zip(rng.choice(moved, 9, replace=False), rng.uniform(4e-5, 2e-4, 9), strict=True))
-    evidence, words = zip(*(beyond_tails(in_tails(one)) for one in (log, off_by(log, amounts))), strict=True)
+    both = (FarArrivals.of(in_tails(one)).beyond_tails() for one in (log, off_by(log, amounts)))
+    evidence, words = zip(*both, strict=True)
     assert evidence[0] < 3.0 and evidence[1] > SCATTER_ALARM
     assert 'which no noise does' in words[1]
 
