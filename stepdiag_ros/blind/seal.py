@@ -17,10 +17,7 @@ import numpy as np
 from stepdiag_ros.bag.export import write_log
 from stepdiag_ros.blind.cells import KINDS
 from stepdiag_ros.blind.live import write_live
-from stepdiag_ros.blind.outside import OUTSIDE
-from stepdiag_ros.blind.outside_cells import CELLS
-from stepdiag_ros.blind.outside_more import MORE
-from stepdiag_ros.blind.outside_unseen import UNSEEN
+from stepdiag_ros.blind.outsiders import MET, UNMET, USUAL
 from stepdiag_ros.blind.pool import side_by_side
 from stepdiag_ros.blind.vocabulary import NAMES
 from stepdiag_ros.blind.world import PURPOSES, Order, make
@@ -39,7 +36,7 @@ def orders(purpose: str, seed: int, counts: dict[str, int], world: str = 'varied
 
     ``untidy``: share of the simulated worlds whose noise is as instruments have it; ``counts['live']`` logs come last,
     measured through the running graph, every second one on a busy computer; ``counts['unseen']`` are from outside, of
-    kinds for which no form was written.  ``wide``: more kinds from outside, larger sizes, and time profiles that begin
+    kinds that the diagnosis has not met.  ``wide``: more kinds from outside, larger sizes, and time profiles that begin
     with anything.
     """
     if not 0.0 <= untidy <= 1.0:
@@ -52,11 +49,11 @@ def orders(purpose: str, seed: int, counts: dict[str, int], world: str = 'varied
     wanted: list[tuple[str, tuple[str, ...]]] = [('null', ())] * counts.get('null', 0)
     wanted += [('single', (name,)) for name in _evenly(rng, NAMES, counts.get('single', 0))]
     wanted += [('outside', (name,)) for name in
-               _evenly(rng, [kind.name for kind in OUTSIDE + (MORE + CELLS if wide else ())], counts.get('outside', 0))]
+               _evenly(rng, [kind.name for kind in (MET if wide else USUAL)], counts.get('outside', 0))]
     for first in _evenly(rng, NAMES, counts.get('pair', 0)):
         others = [n for n in NAMES if n != first and {n, first} not in NOT_TOGETHER]
         wanted.append(('pair', (first, str(rng.choice(others)))))
-    wanted += [('outside', (name,)) for name in _evenly(rng, [k.name for k in UNSEEN], counts.get('unseen', 0))]
+    wanted += [('outside', (name,)) for name in _evenly(rng, [kind.name for kind in UNMET], counts.get('unseen', 0))]
     simulated = [Order(purpose, seed, number + 1, *wanted[place], world, small, untidy, wide=wide)
                  for number, place in enumerate(rng.permutation(len(wanted)))]
     return simulated + [Order(purpose, seed, len(wanted) + number + 1, 'null', (), world, small, live=True,

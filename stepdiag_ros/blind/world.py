@@ -13,10 +13,7 @@ import numpy as np
 from stepdiag_ros.blind.cells import Conditions, draw_cell, untidy_law, without_sensor_noise, without_weather
 from stepdiag_ros.blind.hidden import Hidden
 from stepdiag_ros.blind.logs import measure, stage_of
-from stepdiag_ros.blind.outside import OUTSIDE
-from stepdiag_ros.blind.outside_cells import CELLS
-from stepdiag_ros.blind.outside_more import MORE
-from stepdiag_ros.blind.outside_unseen import UNSEEN
+from stepdiag_ros.blind.outsiders import OUTSIDERS
 from stepdiag_ros.blind.visibility import Visibility, Yardstick
 from stepdiag_ros.blind.vocabulary import VOCABULARY
 from stepdiag_ros.model.log import CalibrationLog
@@ -76,7 +73,7 @@ class SealedWorld:
 
 def kind_of(name: str) -> type[Hidden]:
     """The class of a hidden effect."""
-    return next(kind for kind in (*VOCABULARY, *OUTSIDE, *MORE, *CELLS, *UNSEEN) if kind.name == name)
+    return next(kind for kind in (*VOCABULARY, *OUTSIDERS) if kind.name == name)
 
 
 def draw_target(rng: np.random.Generator, pair: bool, wide: bool = False) -> float:

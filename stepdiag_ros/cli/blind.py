@@ -24,7 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     seal.add_argument('--pair', type=int, default=0, help='logs with two')
     seal.add_argument('--outside', type=int, default=0, help='logs with an effect from outside it')
     seal.add_argument('--unseen', type=int, default=0,
-                      help='logs with an effect from outside for which the diagnosis has no form')
+                      help='logs with an effect from outside, of kinds that the diagnosis has not met')
     seal.add_argument('--live', type=int, default=0,
                       help='logs without an effect that are measured through the running graph, every second one on a '
                            'busy computer (a minute or two each)')

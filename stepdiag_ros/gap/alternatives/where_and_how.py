@@ -17,6 +17,7 @@ from numpy.polynomial import legendre
 
 from stepdiag_ros.effects.base import Form, StopView
 from stepdiag_ros.effects.fading import bin_means, fading_columns, last_arrivals
+from stepdiag_ros.effects.made import Split
 from stepdiag_ros.effects.patterns import anew
 from stepdiag_ros.effects.timeforms import drift_form, exponential, linear, unknown
 from stepdiag_ros.effects.tuning import tunable
@@ -29,8 +30,9 @@ TAUS = (0.06, 0.25)
 """Time constants tried of what changes with time, as shares of the log's length; they are tuned."""
 FEW_WAVES = 6
 """Half waves of the time profile of a shape that is open too."""
-PLACE_WAVES = 8
-"""Half waves along an axis of such a shape; their sizes fall as those of a walk at random, which a step is too."""
+PLACE_WAVES, RUN_WAVES = 8, 4
+"""Half waves along an axis of such a shape, and of one that is another in each run; their sizes fall as those of a walk
+at random, which a step is too."""
 MEMORY_S = (0.5, 4.0, 30.0)
 """Time constants tried [s] with which a detector forgets; they are tuned."""
 PERIODS_M = tuple(np.geomspace(1.5e-4, 1e-3, 7))
@@ -172,14 +174,15 @@ def _by_history(view: StopView) -> Iterator[Form]:
 
 
 def _remembered(view: StopView, tau: float) -> Form:
-    """The detector shows in part what it saw before, which fades with a time constant ``tau`` [s]."""
+    """The detector shows in part what it saw before, which fades with a time constant ``tau`` [s].
+
+    The spot moves half-way between two stops in time, also from run to run: what a pause lets fade is gone then.
+    """
     order, spot = np.argsort(view.time, kind='stable'), view.spot_model
-    behind, last = np.zeros_like(spot), order[0]
-    for stop in order[1:]:
-        if view.run[stop] == view.run[last]:
-            fading = np.exp(-(view.time[stop] - view.time[last]) / tau)
-            behind[stop] = spot[last] - spot[stop] + fading * behind[last]
-        last = stop
+    half = np.exp(-0.5 * np.diff(view.time[order]) / tau)
+    behind = np.zeros_like(spot)
+    for last, stop, fading in zip(order[:-1], order[1:], half, strict=True):
+        behind[stop] = fading * (spot[last] - spot[stop] + fading * behind[last])
     along = view.zeros(1)
     along[0, :, view.beams:] = behind
     columns, inside = fading_columns(along, bin_means(view.bin_time, tau)[None])
@@ -216,6 +219,10 @@ def _shapes_in_time(view: StopView) -> Iterator[Form]:
             for pace in (*paces, unknown(time, most=FEW_WAVES)[-1]):
                 yield replace(drift_form(view, pace, waves[:, :, None] * motion, names, 2e-6 / number,
                                          f'{name} changes its shape', units), process=True)
+            runs, few = np.unique(view.run), slice(RUN_WAVES)
+            full = Split(waves[few, :, None] * motion, view.run, runs, np.ones((1, motion.shape[1]), bool))
+            yield replace(numbered_form(f'{name} has another shape in each run', full, 2e-6, units),
+                          scale=np.tile(2e-6 / number[few], len(runs)), process=True)
 
 
 def _fringes(view: StopView) -> Iterator[Form]:

@@ -5,15 +5,12 @@ import pytest
 
 from stepdiag_ros.blind.forms_instrument import COUNTS, CountSlip
 from stepdiag_ros.blind.hidden import ANY, Hidden, Stage, profile
-from stepdiag_ros.blind.outside import OUTSIDE
-from stepdiag_ros.blind.outside_cells import CELLS
-from stepdiag_ros.blind.outside_more import MORE
-from stepdiag_ros.blind.outside_unseen import UNSEEN
+from stepdiag_ros.blind.outsiders import OUTSIDERS
 from stepdiag_ros.blind.vocabulary import NAMES, VOCABULARY
 from stepdiag_ros.blind.world import LARGE, Order, draw_target, make
 from stepdiag_ros.effects import VOCABULARY as CONTRACT
 
-ALL = [kind.name for kind in (*VOCABULARY, *OUTSIDE, *MORE, *CELLS, *UNSEEN)]
+ALL = [kind.name for kind in (*VOCABULARY, *OUTSIDERS)]
 
 
 def test_vocabulary_is_the_contracts() -> None:
@@ -21,10 +18,10 @@ def test_vocabulary_is_the_contracts() -> None:
 
 
 def test_outside_is_outside() -> None:
-    names = {kind.name for kind in (*OUTSIDE, *MORE, *CELLS, *UNSEEN)}
+    names = {kind.name for kind in OUTSIDERS}
     assert len(names) >= 10
     assert not names & set(CONTRACT)
-    assert all(kind.outside for kind in (*OUTSIDE, *MORE, *CELLS, *UNSEEN))
+    assert all(kind.outside for kind in OUTSIDERS)
     assert not any(kind.outside for kind in VOCABULARY)
 
 

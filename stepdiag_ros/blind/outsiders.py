@@ -1,0 +1,16 @@
+"""Which effects from outside the vocabulary there are: the usual ones, all that were met, and those that were not.
+
+A kind counts as met once somebody has looked at why an answer to it is what it is: what the diagnosis knows may have
+grown towards it since.  Only kinds that were not tell how far it reaches beyond what its makers thought of.
+"""
+
+from stepdiag_ros.blind.outside import OUTSIDE
+from stepdiag_ros.blind.outside_cells import CELLS
+from stepdiag_ros.blind.outside_more import MORE
+from stepdiag_ros.blind.outside_shopfloor import SHOPFLOOR
+from stepdiag_ros.blind.outside_unseen import UNSEEN
+
+USUAL = OUTSIDE
+MET = (*OUTSIDE, *MORE, *CELLS, *UNSEEN)
+UNMET = SHOPFLOOR
+OUTSIDERS = (*MET, *UNMET)
