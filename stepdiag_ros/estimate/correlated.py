@@ -14,6 +14,7 @@ same for A², and its means have 1 + a (F² − 1).
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 FEWEST = 5
 """Samples of a dwell of which something is left beyond a bend at both ends of the spectrum."""
@@ -73,27 +74,36 @@ def scatters(count: int) -> tuple[np.ndarray, np.ndarray]:
     return scatter[:, :-1], scatter[:, -1]
 
 
-def _correlation(ratio: float, count: int, known: float) -> float:
-    """The place among ``ALIKE`` at which slow contrasts, of which ``known`` were seen, scatter ``ratio`` times as much
-    as fast ones."""
-    squares = scatters(count)[0]**2
+def _of_all(counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Mean squares of what :func:`scatters` gives, over dwells of ``counts`` (n,) samples: ten samples are a tenth less
+    alike than eleven, and half the dwells of a log may have one less."""
+    numbers, often = np.unique(counts, return_counts=True)
+    each = [[part**2 for part in scatters(int(number))] for number in numbers]
+    return tuple(np.average(np.stack(part), axis=0, weights=often) for part in zip(*each, strict=True))
+
+
+def _correlation(ratio: float, squares: np.ndarray, sure: float) -> float:
+    """The place among ``ALIKE`` at which slow contrasts scatter ``ratio`` times as much as fast ones, ``squares``
+    (r, SLOW + FAST) being those of all, where that ratio is known to a share ``sure``."""
     shown = np.sqrt(squares[:, :SLOW].mean(axis=1) / squares[:, SLOW:].mean(axis=1))
-    told = max(1.0 - SURE * np.sqrt((0.5 + 0.5 * SLOW / fast_ones(count)) / max(known, 1.0)), 0.0)
-    shown = shown[:int(np.argmax(shown >= told * shown.max())) + 1]
+    shown = shown[:int(np.argmax(shown >= max(1.0 - sure, 0.0) * shown.max())) + 1]
     return float(np.interp(ratio, shown, np.arange(len(shown))))
 
 
-def of_mean(slow: float, fast: float, count: int, known: float, share: float = 1.0) -> float:
-    """Factor by which the mean over a dwell of ``count`` samples scatters more than independent samples of the noise
+def of_mean(slow: float, fast: float, counts: ArrayLike, known: float, share: float = 1.0) -> float:
+    """Factor by which the means over dwells of ``counts`` samples scatter more than independent samples of the noise
     that neighbours tell, where ``known`` slow contrasts do by ``slow`` and the fast ones by ``fast``; never less than
     the slow ones.  ``share`` of the neighbours' squared differences that is not of rounding."""
-    if count < FEWEST or share <= 0.0:
+    counts = np.atleast_1d(counts)
+    counts = counts[counts >= FEWEST]
+    if not len(counts) or share <= 0.0:
         return slow
     squares = [max(1.0 + (loud**2 - 1.0) / share, LEAST_LOUD) for loud in (slow, fast)]
-    alike = _correlation(float(np.sqrt(squares[0] / squares[1])), count, known * share**2)
-    contrasts_at, means = scatters(count)
-    fast_there, mean = (np.interp(alike, np.arange(len(ALIKE)), squared) for squared in (
-        (contrasts_at[:, SLOW:]**2).mean(axis=1), means**2))
+    contrasts_at, means = _of_all(counts)
+    sure = SURE * np.sqrt((0.5 + 0.5 * SLOW / fast_ones(int(np.median(counts)))) / max(known * share**2, 1.0))
+    alike = _correlation(float(np.sqrt(squares[0] / squares[1])), contrasts_at, sure)
+    fast_there, mean = (np.interp(alike, np.arange(len(ALIKE)), squared)
+                        for squared in (contrasts_at[:, SLOW:].mean(axis=1), means))
     # Tails make all contrasts, and the means, larger than what the quiet majority of dwells tells of neighbours.
     tails = max(1.0, fast / np.sqrt(1.0 + share * (fast_there - 1.0)))
     return max(slow, float(tails * np.sqrt(1.0 + share * (mean - 1.0))))

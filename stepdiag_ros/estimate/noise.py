@@ -166,7 +166,7 @@ def sensor_noise(table: StopTable, belief: Noise) -> np.ndarray:
             slow, fast = _loud(parts / np.maximum(pooled, FLOOR_M)[:, :, None], table)
             own = not_rounding(np.median(pooled, axis=0), np.array(table.quanta or np.zeros(beams + 2))[columns])
             # Beams of one instrument, the two axes of one detector, are alike in this.
-            pooled *= of_mean(slow, fast, int(np.median(count)), np.isfinite(parts[:, :, :SLOW]).sum(),
+            pooled *= of_mean(slow, fast, count, np.isfinite(parts[:, :, :SLOW]).sum(),
                               float(np.mean(own)))
         result[:, columns] = pooled / np.sqrt(np.maximum(count, 1))[:, None]
     if table.disturbed is not None:

@@ -165,10 +165,12 @@ def total_evidence(joint: Joint, sets: list[EffectSet], screen: Screen) -> float
 
 
 def _price(joint: Joint, best: EffectSet, screen: Screen) -> float:
-    """What the effects' freedom costs: ½ ln|1 + s²ZᵀZ| of their forms, and the ways to choose these."""
+    """What the effects' freedom costs: ½ ln|1 + s²ZᵀZ| + ½ aᵀa/s² of their forms of size s, and the ways to choose
+    these."""
     columns = np.concatenate([joint.parity.project(a.form) * size_of(a.form) for a in joint.active], axis=1)
     _, volume = np.linalg.slogdet(np.eye(columns.shape[1]) + columns.T @ columns)
+    far = sum(float(np.sum((a.coefficients / (a.form.scale * size_of(a.form)))**2)) for a in joint.active)
     forms = Counter(candidate.effect for candidate in screen.candidates)
     ways = sum(np.log(max(forms[a.effect.name or UNKNOWN], 1)) for a in joint.active)
     among = len(forms)
-    return 0.5 * float(volume) + float(ways) + log_prior(EffectSet((), 0.0), among) - log_prior(best, among)
+    return 0.5 * (float(volume) + far) + float(ways) + log_prior(EffectSet((), 0.0), among) - log_prior(best, among)

@@ -51,6 +51,18 @@ def test_what_drawn_samples_scatter_by(rho, count, within):
     assert told(each, count, 2 * len(values)) == pytest.approx(mean, rel=within)
 
 
+def test_half_of_the_dwells_may_have_a_sample_less():
+    """Eleven samples or nine, alike by 0.8: held against eleven alone the contrasts of all told three fifths of it."""
+    counts = np.repeat([9, 11], 10_000)
+    values = {count: drawn(0.8, count, 10_000) for count in (9, 11)}
+    neighbours = np.sqrt(np.mean(np.concatenate([np.diff(v, axis=1).ravel() for v in values.values()])**2) / 2.0)
+    each = np.concatenate([v @ sample_contrasts(count).T for count, v in values.items()]) / neighbours
+    mean = np.sqrt(np.mean([count * v.mean(axis=1).var() for count, v in values.items()])) / neighbours
+    each = np.sqrt(np.mean(each**2, axis=0))
+    assert told(each, counts, 40_000) == pytest.approx(mean, rel=0.15)
+    assert told(each, 11, 40_000) < 0.65 * mean
+
+
 def test_tails_that_reach_less_far_over_a_dwell_than_from_sample_to_sample_make_nothing_alike():
     """Against each other the contrasts of one dwell tell what is alike; against another measure of the noise's size
     they would tell that measure's share of the tails."""

@@ -9,7 +9,7 @@ import pytest
 from stepdiag_ros.effects.base import Effect, Form
 from stepdiag_ros.gap.inference import noise_or_effects
 from stepdiag_ros.gap.inference.candidates import Candidate, Member
-from stepdiag_ros.gap.inference.joint import fit_jointly, freed
+from stepdiag_ros.gap.inference.joint import fit_jointly, freed, size_of
 from stepdiag_ros.gap.inference.noise_or_effects import (
     ONE_ARRIVAL,
     Settled,
@@ -20,7 +20,7 @@ from stepdiag_ros.gap.inference.noise_or_effects import (
     settle_in_noise,
     total_evidence,
 )
-from stepdiag_ros.gap.inference.search import EffectSet
+from stepdiag_ros.gap.inference.search import EffectSet, log_prior
 from stepdiag_ros.gap.inference.select_effects import noise_of
 from stepdiag_ros.gap.noise.arrival_law import suspicion
 
@@ -56,6 +56,27 @@ def test_columns_made_of_readings_are_corrected_in_every_noise(case):
                               for form in (active.form, replace(active.form, by_reading=None)))
     cost = joint.parity.log_jacobian(3e-8 * made.by_reading[0])
     assert of_readings - of_others == pytest.approx(cost, abs=1e-6) and cost < -0.5
+
+
+def test_a_walk_costs_as_much_as_it_is_far(case):
+    """Forty numbers drawn anew: the evidence of the fit that has them is that of the readings' covariance with them."""
+    observation, rng = case.observe(), np.random.default_rng(6)
+    noise, shape = noise_of(observation), np.zeros((40, *observation.view.reading.shape))
+    shape[:, :, -2:] = rng.standard_normal((*shape.shape[:2], 2))
+    walk = Form('walk', shape, tuple(str(i) for i in range(40)), np.full(40, 3e-8), process=True)
+    drawn = np.tensordot(3e-8 * rng.standard_normal(40), shape, axes=1)
+    table = replace(observation.table, spot=observation.table.spot + drawn[:, -2:])
+    observation = replace(observation, table=table)
+    joint, alone = (fit_jointly(observation, chosen, noise) for chosen in ([(Effect(), walk)], []))
+    screen = SimpleNamespace(candidates=[Candidate('unknown', '', walk)])
+    one, none = EffectSet((Member('unknown', 0, 10.0),), 10.0), EffectSet((), 0.0)
+    space, form = alone.parity, joint.active[0].form
+    columns = space.project(form) * size_of(form)
+    normal, along = np.eye(40) + columns.T @ columns, columns.T @ space.data
+    exactly = 0.5 * float(along @ np.linalg.solve(normal, along) - np.linalg.slogdet(normal)[1])
+    ahead = total_evidence(joint, [one], screen) - total_evidence(alone, [none], screen)
+    assert exactly > 30.0
+    assert ahead - log_prior(one, 1) + log_prior(none, 1) == pytest.approx(exactly, abs=2.0)
 
 
 def test_a_form_that_is_not_quite_right_makes_no_law_of_the_noise(case):
