@@ -18,23 +18,28 @@ from numpy.polynomial import legendre
 from stepdiag_ros.effects.base import Form, StopView
 from stepdiag_ros.effects.fading import bin_means, fading_columns, last_arrivals
 from stepdiag_ros.effects.made import Split
-from stepdiag_ros.effects.patterns import anew
-from stepdiag_ros.effects.timeforms import drift_form, exponential, linear, unknown
+from stepdiag_ros.effects.patterns import MOST_OWN, anew
+from stepdiag_ros.effects.timeforms import TimeProfile, drift_form, exponential, linear, unknown
 from stepdiag_ros.effects.tuning import tunable
 from stepdiag_ros.gap.alternatives.unmodelled import numbered_form
-from stepdiag_ros.model.machine import AXES, CURVES
+from stepdiag_ros.model.machine import AXES, CURVES, carried
 
 BENDS = 3
 """Degree of the polynomials by which something follows a place."""
 TAUS = (0.06, 0.25)
 """Time constants tried of what changes with time, as shares of the log's length; they are tuned."""
-FEW_WAVES = 6
-"""Half waves of the time profile of a shape that is open too."""
+WAVES, FEW_WAVES = 12, 6
+"""Half waves of a time profile of any shape, and of that of a shape along an axis that is open too."""
 PLACE_WAVES, RUN_WAVES = 8, 4
 """Half waves along an axis of such a shape, and of one that is another in each run; their sizes fall as those of a walk
 at random, which a step is too."""
 MEMORY_S = (0.5, 4.0, 30.0)
-"""Time constants tried [s] with which a detector forgets; they are tuned."""
+"""Time constants tried [s] with which a detector forgets …"""
+CREEP_S = (30.0, 200.0)
+"""… with which what stands on something creeps …"""
+JOLTED_S = 0.7
+"""… and with which fades what a move rocks; they are tuned."""
+MACHINE = 'the machine on its feet'
 PERIODS_M = tuple(np.geomspace(1.5e-4, 1e-3, 7))
 """Periods tried [m] of what swings as the spot wanders; they are tuned."""
 BEARINGS = 8
@@ -64,7 +69,8 @@ def table_families(view: StopView) -> dict[str, list[Form]]:
     """The cells by what is followed."""
     return {'place': _shown(_by_place(view)), 'distance': _shown(_by_distance(view)),
             'direction': _shown(_by_direction(view)), 'history': _shown(_by_history(view)),
-            'shape': list(_shapes_in_time(view)), 'fringes': _shown(_fringes(view))}
+            'time': list(_turned_in_time(view)), 'shape': list(_shapes_in_time(view)),
+            'fringes': _shown(_fringes(view))}
 
 
 def _shown(forms: Iterator[Form]) -> list[Form]:
@@ -80,6 +86,26 @@ def _axes(view: StopView) -> tuple[Where, ...]:
 def _tool(view: StopView, axis: int) -> Where:
     """The tool, and what axis ``axis`` carries of it, turned about X, Y and Z."""
     return Where('tool: turned', view.by_motion[6 * axis + 3:6 * axis + 6], 2e-6, 'rad')
+
+
+def _sides(view: StopView) -> Iterator[Where]:
+    """What each axis carries of the tool, and all of it about the machine's feet, turned and shifted."""
+    machine = view.description.machine
+    for axis, letter in enumerate(AXES):
+        turned = view.by_motion[6 * axis + 3:6 * axis + 6]
+        yield Where(f'what {letter} carries: turned and shifted', np.concatenate([turned, view.by_shift]), 2e-6, '1')
+    outer = machine.chain[-1]
+    if outer == 'F':
+        return
+    # A turn of the outermost axis, its lever another: all places and the tool are turned.
+    axis, whole = AXES.index(outer), []
+    for k, about in enumerate(np.eye(3)):
+        turns = np.zeros((3, len(view.time), 3))
+        turns[axis, :, k] = 1.0
+        own = carried(machine.chain, view.commanded, 0.0 * turns, turns, np.array(machine.tool))
+        arm = np.cross(about, view.commanded + machine.tool) - own
+        whole.append(view.by_motion[6 * axis + 3 + k] + np.einsum('nj,jnc->nc', arm, view.by_shift))
+    yield Where(f'{MACHINE}: turned and shifted', np.concatenate([whole, view.by_shift]), 2e-6, '1')
 
 
 def _beam(view: StopView) -> Where:
@@ -164,13 +190,44 @@ def _by_direction(view: StopView) -> Iterator[Form]:
 
 def _by_history(view: StopView) -> Iterator[Form]:
     """Something follows which axis moved last, or in which direction that was; the detector shows in part what it saw
-    at the stop before."""
+    before, a bed stays bent to where an axis stood, feet of rubber rock for a while."""
     moved = last_arrivals(view)[0].T.astype(float)
     unsettled = ~moved.any(axis=0)
     for where in (*_axes(view), _beam(view), _mirror(view), _length(view), _spot(view)):
         yield where.following(view, 'by which axis moved last', moved, unsettled)
         yield where.following(view, 'by the last move, each axis in its direction', moved * view.approach.T, unsettled)
     yield from (_remembered(view, tau) for tau in MEMORY_S)
+    sides = list(_sides(view))
+    yield from (_jolted(view, side, JOLTED_S) for side in sides if side.label.startswith(MACHINE))
+    yield from (_stays(view, side, axis, tau) for side in sides for axis, _ in _moving(view) for tau in CREEP_S)
+
+
+def _behind(view: StopView, values: np.ndarray, tau: float) -> np.ndarray:
+    """By what ``values`` (n, k) that follow with a time constant ``tau`` [s] are behind at each stop (n, k)."""
+    order = np.argsort(view.time, kind='stable')
+    half = np.exp(-0.5 * np.diff(view.time[order]) / tau)
+    behind = np.zeros_like(values)
+    for last, stop, fading in zip(order[:-1], order[1:], half, strict=True):
+        behind[stop] = fading * (values[last] - values[stop] + fading * behind[last])
+    return behind
+
+
+def _stays(view: StopView, side: Where, axis: int, tau: float) -> Form:
+    """What bends under an axis's weight follows where it stands with a time constant ``tau`` [s]."""
+    share = view.commanded[:, [axis]] / view.description.machine.volume[axis]
+    form = side.following(view, f'by where {AXES[axis]} stood before, over {tau:.2g} s', _behind(view, share, tau).T)
+    return tunable(form, 'tau_s', tau, lambda other: _stays(view, side, axis, other))
+
+
+def _jolted(view: StopView, where: Where, tau: float) -> Form:
+    """Each move of an axis leaves something behind, by the direction in which it was, that fades in the dwell with a
+    time constant ``tau`` [s]."""
+    moved, before = last_arrivals(view)
+    along = np.einsum('ni,knc->iknc', moved * view.approach, where.columns).reshape(-1, *view.reading.shape)
+    columns, inside = fading_columns(along, bin_means(view.bin_time + before[:, None], tau)[None])
+    form = replace(numbered_form(f'{where.label} by the last move, fading with {tau:.2g} s', columns, where.scale,
+                                 where.units), inside=inside)
+    return tunable(form, 'tau_s', tau, lambda other: _jolted(view, where, other))
 
 
 def _remembered(view: StopView, tau: float) -> Form:
@@ -178,28 +235,39 @@ def _remembered(view: StopView, tau: float) -> Form:
 
     The spot moves half-way between two stops in time, also from run to run: what a pause lets fade is gone then.
     """
-    order, spot = np.argsort(view.time, kind='stable'), view.spot_model
-    half = np.exp(-0.5 * np.diff(view.time[order]) / tau)
-    behind = np.zeros_like(spot)
-    for last, stop, fading in zip(order[:-1], order[1:], half, strict=True):
-        behind[stop] = fading * (spot[last] - spot[stop] + fading * behind[last])
     along = view.zeros(1)
-    along[0, :, view.beams:] = behind
+    along[0, :, view.beams:] = _behind(view, view.spot_model, tau)
     columns, inside = fading_columns(along, bin_means(view.bin_time, tau)[None])
     form = Form(f'spot: in part what was seen before, fading with {tau:.2g} s', columns, ('share',), np.full(1, 0.02),
                 '1', inside=inside)
     return tunable(form, 'tau_s', tau, lambda other: _remembered(view, other))
 
 
+def _paces(view: StopView) -> tuple[list[TimeProfile], list[TimeProfile]]:
+    """Simple time profiles, and those of any shape: over the log, anew in each run, anew in each setup."""
+    time = view.elapsed
+    span = max(float(np.ptp(view.time)), 1e-9)
+    again = [pace for since, part, what in ((view.run_time, view.run, 'run'), (view.mount_time, view.setup, 'setup'))
+             for pace in anew(since, part, what) if pace.label == f'anew in each {what}, smooth']
+    return ([linear(time), *(exponential(time, share * span) for share in TAUS)],
+            [unknown(time, most=WAVES)[-1], *again])
+
+
+def _turned_in_time(view: StopView) -> Iterator[Form]:
+    """What carries the tool turns and shifts with time, at all places alike: a shift alone has a name, and so have the
+    mirror's turns in its mount and the beam's, none of which has a lever."""
+    paces = [pace for each in _paces(view) for pace in each]
+    for side in _sides(view):
+        names = tuple(str(i) for i in range(len(side.columns)))
+        for pace in paces:
+            yield drift_form(view, pace, side.columns, names, np.full(len(names), side.scale), side.label, side.units)
+
+
 def _shapes_in_time(view: StopView) -> Iterator[Form]:
     """An error motion of an axis changes its shape with time: what a squareness or a scale shifts grows in proportion
     to the place, this does not; turns of a carriage have no name in time at all."""
-    time = view.elapsed
-    span = max(float(np.ptp(view.time)), 1e-9)
-    smooth = unknown(time, view.watches)[-1]
-    paces = [linear(time), *(exponential(time, share * span) for share in TAUS)]
-    again = [pace for since, part, what in ((view.run_time, view.run, 'run'), (view.mount_time, view.setup, 'setup'))
-             for pace in anew(since, part, what) if pace.label == f'anew in each {what}, smooth']
+    time, runs = view.elapsed, np.unique(view.run)
+    paces, smooth = _paces(view)
     for axis, _ in _moving(view):
         share = view.commanded[:, axis] / view.description.machine.volume[axis]
         number = np.arange(1, PLACE_WAVES + 1)
@@ -212,17 +280,21 @@ def _shapes_in_time(view: StopView) -> Iterator[Form]:
             straight = {} if k < 3 else {'slope': share}
             for shape, course in {**straight, 'bow': np.sin(np.pi * share), 'S': np.sin(2.0 * np.pi * share)}.items():
                 signature = course[:, None] * motion
-                for pace in (*paces, smooth, *again):
+                for pace in (*paces, *smooth):
                     yield drift_form(view, pace, signature[None], ('0',), np.full(1, 2e-6),
                                      f'{name} changes its shape, {shape}', units)
             names = tuple(str(i) for i in number)
             for pace in (*paces, unknown(time, most=FEW_WAVES)[-1]):
                 yield replace(drift_form(view, pace, waves[:, :, None] * motion, names, 2e-6 / number,
                                          f'{name} changes its shape', units), process=True)
-            runs, few = np.unique(view.run), slice(RUN_WAVES)
-            full = Split(waves[few, :, None] * motion, view.run, runs, np.ones((1, motion.shape[1]), bool))
+            if len(runs) > MOST_OWN:
+                continue
+            # A carriage may be turned otherwise in each run; where it is shifted otherwise, lengths begin anew.
+            few = np.arange(RUN_WAVES + 1)[k < 3:]
+            full = Split(np.cos(np.pi * few[:, None] * share)[:, :, None] * motion, view.run, runs,
+                         np.ones((1, motion.shape[1]), bool))
             yield replace(numbered_form(f'{name} has another shape in each run', full, 2e-6, units),
-                          scale=np.tile(2e-6 / number[few], len(runs)), process=True)
+                          scale=np.tile(2e-6 / np.maximum(few, 1), len(runs)), process=True)
 
 
 def _fringes(view: StopView) -> Iterator[Form]:

@@ -3,10 +3,11 @@ columns."""
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from stepdiag_ros.effects.base import Effect
 from stepdiag_ros.effects.tuning import tune
-from stepdiag_ros.gap.alternatives.where_and_how import table_families
+from stepdiag_ros.gap.alternatives.where_and_how import _behind, table_families
 from stepdiag_ros.gap.preprocess.observe import observe
 from stepdiag_ros.model.machine import carried
 from stepdiag_ros.virtual.cell import parse_cell
@@ -68,6 +69,42 @@ class Twisting(Effect):
         moment.turn = moment.turn + turns[1]
 
 
+class Nodding(Effect):
+    """The machine sinks on one of its feet."""
+
+    name, family = 'nodding', 'time'
+
+    def before_pose(self, moment):
+        turn = np.outer(2e-5 * (1.0 - np.exp(-moment.seconds / 400.0)), [0.6, 0.8, 0.0])
+        moment.turn = moment.turn + turn
+        moment.shift = moment.shift + np.cross(turn, moment.commanded + moment.description.machine.tool - TRAVEL)
+
+
+class Rubber(Effect):
+    """Each move rocks the machine on feet of rubber."""
+
+    name, family = 'rubber', 'history'
+
+    def before_pose(self, moment):
+        along = np.where(moment.moved[:, None] == np.arange(3), moment.approach * [1.0, 0.7, 0.0], 0.0)
+        turn = 2e-5 * np.exp(-np.maximum(moment.since_arrival, 0.0) / 1.3)[:, None] * np.cross([0.0, 0.0, 1.0], along)
+        moment.turn = moment.turn + turn
+        moment.shift = moment.shift + np.cross(turn, moment.commanded + moment.description.machine.tool - TRAVEL)
+
+
+class Cage(Effect):
+    """The rollers of X stand otherwise in each run."""
+
+    name, family, begins = 'cage', 'shape', ()
+
+    def before_pose(self, moment):
+        machine, turns = moment.description.machine, np.zeros((3, len(moment.seconds), 3))
+        run = np.searchsorted(self.begins, moment.seconds, side='right')
+        turns[0, :, 1] = 2e-5 * np.cos(2.4 * run) * np.cos(np.pi * moment.commanded[:, 0] / TRAVEL[0])
+        moment.shift = moment.shift + carried(machine.chain, moment.commanded, 0.0 * turns, turns, machine.tool)
+        moment.turn = moment.turn + turns[0]
+
+
 class Ghost(Effect):
     """Light from the back of a window runs beside the beam."""
 
@@ -87,11 +124,14 @@ class Sagging(Effect):
         moment.spot = moment.spot + 2e-5 * moment.length[:, :1]**2 * np.array([0.6, 0.8])
 
 
-@pytest.mark.parametrize('kind', [TiltingFloor, Climbing, Sinking, WarmScrew, Twisting, Ghost, Sagging])
+@pytest.mark.parametrize('kind', [TiltingFloor, Climbing, Sinking, WarmScrew, Twisting, Nodding, Rubber, Cage, Ghost,
+                                  Sagging])
 def test_what_acts_in_a_cell_does_what_its_form_does(case, kind):
     cell = parse_cell(case.quiet)
     view = observe(simulate_log(cell)).view
-    moved = observe(simulate_log(cell, effects=[kind()])).view.reading - view.reading
+    effect = kind()
+    effect.begins = [view.elapsed[view.run == run].min() for run in np.unique(view.run)]
+    moved = observe(simulate_log(cell, effects=[effect])).view.reading - view.reading
     # Free is what a run's reset takes away, how the axes came to its first stop, how each setup is aligned; and what
     # acts in one direction alone is half a bow of the guideway.
     runs, setups = (np.array([each == k for k in np.unique(each)]) for each in (view.run, view.setup))
@@ -100,7 +140,8 @@ def test_what_acts_in_a_cell_does_what_its_form_does(case, kind):
     if kind.family == 'direction':
         free.append(((place * (1.0 - place))[:, None] * view.by_shift[2])[None])
     if kind.family == 'history':
-        free.append((runs & (view.axis > 2))[:, :, None] * view.by_shift[2])
+        first = (runs & (view.axis > 2))[:, None, :, None]
+        free.append((first * np.eye(view.reading.shape[1])[:, None]).reshape(-1, *view.reading.shape))
     resets = np.concatenate(free)
     least = np.inf
     for form in table_families(view)[kind.family]:
@@ -122,6 +163,19 @@ def _left(form, moved, resets):
 
 def _tuned(form, moved, resets):
     return tune(form, lambda tried: -_left(tried, moved, resets), within=1.3, close=0.01)
+
+
+@pytest.mark.parametrize('tau', [3.0, 60.0])
+def test_what_follows_slowly_is_behind_by_what_its_equation_says(case, tau):
+    """Places that are taken half-way between two stops, followed in small steps of time."""
+    view = case.observe().view
+    order = np.argsort(view.time, kind='stable')
+    times, places = view.time[order], view.commanded[order, 0]
+    half, fine = 0.5 * (times[1:] + times[:-1]), np.linspace(times[0], times[-1], 400_000)
+    target, step = places[np.searchsorted(half, fine)], fine[1] - fine[0]
+    bent = lfilter([step / tau], [1.0, step / tau - 1.0], target, zi=[(1.0 - step / tau) * target[0]])[0]
+    expected = np.interp(times, fine, bent) - places
+    assert _behind(view, view.commanded[:, [0]], tau)[order, 0] == pytest.approx(expected, abs=0.01 * np.ptp(places))
 
 
 def test_cells_that_a_name_has_are_not_in_the_table(case):
