@@ -6,11 +6,12 @@ grown towards it since.  Only kinds that were not tell how far it reaches beyond
 
 from stepdiag_ros.blind.outside import OUTSIDE
 from stepdiag_ros.blind.outside_cells import CELLS
+from stepdiag_ros.blind.outside_field import FIELD
 from stepdiag_ros.blind.outside_more import MORE
 from stepdiag_ros.blind.outside_shopfloor import SHOPFLOOR
 from stepdiag_ros.blind.outside_unseen import UNSEEN
 
 USUAL = OUTSIDE
-MET = (*OUTSIDE, *MORE, *CELLS, *UNSEEN)
-UNMET = SHOPFLOOR
+MET = (*OUTSIDE, *MORE, *CELLS, *UNSEEN, *SHOPFLOOR)
+UNMET = FIELD
 OUTSIDERS = (*MET, *UNMET)

@@ -121,6 +121,7 @@ def search(screen: Screen) -> list[EffectSet]:
                         grown.append(larger)
         front = grown
     found = _each_earned(_best_compositions(_with_imitations(screen, _in_place(screen, sets.values()))))
+    found = list(_best_compositions([*found, *_as_one_cause(found)]).values())
     among = len({m.effect for m in first.values()})
     return sorted(found, key=lambda s: (bool(s.refused), -(s.log_bayes + log_prior(s, among))))
 
@@ -163,6 +164,17 @@ def _with_imitations(screen: Screen, sets: Iterable[EffectSet]) -> Iterator[Effe
             yield replace(found, members=tuple(
                 replace(m, effect=UNKNOWN, penalty=IMITATION_PENALTY)
                 if k in restricted else m for k, m in enumerate(found.members)))
+
+
+def _as_one_cause(sets: Iterable[EffectSet]) -> Iterator[EffectSet]:
+    """Sets of names beside physics without a name as one cause that has no name and does all of it: what none of the
+    forms describes may need those of several, and then a name is one of them by chance."""
+    for found in sets:
+        names = found.key - {UNKNOWN}
+        if names and not found.refused and any(m.own for m in found.members):
+            penalty = found.penalty + IMITATION_PENALTY * len(names)
+            yield replace(found, members=tuple(m if m.effect == UNKNOWN else replace(m, effect=UNKNOWN, penalty=penalty)
+                                               for m in found.members))
 
 
 def _repeated(screen: Screen, found: EffectSet) -> Iterator[EffectSet]:
@@ -223,7 +235,7 @@ def _best_compositions(sets: Iterable[EffectSet],
     best: dict[frozenset, EffectSet] = {}
     for found in sets:
         key = key_of(found)
-        if key not in best or best[key].log_bayes < found.log_bayes:
+        if key not in best or best[key].log_bayes - best[key].penalty < found.log_bayes - found.penalty:
             best[key] = found
     return best
 
