@@ -197,6 +197,16 @@ def direction(rng: np.random.Generator, size: int = 3) -> np.ndarray:
     return vector / np.linalg.norm(vector)
 
 
+def across(rng: np.random.Generator, axis: int) -> np.ndarray:
+    """A random unit vector (3,) across an axis."""
+    return np.insert(direction(rng, 2), axis, 0.0)
+
+
+def run_of(stage: 'Stage', seconds: np.ndarray) -> np.ndarray:
+    """Number (n,) of the run that lasts, or that ended last."""
+    return np.maximum(np.searchsorted(stage.runs[:, 0] - 1e-6, seconds, side='right') - 1, 0)
+
+
 def chosen_axes(rng: np.random.Generator) -> np.ndarray:
     """Weights (3,) of the axes: one, two or all take part, the strongest with weight ±1."""
     count = rng.choice([1, 2, 3], p=[0.45, 0.2, 0.35])

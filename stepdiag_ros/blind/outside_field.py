@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from stepdiag_ros.blind.hidden import Stage, chosen_axes, direction
+from stepdiag_ros.blind.hidden import Stage, chosen_axes, direction, run_of
 from stepdiag_ros.blind.outside import Outside
 from stepdiag_ros.effects.base import Moment
 from stepdiag_ros.model.log import CalibrationLog
@@ -19,11 +19,6 @@ from stepdiag_ros.model.sensor import station
 UP = np.array([0.0, 0.0, 1.0])
 PLACES = 64
 """Places of an axis that tables of random numbers keep apart."""
-
-
-def run_of(stage: Stage, seconds: np.ndarray) -> np.ndarray:
-    """Number (n,) of the run that lasts, or that ended last."""
-    return np.maximum(np.searchsorted(stage.runs[:, 0] - 1e-6, seconds, side='right') - 1, 0)
 
 
 def travelled(stage: Stage, moment: Moment) -> np.ndarray:

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from stepdiag_ros.blind.hidden import Stage, direction
+from stepdiag_ros.blind.hidden import Stage, across, direction, run_of
 from stepdiag_ros.blind.outside import Outside
 from stepdiag_ros.effects.base import Moment
 from stepdiag_ros.model.log import CalibrationLog
@@ -20,11 +20,6 @@ from stepdiag_ros.model.sensor import station
 UP = np.array([0.0, 0.0, 1.0])
 PLACES = 64
 """Places of an axis that tables of random numbers keep apart."""
-
-
-def run_of(stage: Stage, seconds: np.ndarray) -> np.ndarray:
-    """Number (n,) of the run that lasts, or that ended last."""
-    return np.maximum(np.searchsorted(stage.runs[:, 0] - 1e-6, seconds, side='right') - 1, 0)
 
 
 def place_of(stage: Stage, moment: Moment, axis: int) -> np.ndarray:
@@ -42,11 +37,6 @@ def rock(moment: Moment, turn: np.ndarray, pivot: np.ndarray) -> None:
     """Turn (n, 3) [rad] the tool, with all that carries it, about ``pivot`` (3,) [m]."""
     moment.turn = moment.turn + turn
     moment.shift = moment.shift + np.cross(turn, moment.commanded + np.array(moment.description.machine.tool) - pivot)
-
-
-def across(rng: np.random.Generator, axis: int) -> np.ndarray:
-    """A random unit vector (3,) across an axis."""
-    return np.insert(direction(rng, 2), axis, 0.0)
 
 
 def telegraph(rng: np.random.Generator, span_s: float, low_s: float, high_s: float) -> np.ndarray:

@@ -9,18 +9,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from stepdiag_ros.blind.hidden import Stage, direction
+from stepdiag_ros.blind.hidden import Stage, across, direction
 from stepdiag_ros.blind.outside import Outside
 from stepdiag_ros.effects.base import Moment
 from stepdiag_ros.model.air import WAVELENGTH
 from stepdiag_ros.model.log import CalibrationLog
 from stepdiag_ros.model.path import setup_direction
 from stepdiag_ros.model.sensor import station
-
-
-def _across(rng: np.random.Generator, axis: int) -> np.ndarray:
-    """A random unit vector (3,) across an axis."""
-    return np.insert(direction(rng, 2), axis, 0.0)
 
 
 def _moved(moment: Moment) -> np.ndarray:
@@ -64,7 +59,7 @@ class LateBrake(Outside):
     def __init__(self, stage: Stage, rng: np.random.Generator):
         super().__init__(stage, rng)
         self._axis = int(rng.integers(3))
-        self._push, self._roll = _across(rng, self._axis), direction(rng) / rng.uniform(0.3, 1.0)
+        self._push, self._roll = across(rng, self._axis), direction(rng) / rng.uniform(0.3, 1.0)
         self._delay = rng.uniform(0.25, 0.7) * stage.cell.motion.dwell
         self.facts = {'axis': self._axis, 'delay_s': self._delay}
 
@@ -133,7 +128,7 @@ class ChipOnRail(Outside):
         self._there = (first, first + stage.span_s * rng.uniform(0.25, 0.5))
         if first < 0.0:
             self._there = (first, stage.span_s * rng.uniform(0.25, 0.7))
-        self._lift = _across(rng, self._axis)
+        self._lift = across(rng, self._axis)
         self._lever = rng.uniform(0.1, 0.4) * direction(rng)
         self.facts = {'axis': self._axis, 'place_m': self._place, 'from_s': self._there[0], 'to_s': self._there[1]}
 

@@ -307,6 +307,21 @@ def test_what_has_no_name_may_do_what_an_effect_does_and_more():
     assert probabilities(found, 19)[0].get('count_slip', 0.0) < 0.1
 
 
+@pytest.mark.parametrize(('own', 'low', 'high'), [(True, 0.3, 0.6), (False, 0.95, 1.01)])
+def test_a_name_beside_physics_without_a_name_may_be_part_of_it(own, low, high):
+    """One cause that no form describes may need two of them; beside a shapeless pattern a name stays one."""
+    rng = np.random.default_rng(8)
+    columns = np.linalg.qr(rng.normal(size=(N, 21)))[0].T
+    names = [Candidate(f'effect {k}', '', form(f'{k}', columns[[k]], np.full(1, 10.0))) for k in range(20)]
+    other = Candidate(UNKNOWN, 'cell', form('cell', columns[[20]], np.full(1, 10.0)), own=own)
+    data = 15.0 * columns[0] + 15.0 * columns[20] + rng.normal(size=N)
+    found = search(Screen(space(data), [*names, other], 1e9))
+    likely, _, _ = probabilities(found, 20)
+    assert likely[UNKNOWN] > 0.99 and low < likely['effect 0'] < high
+    alone = search(Screen(space(data - 15.0 * columns[20]), [*names, other], 1e9))
+    assert probabilities(alone, 20)[0]['effect 0'] > 0.99
+
+
 @pytest.mark.parametrize(('jump', 'counted'), [(5 * 316.4e-9, True), (1.69e-6, False)])
 def test_a_slip_is_a_whole_number_of_counts(jump, counted):
     """A jump known to a few nanometres that is no multiple of λ/4 is no slip; what jumps then has no name."""
