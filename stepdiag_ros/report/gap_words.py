@@ -120,6 +120,11 @@ def headline(diagnosis: Diagnosis) -> str:
                 f'What would look the same: {" or ".join(_lower(title(name)) for name in names)}.')
     if not found:
         return f'Something disturbs the measurement that is none of the known causes: {unmodelled}.'
+    alone = sum(weight for names, weight in diagnosis.sets if names == (UNKNOWN,))
+    if diagnosis.unmodelled and alone > ALTERNATIVE:
+        said = ' and '.join(f'{_lower(cause(diagnosis, f))} ({percent(f.probability)})' for f in found)
+        return (f'Something acts that is none of the known causes: {unmodelled}. Whether besides it {said}, or one '
+                'cause that has no name does all of it, this log does not tell.')
     if len(found) == 1:
         text = cause(diagnosis, found[0])
         others = alternatives(diagnosis, found[0])

@@ -130,6 +130,18 @@ def test_null_log_is_called_sound(diagnosed):
     assert 'what to do' not in page.text
 
 
+def test_a_name_that_may_be_part_of_something_else_is_said_so(diagnosed):
+    """Which of the two it is the log does not tell; the other cause is none that the name could be exchanged for."""
+    one = replace(diagnosed('backlash', BACKLASH), verdict='partly_explained', unmodelled='spot: off',
+                  sets=((('unknown',), 0.52), (('backlash', 'unknown'), 0.48)))
+    one = replace(one, effects=tuple(replace(f, probability=0.48) for f in one.effects))
+    said = headline(one)
+    assert said.startswith('Something acts that is none of the known causes') and 'does all of it' in said
+    assert '(48 %)' in said and 'Either' not in said
+    sure = replace(one, sets=((('backlash', 'unknown'), 1.0),))
+    assert 'something more that is none' in headline(sure) and 'does all of it' not in headline(sure)
+
+
 def test_wrong_stamps_are_seen_while_axes_move(diagnosed):
     late = Found('clock_skew', 'Stamps are late.', 0.99, {'psd_s': 0.05}, {'psd_s': 1e-4}, 's', '', 1.0, '')
     diagnosis = replace(diagnosed(''), verdict='explained', effects=(late,))
