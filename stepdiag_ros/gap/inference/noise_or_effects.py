@@ -23,7 +23,7 @@ from stepdiag_ros.gap.inference.candidates import Screen
 from stepdiag_ros.gap.inference.discrepancy import Likeliest
 from stepdiag_ros.gap.inference.joint import Active, Joint, fit_jointly, freed, refitted, size_of, unexplained
 from stepdiag_ros.gap.inference.parity import slopes_of
-from stepdiag_ros.gap.inference.search import EffectSet, log_prior
+from stepdiag_ros.gap.inference.search import EffectSet, log_prior, ranked
 from stepdiag_ros.gap.inference.select_effects import noise_of, settle
 from stepdiag_ros.gap.noise.arrival_law import as_it_is, log_evidence, suspicion
 from stepdiag_ros.gap.preprocess.observe import Observation, sane_fit
@@ -112,8 +112,7 @@ def _ahead(nothing: Settled, acting: Settled) -> tuple[float, list[EffectSet]]:
     ahead = acting.evidence - log_prior(sets[0], among) - nothing.without_effects \
         + log_prior(EffectSet((), 0.0), among)
     behind = max(sets[0].log_bayes - ahead, 0.0)
-    return ahead, sorted((replace(s, log_bayes=s.log_bayes - behind) if s.members else s for s in sets),
-                         key=lambda s: (bool(s.refused), -(s.log_bayes + log_prior(s, among))))
+    return ahead, ranked((replace(s, log_bayes=s.log_bayes - behind) if s.members else s for s in sets), among)
 
 
 def _without_outliers(joint: Joint) -> Joint:

@@ -37,6 +37,8 @@ HOPELESS = 60.0
 BEHIND = 0.1
 BEYOND_REACH = 30.0
 """Sets this far behind the best whose discrepancies are in place have no part in the answer, wherever theirs are."""
+EVEN = 0.5
+"""Log odds up to which two sets are about as likely."""
 GAIN = 3.0
 """Least growth of log evidence for which a set is carried on with a further member."""
 
@@ -121,9 +123,15 @@ def search(screen: Screen) -> list[EffectSet]:
                         grown.append(larger)
         front = grown
     found = _each_earned(_best_compositions(_with_imitations(screen, _in_place(screen, sets.values()))))
-    found = list(_best_compositions([*found, *_as_one_cause(found)]).values())
-    among = len({m.effect for m in first.values()})
-    return sorted(found, key=lambda s: (bool(s.refused), -(s.log_bayes + log_prior(s, among))))
+    found = list(_best_compositions([*found, *_as_one_cause(screen, found)]).values())
+    return ranked(found, len({m.effect for m in first.values()}))
+
+
+def ranked(sets: Iterable[EffectSet], among: int) -> list[EffectSet]:
+    """Sets that may be claimed first, the likeliest of ``among`` effects first; of two about as likely that with names."""
+    def likely(found: EffectSet) -> float:
+        return found.log_bayes + log_prior(found, among) + (EVEN if found.key - {UNKNOWN} else 0.0)
+    return sorted(sets, key=lambda found: (bool(found.refused), -likely(found)))
 
 
 def _in_place(screen: Screen, sets: Iterable[EffectSet]) -> Iterator[EffectSet]:
@@ -166,12 +174,13 @@ def _with_imitations(screen: Screen, sets: Iterable[EffectSet]) -> Iterator[Effe
                 if k in restricted else m for k, m in enumerate(found.members)))
 
 
-def _as_one_cause(sets: Iterable[EffectSet]) -> Iterator[EffectSet]:
-    """Sets of names beside physics without a name as one cause that has no name and does all of it: what none of the
+def _as_one_cause(screen: Screen, sets: Iterable[EffectSet]) -> Iterator[EffectSet]:
+    """Sets of names beside a pattern without a name as one cause that has no name and does all of it: what none of the
     forms describes may need those of several, and then a name is one of them by chance."""
     for found in sets:
         names = found.key - {UNKNOWN}
-        if names and not found.refused and any(m.own for m in found.members):
+        if names and not found.refused and any(m.effect == UNKNOWN and not screen.candidates[m.candidate].form.
+                                               of_one_arrival for m in found.members):
             penalty = found.penalty + IMITATION_PENALTY * len(names)
             yield replace(found, members=tuple(m if m.effect == UNKNOWN else replace(m, effect=UNKNOWN, penalty=penalty)
                                                for m in found.members))

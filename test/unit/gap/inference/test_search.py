@@ -307,17 +307,19 @@ def test_what_has_no_name_may_do_what_an_effect_does_and_more():
     assert probabilities(found, 19)[0].get('count_slip', 0.0) < 0.1
 
 
-@pytest.mark.parametrize(('own', 'low', 'high'), [(True, 0.3, 0.6), (False, 0.95, 1.01)])
-def test_a_name_beside_physics_without_a_name_may_be_part_of_it(own, low, high):
-    """One cause that no form describes may need two of them; beside a shapeless pattern a name stays one."""
+@pytest.mark.parametrize(('outlier', 'low', 'high'), [(False, 0.3, 0.5), (True, 0.95, 1.01)])
+def test_a_name_beside_a_pattern_without_one_may_be_part_of_it(outlier, low, high):
+    """One cause that no form describes may need two of them, and the name is said as what it is, possible; beside an
+    arrival that is off a name stays one."""
     rng = np.random.default_rng(8)
     columns = np.linalg.qr(rng.normal(size=(N, 21)))[0].T
     names = [Candidate(f'effect {k}', '', form(f'{k}', columns[[k]], np.full(1, 10.0))) for k in range(20)]
-    other = Candidate(UNKNOWN, 'cell', form('cell', columns[[20]], np.full(1, 10.0)), own=own)
+    other = Candidate(UNKNOWN, 'cell', replace(form('cell', columns[[20]], np.full(1, 10.0)), of_one_arrival=outlier),
+                      own=True)
     data = 15.0 * columns[0] + 15.0 * columns[20] + rng.normal(size=N)
     found = search(Screen(space(data), [*names, other], 1e9))
     likely, _, _ = probabilities(found, 20)
-    assert likely[UNKNOWN] > 0.99 and low < likely['effect 0'] < high
+    assert likely[UNKNOWN] > 0.99 and low < likely['effect 0'] < high and 'effect 0' in found[0].key
     alone = search(Screen(space(data - 15.0 * columns[20]), [*names, other], 1e9))
     assert probabilities(alone, 20)[0]['effect 0'] > 0.99
 
