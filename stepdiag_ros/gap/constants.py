@@ -38,8 +38,8 @@ BEYOND_WEIGHT = 9.0
 """Most effects as which such patterns weigh together, however many families they come in: so many families there were
 when even odds were found right, on four sets for development."""
 IMITATION_PENALTY = 3.0
-"""The same against what has no name and does exactly what an effect does, but of any size, or what one does beside
-physics without a name: one in twenty."""
+"""The same against what has no name and does exactly what an effect does, but of any size, or what one does beside a
+pattern without a name: one in twenty."""
 CONTROL_SHARE = 0.2
 """Share of what an effect's negative controls explain by which a name must beat them."""
 CONFUSED = 3.0

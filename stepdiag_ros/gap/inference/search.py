@@ -128,7 +128,8 @@ def search(screen: Screen) -> list[EffectSet]:
 
 
 def ranked(sets: Iterable[EffectSet], among: int) -> list[EffectSet]:
-    """Sets that may be claimed first, the likeliest of ``among`` effects first; of two about as likely that with names."""
+    """Sets that may be claimed first, the likeliest of ``among`` effects first; of two about as likely
+    that with names."""
     def likely(found: EffectSet) -> float:
         return found.log_bayes + log_prior(found, among) + (EVEN if found.key - {UNKNOWN} else 0.0)
     return sorted(sets, key=lambda found: (bool(found.refused), -likely(found)))
