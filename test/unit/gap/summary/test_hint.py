@@ -135,7 +135,7 @@ def test_what_has_no_shape_takes_the_odds_that_a_name_does(case):
     table, values = reduce_log(log), log.spot.values.copy()
     own = np.random.default_rng(3).normal(size=(4, 16))
     for setup, index, (lo, hi) in zip(table.setup, table.index, table.spot_rows, strict=True):
-        values[lo:hi, 1] += 1.3e-7 * own[setup, index] if setup < len(own) else 0.0
+        values[lo:hi, 1] += 1.36e-7 * own[setup, index] if setup < len(own) else 0.0
     found = diagnose(replace(log, spot=replace(log.spot, values=values)), [kind() for kind in all_effects().values()])
     assert found.hint.found.names == (UNKNOWN,)
     assert ALARM < found.hint.found.log_bayes < found.hint.found.claimed_from == ALARM + UNKNOWN_PENALTY
