@@ -5,8 +5,8 @@ the stops' means each hop looks like a slip of the counter; inside a dwell, wher
 seen by itself, to nanometres.  A slip is one amount whatever the length and comes back at a reset only; what
 steps now up, now down, always by the same share of the length, is a unit that hops.
 
-In each dwell of n samples a step is weighed against a smooth bend (a cubic: what settles or drifts), both
-with the noise that the dwells of the log typically have:
+In each dwell of n samples a step is weighed against a smooth bend (a cubic: what settles or drifts) and one sample
+that is far off, all with the noise that the dwells of the log typically have, a first-order autoregression:
 
     gain = ½ (n + ν) ln((RSS_bend + ν σ²) / (RSS_step + ν σ²)) − ln n.
 """
@@ -23,6 +23,8 @@ from stepdiag_ros.model.log import Samples
 LEAST_SAMPLES = 6
 EDGE = 2
 """Fewest samples on either side of a step."""
+MOST_ALIKE = 0.95
+"""Correlation of neighbouring samples up to which steps are looked for."""
 PRIOR_DOF = 10.0
 """ν: degrees of freedom by which the log's typical noise is known to hold in one dwell."""
 ALIKE = 0.05
@@ -81,23 +83,22 @@ def steps(values: np.ndarray, table: StopTable,
           least: float = SUSPICION) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Stops (k,) in whose dwells the displacement ``values`` (N,) of the samples steps, with log evidence above
     ``least``; the steps (k,) [m], their standard deviations, and the share of each dwell that lies behind its step."""
+    dwells = [(row, values[lo:hi][np.isfinite(values[lo:hi])]) for row, (lo, hi) in enumerate(table.displacement_rows)]
+    dwells = [(row, dwell - dwell[0]) for row, dwell in dwells if len(dwell) >= LEAST_SAMPLES]
+    alike = _alike([dwell for _, dwell in dwells])
     found = []
-    for row, (lo, hi) in enumerate(table.displacement_rows):
-        dwell = values[lo:hi][np.isfinite(values[lo:hi])]
+    for row, dwell in dwells:
         n = len(dwell)
-        if n < LEAST_SAMPLES:
-            continue
-        dwell = dwell - dwell[0]
-        bend = _bend(n)
-        before = np.arange(EDGE, n - EDGE + 1)
-        sums = np.cumsum(dwell)
-        size = (sums[-1] - sums[before - 1]) / (n - before) - sums[before - 1] / before
-        weight = before * (n - before) / n
-        k = int(np.argmax(size**2 * weight))
-        total = float(np.sum((dwell - sums[-1] / n) ** 2))
-        rest = dwell - bend @ (bend.T @ dwell)
-        found.append((row, n, bend.shape[1], size[k], weight[k], total - size[k] ** 2 * weight[k],
-                      float(rest @ rest), 1.0 - before[k] / n))
+        whitened, bend, level_of, step_of = _patterns(n, alike)
+        white = whitened @ dwell
+        along, power = step_of @ white, np.sum(step_of**2, axis=1)
+        k = int(np.argmax(along**2 / power))
+        flat = white - level_of * (level_of @ white)
+        rest = white - bend @ (bend.T @ white)
+        # Or one sample is far off, and those after it go with it.
+        alone = flat @ flat - np.max(flat**2 / np.maximum(1.0 - level_of**2, 1e-9))
+        found.append((row, n, bend.shape[1], along[k] / power[k], power[k], float(flat @ flat) - along[k]**2 / power[k],
+                      min(float(rest @ rest), float(alone)), 1.0 - (EDGE + k) / n))
     row, n, free, size, weight, step, bent, behind = np.array(found).reshape(-1, 8).T
     level = float(np.median(bent / (n - free))) if found else 0.0
     if level <= 0.0:
@@ -108,8 +109,26 @@ def steps(values: np.ndarray, table: StopTable,
     return row[seen].astype(int), size[seen], np.sqrt(level / weight[seen]), behind[seen]
 
 
+def _alike(dwells: list[np.ndarray]) -> float:
+    """Correlation of neighbouring samples: by how much more than those of neighbours the squared differences of every
+    second sample are, what drifts taken off, in the median of the dwells, of which few have a step."""
+    ratios = []
+    for dwell in dwells:
+        drift = (dwell[-1] - dwell[0]) / (len(dwell) - 1)
+        neighbours, seconds = (np.mean((dwell[k:] - dwell[:-k] - k * drift)**2) for k in (1, 2))
+        if neighbours > 0.0:
+            ratios.append(seconds / neighbours)
+    return float(np.round(np.clip(np.median(ratios) - 1.0, 0.0, MOST_ALIKE), 2)) if ratios else 0.0
+
+
 @lru_cache
-def _bend(n: int) -> np.ndarray:
-    """Orthonormal polynomials (n, k) up to a cubic; in a short dwell up to a parabola."""
-    basis, _ = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, n), 4 if n >= 2 * LEAST_SAMPLES - 4 else 3))
-    return basis
+def _patterns(n: int, alike: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Of a dwell of n samples whose neighbours are ``alike``: what makes them white (n, n); all made white, orthonormal
+    polynomials (n, k) up to a cubic, in a short dwell up to a parabola; a level (n,); and steps (s, n) beside it."""
+    whitened = np.eye(n) - alike * np.eye(n, k=-1)
+    whitened[0, 0] = np.sqrt(1.0 - alike**2)
+    bend, _ = np.linalg.qr(whitened @ np.vander(np.linspace(-1.0, 1.0, n), 4 if n >= 2 * LEAST_SAMPLES - 4 else 3))
+    level = whitened.sum(axis=1)
+    level /= np.linalg.norm(level)
+    steps = (np.arange(n) >= np.arange(EDGE, n - EDGE + 1)[:, None]) @ whitened.T
+    return whitened, bend, level, steps - np.outer(steps @ level, level)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from stepdiag_ros.effects.base import Effect, Moment
-from stepdiag_ros.gap.noise.mode_hops import mode_hops
+from stepdiag_ros.gap.noise.mode_hops import mode_hops, steps
 
 COUNT, SIZE, PERIOD_NS = 200, 20, 20_000_000
 DISTANCE = np.linspace(0.3, 1.2, COUNT)
@@ -42,6 +42,20 @@ def test_steps_of_one_share_of_the_length_are_hops():
                          ids=['noise', 'one amount', 'any amounts', 'a single step'])
 def test_noise_and_slips_are_no_hops(sizes):
     assert _seen(_steps(sizes)) is None
+
+
+def test_samples_that_go_with_those_before_them_are_no_steps():
+    """Alike by 0.78, now and then far off: a null log had two 'hops'.  Taken for white three dwells stepped,
+    made white ten, for a sample that is far off takes those after it along."""
+    rng = np.random.default_rng(4)
+    values = np.zeros((2 * COUNT, SIZE))
+    fresh = rng.standard_t(4.2, values.shape)
+    values[:, 0] = fresh[:, 0] / np.sqrt(1.0 - 0.78**2)
+    for k in range(1, SIZE):
+        values[:, k] = 0.78 * values[:, k - 1] + fresh[:, k]
+    rows = np.arange(2 * COUNT)[:, None] * SIZE + np.array([0, SIZE])
+    found = steps(NOISE * values.ravel(), SimpleNamespace(displacement_rows=rows))
+    assert len(found[0]) <= 1
 
 
 def test_what_settles_is_no_hop():
