@@ -14,11 +14,14 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from stepdiag_ros.effects.base import Effect
+from stepdiag_ros.effects.base import Effect, Moment
 from stepdiag_ros.model.log import CalibrationLog
 from stepdiag_ros.virtual.cell import Cell
 
 TimeProfile = Callable[[np.ndarray], np.ndarray]
+UP = np.array([0.0, 0.0, 1.0])
+PLACES = 64
+"""Places of an axis that tables of random numbers keep apart."""
 SLOW = {'log': 0.5, 'setup': 0.15, 'door': 0.15, 'rest': 0.2}
 """With what the time profile of what is warmed begins in wide worlds, and how often."""
 ANY = {'log': 0.4, 'setup': 0.12, 'run': 0.18, 'door': 0.1, 'rest': 0.1, 'jump': 0.1}
@@ -202,7 +205,18 @@ def across(rng: np.random.Generator, axis: int) -> np.ndarray:
     return np.insert(direction(rng, 2), axis, 0.0)
 
 
-def run_of(stage: 'Stage', seconds: np.ndarray) -> np.ndarray:
+def place_of(stage: Stage, moment: Moment, axis: int) -> np.ndarray:
+    """Where an axis stands (n,), 0 to 1 of its travel."""
+    return moment.commanded[:, axis] / stage.travel[axis]
+
+
+def turn_by(moment: Moment, turn: np.ndarray, arm: np.ndarray) -> None:
+    """Turn (n, 3) [rad] the tool at the end of an ``arm`` (3,) or (n, 3) [m]."""
+    moment.turn = moment.turn + turn
+    moment.shift = moment.shift + np.cross(turn, arm)
+
+
+def run_of(stage: Stage, seconds: np.ndarray) -> np.ndarray:
     """Number (n,) of the run that lasts, or that ended last."""
     return np.maximum(np.searchsorted(stage.runs[:, 0] - 1e-6, seconds, side='right') - 1, 0)
 

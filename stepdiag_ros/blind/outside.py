@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from stepdiag_ros.blind.hidden import Hidden, Stage, direction
+from stepdiag_ros.blind.hidden import Hidden, Stage, direction, place_of
 from stepdiag_ros.effects.base import Moment
 from stepdiag_ros.model.log import CalibrationLog
 
@@ -68,7 +68,7 @@ class ThermalBending(Outside):
         self.facts = {'profile': kind, 'axis': self._axis, 'across': self._across, 'waves': self._waves}
 
     def before_pose(self, moment: Moment) -> None:
-        place = moment.commanded[:, self._axis] / self.stage.travel[self._axis]
+        place = place_of(self.stage, moment, self._axis)
         bow = self.size * self._profile(moment.seconds) * np.sin(np.pi * self._waves * place)
         moment.shift = moment.shift + bow[:, None] * np.eye(3)[self._across]
 
@@ -138,7 +138,7 @@ class ReversalTwist(Outside):
         self.facts = {'axis': self._axis, 'vector': self._vector.tolist()}
 
     def before_pose(self, moment: Moment) -> None:
-        place = moment.commanded[:, self._axis] / self.stage.travel[self._axis]
+        place = place_of(self.stage, moment, self._axis)
         drag = self.size * moment.approach[:, self._axis] * (0.5 + place)
         moment.turn = moment.turn + drag[:, None] * self._vector
 

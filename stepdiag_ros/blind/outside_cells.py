@@ -7,7 +7,7 @@ acts are not among them: a dent in the mirror is the mirror's form, a crash that
 
 import numpy as np
 
-from stepdiag_ros.blind.hidden import Stage, direction
+from stepdiag_ros.blind.hidden import Stage, direction, place_of
 from stepdiag_ros.blind.outside import Outside
 from stepdiag_ros.blind.outside_more import states
 from stepdiag_ros.effects.base import Moment
@@ -33,7 +33,7 @@ class ScrewWarmMiddle(Outside):
         self.facts = {'profile': kind, 'axis': self._axis, 'middle': self._middle}
 
     def before_pose(self, moment: Moment) -> None:
-        place = moment.commanded[:, self._axis] / self.stage.travel[self._axis]
+        place = place_of(self.stage, moment, self._axis)
         bump = np.exp(-0.5 * ((place - self._middle) / self._width) ** 2)
         moment.position = moment.position + (self.size * self._profile(moment.seconds) * bump)[:, None] \
             * np.eye(3)[self._axis]
@@ -51,7 +51,7 @@ class GuidewayTwists(Outside):
         self.facts = {'profile': kind, 'axis': self._axis, 'about': self._about}
 
     def before_pose(self, moment: Moment) -> None:
-        place = moment.commanded[:, self._axis] / self.stage.travel[self._axis]
+        place = place_of(self.stage, moment, self._axis)
         machine, turns = moment.description.machine, np.zeros((3, len(place), 3))
         shape = np.sin(np.pi * self._waves * place)
         turns[self._axis, :, self._about] = self.size * self._profile(moment.seconds) * shape
@@ -71,7 +71,7 @@ class TwoFacedGuideway(Outside):
         self.facts = {'axis': self._axis, 'across': self._across, 'waves': self._waves}
 
     def before_pose(self, moment: Moment) -> None:
-        place = moment.commanded[:, self._axis] / self.stage.travel[self._axis]
+        place = place_of(self.stage, moment, self._axis)
         bow = self.size * (moment.approach[:, self._axis] < 0.0) * np.sin(np.pi * self._waves * place)
         moment.shift = moment.shift + bow[:, None] * np.eye(3)[self._across]
 
@@ -210,7 +210,7 @@ class ChipOnGuideway(Outside):
         self.facts = {'axis': self._axis, 'across': self._across, 'place': self._place, 'from_s': self._from}
 
     def before_pose(self, moment: Moment) -> None:
-        place = moment.commanded[:, self._axis] / self.stage.travel[self._axis]
+        place = place_of(self.stage, moment, self._axis)
         lifted = self.size * np.exp(-0.5 * ((place - self._place) / self._width) ** 2) \
             * (moment.seconds >= self._from)
         moment.shift = moment.shift + lifted[:, None] * np.eye(3)[self._across]
@@ -227,7 +227,7 @@ class TiltingFloor(Outside):
         self.facts = {'axis': self._axis}
 
     def before_light(self, moment: Moment) -> None:
-        place = moment.commanded[:, self._axis] / self.stage.travel[self._axis]
+        place = place_of(self.stage, moment, self._axis)
         moment.laser = moment.laser + self.size * (np.clip(place, 0.0, None) ** self._power)[:, None] * self._vector
 
 

@@ -9,16 +9,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from stepdiag_ros.blind.hidden import Stage, chosen_axes, direction, run_of
+from stepdiag_ros.blind.hidden import PLACES, UP, Stage, chosen_axes, direction, place_of, run_of, turn_by
 from stepdiag_ros.blind.outside import Outside
 from stepdiag_ros.effects.base import Moment
 from stepdiag_ros.model.log import CalibrationLog
 from stepdiag_ros.model.path import start_corner
 from stepdiag_ros.model.sensor import station
-
-UP = np.array([0.0, 0.0, 1.0])
-PLACES = 64
-"""Places of an axis that tables of random numbers keep apart."""
 
 
 def travelled(stage: Stage, moment: Moment) -> np.ndarray:
@@ -83,8 +79,7 @@ class ChainHooks(Outside):
         way = travelled(self.stage, moment)[:, self._axis]
         hooked = (moment.approach[:, self._axis] == self._sense) & (way > self._hook) & (way < self._free[run])
         turn = (self.size * self._pull[run] * hooked * (way - self._hook) / 0.4)[:, None] * self._vector
-        moment.turn = moment.turn + turn
-        moment.shift = moment.shift + np.cross(turn, self._arm)
+        turn_by(moment, turn, self._arm)
 
 
 class MeasuringWheelSlips(Outside):
@@ -127,7 +122,7 @@ class LaggingCompensation(Outside):
         self.facts = {'over': self._over, 'corrected': self._corrected, 'table': self._table.tolist()}
 
     def before_pose(self, moment: Moment) -> None:
-        place = moment.commanded[:, self._over] / self.stage.travel[self._over]
+        place = place_of(self.stage, moment, self._over)
         before = np.clip(place - self._step * moment.approach[:, self._over], 0.0, 1.0)
         late = np.interp(before, self._places, self._table) - np.interp(place, self._places, self._table)
         error = self.size * late * (moment.moved == self._over)
@@ -153,7 +148,7 @@ class BrokenTemperatureWire(Outside):
         self.facts = {'axis': self._axis, 'fixed': self._fixed, 'stay_s': stay}
 
     def before_pose(self, moment: Moment) -> None:
-        place = moment.commanded[:, self._axis] / self.stage.travel[self._axis]
+        place = place_of(self.stage, moment, self._axis)
         error = self.size * np.interp(moment.seconds, self._grid, self._applied) * (place - self._fixed)
         moment.position = moment.position + error[:, None] * np.eye(3)[self._axis]
 
@@ -235,8 +230,8 @@ class AirPressureDips(Outside):
         turn = (dip * (1.0 + self._lean * (2.0 * place[:, self._axis] - 1.0)))[:, None] * self._tip
         # The lower the head hangs the longer is its arm below the pads.
         arm = np.array(moment.description.machine.tool) + (moment.commanded - self.stage.travel) * UP - 0.1 * UP
-        moment.turn = moment.turn + turn
-        moment.shift = moment.shift + np.cross(turn, arm) - dip[:, None] * self._pads * UP
+        turn_by(moment, turn, arm)
+        moment.shift = moment.shift - dip[:, None] * self._pads * UP
 
 
 # ---- mirror, light, detector ------------------------------------------------------------------------
@@ -307,7 +302,7 @@ class CoolantDrops(Outside):
 
 
 class ChuckGlints(Outside):
-    """a bright chuck glints: in one part of one setup's path stray light falls beside the spot and draws it there"""
+    """a bright chuck glints: in one part of one setup's path its light falls beside the spot and draws it there"""
 
     name, typical, largest = 'chuck_glints', 5e-6, 1e-3
 

@@ -10,33 +10,23 @@ from dataclasses import replace
 
 import numpy as np
 
-from stepdiag_ros.blind.hidden import Stage, across, direction, run_of
+from stepdiag_ros.blind.hidden import PLACES, UP, Stage, across, direction, place_of, run_of, turn_by
 from stepdiag_ros.blind.outside import Outside
 from stepdiag_ros.effects.base import Moment
 from stepdiag_ros.model.log import CalibrationLog
 from stepdiag_ros.model.path import start_corner
 from stepdiag_ros.model.sensor import station
 
-UP = np.array([0.0, 0.0, 1.0])
-PLACES = 64
-"""Places of an axis that tables of random numbers keep apart."""
-
-
-def place_of(stage: Stage, moment: Moment, axis: int) -> np.ndarray:
-    """Where an axis stands (n,), 0 to 1 of its travel."""
-    return moment.commanded[:, axis] / stage.travel[axis]
-
 
 def stop_of(stage: Stage, moment: Moment, axis: int) -> np.ndarray:
-    """The same as number (n,) of the plan's step; within a run an axis comes to each but once."""
+    """At which step (n,) of the plan an axis stands; within a run an axis comes to each but once."""
     steps = stage.cell.description.plan.steps
     return np.clip(np.rint(place_of(stage, moment, axis) * steps), 0, PLACES - 1).astype(int)
 
 
 def rock(moment: Moment, turn: np.ndarray, pivot: np.ndarray) -> None:
     """Turn (n, 3) [rad] the tool, with all that carries it, about ``pivot`` (3,) [m]."""
-    moment.turn = moment.turn + turn
-    moment.shift = moment.shift + np.cross(turn, moment.commanded + np.array(moment.description.machine.tool) - pivot)
+    turn_by(moment, turn, moment.commanded + np.array(moment.description.machine.tool) - pivot)
 
 
 def telegraph(rng: np.random.Generator, span_s: float, low_s: float, high_s: float) -> np.ndarray:
@@ -165,9 +155,7 @@ class ClampTips(Outside):
         self.facts = {'axis': self._axis, 'vector': self._vector.tolist()}
 
     def before_pose(self, moment: Moment) -> None:
-        clamped = self.size * (moment.moved != self._axis)[:, None]
-        moment.turn = moment.turn + clamped * self._vector
-        moment.shift = moment.shift + clamped * np.cross(self._vector, self._arm)
+        turn_by(moment, self.size * (moment.moved != self._axis)[:, None] * self._vector, self._arm)
 
 
 # ---- bed and feet -------------------------------------------------------------------------------
@@ -284,9 +272,7 @@ class HeadUnclamped(Outside):
     def before_pose(self, moment: Moment) -> None:
         arm = np.array(moment.description.machine.tool) - self._pivot * UP
         stop = stop_of(self.stage, moment, self._axis)
-        turn = self.size * self._turn[run_of(self.stage, moment.seconds), stop][:, None]
-        moment.turn = moment.turn + turn * self._swivel
-        moment.shift = moment.shift + turn * np.cross(self._swivel, arm)
+        turn_by(moment, self.size * self._turn[run_of(self.stage, moment.seconds), stop][:, None] * self._swivel, arm)
 
 
 # ---- laser and counter --------------------------------------------------------------------------
@@ -308,7 +294,7 @@ class UnlockedLaser(Outside):
 
 
 class CutDigits(Outside):
-    """lengths are sent as text with too few digits, and what is left over is cut off towards zero"""
+    """lengths are sent as text with too few digits, and the rest is cut off towards zero"""
 
     name, typical, largest, random = 'cut_digits', 5e-6, 1e-4, True
 
@@ -428,8 +414,7 @@ class CounterbalancePump(Outside):
         # The lower the head hangs, the longer the column that the force bends.
         arm = 0.6 + 0.8 * place_of(self.stage, moment, 2)
         turn = self.size * (pressure * arm)[:, None] * self._axis
-        moment.turn = moment.turn + turn
-        moment.shift = moment.shift + np.cross(turn, self._overhang)
+        turn_by(moment, turn, self._overhang)
 
 
 class OperatorLeans(Outside):

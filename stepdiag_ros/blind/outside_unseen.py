@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from stepdiag_ros.blind.hidden import Stage, across, direction
+from stepdiag_ros.blind.hidden import Stage, across, direction, place_of, run_of, turn_by
 from stepdiag_ros.blind.outside import Outside
 from stepdiag_ros.effects.base import Moment
 from stepdiag_ros.model.air import WAVELENGTH
@@ -104,12 +104,10 @@ class RollerCageCreep(Outside):
         self.facts = {'axis': self._axis, 'waves': self._waves}
 
     def before_pose(self, moment: Moment) -> None:
-        run = np.searchsorted(self.stage.runs[:, 0], moment.seconds, side='right') - 1
-        place = moment.commanded[:, self._axis] / self.stage.travel[self._axis]
-        phase = 2.0 * np.pi * self._waves * place + self._phase[np.maximum(run, 0)]
+        place = place_of(self.stage, moment, self._axis)
+        phase = 2.0 * np.pi * self._waves * place + self._phase[run_of(self.stage, moment.seconds)]
         turn = self.size * (np.sin(phase) + self._second * np.sin(2.0 * phase + 1.0))[:, None] * self._turn
-        moment.turn = moment.turn + turn
-        moment.shift = moment.shift + np.cross(turn, self._lever)
+        turn_by(moment, turn, self._lever)
 
 
 class ChipOnRail(Outside):

@@ -19,6 +19,12 @@ def last_arrivals(view: StopView) -> tuple[np.ndarray, np.ndarray]:
     return moved, before
 
 
+def by_last_moves(view: StopView, moved: np.ndarray, derivative: np.ndarray) -> np.ndarray:
+    """Derivatives (k, n, c) after the last move of each axis, in the direction in which it was, (3·k, n, c); ``moved``
+    (n, 3) as :func:`last_arrivals` says."""
+    return np.einsum('ni,knc->iknc', moved * view.approach, derivative).reshape(-1, *derivative.shape[1:])
+
+
 def _at_rest(along: np.ndarray, mean: np.ndarray) -> np.ndarray:
     """Directions (a, n, c) times each mean (k, n) over the dwells: (a·k, n, c)."""
     return np.einsum('anc,kn->aknc', along, mean).reshape(-1, *along.shape[1:])

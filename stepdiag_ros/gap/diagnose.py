@@ -85,11 +85,9 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
               *([_shaking(effects, disturbances.dwell_spectrum.displacement)] if shakes else [])]
     outside = {f.name: f.probability for f in beside}
     found = sorted([*found, *beside], key=lambda f: -f.probability)
+    patterns = [(m.log_bayes, screen.candidates[m.candidate]) for m in best.members if m.effect == UNKNOWN]
     # What does as an effect does, beside a pattern, is the smaller news.
-    patterns = [m for m in best.members if m.effect == UNKNOWN and screen.candidates[m.candidate].effect == UNKNOWN] \
-        or [m for m in best.members if m.effect == UNKNOWN]
-    unmodelled = _pattern(screen.candidates[max(patterns, key=lambda m: m.log_bayes).candidate], effects) \
-        if patterns else ''
+    unmodelled = _pattern(max(patterns, key=lambda p: (p[1].effect == UNKNOWN, p[0]))[1], effects) if patterns else ''
     unmodelled = unmodelled or (UNTIMED if untimed else '')
     before, instead = disturbances.words({name: names.get(name, 0.0) for name in best.key})
     unmodelled = before or unmodelled or instead

@@ -15,7 +15,7 @@ from itertools import product
 import numpy as np
 
 from stepdiag_ros.effects.base import Effect, Form, StopView
-from stepdiag_ros.effects.fading import fading_columns, last_arrivals, swing_means
+from stepdiag_ros.effects.fading import by_last_moves, fading_columns, last_arrivals, swing_means
 from stepdiag_ros.effects.tuning import tunable
 from stepdiag_ros.gap.alternatives.unmodelled import NAME, lasting_jumps, pattern_form
 from stepdiag_ros.gap.alternatives.where_and_how import BEARINGS, table_families
@@ -168,7 +168,7 @@ def _ringing(view: StopView) -> Iterator[Form]:
     since = view.bin_time + before[:, None]
     for what, derivative in (('mirror', view.by_mirror), ('beam', view.by_laser)):
         alike = derivative * moved.any(axis=1)[:, None]
-        by_axis = np.einsum('ni,anc->ianc', moved * view.approach, derivative).reshape(-1, *view.reading.shape)
+        by_axis = by_last_moves(view, moved, derivative)
         for how, along in (('each move', alike), ('the moves of each axis', by_axis)):
             for hertz in RINGS:
                 yield _ring(since, f'{what}: rings after {how}', along, hertz, RING_TAU)

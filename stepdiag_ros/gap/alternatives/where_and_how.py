@@ -9,14 +9,15 @@ in few parameters; it has no name, and which one a log shows is said in its labe
 Cells that the 21 errors are (an axis shifted by its own place) or that a name has are left out.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 
 import numpy as np
 from numpy.polynomial import legendre
 
 from stepdiag_ros.effects.base import Form, StopView
-from stepdiag_ros.effects.fading import bin_means, fading_columns, last_arrivals
+from stepdiag_ros.effects.fading import bin_means, by_last_moves, fading_columns, last_arrivals
 from stepdiag_ros.effects.made import Split
 from stepdiag_ros.effects.patterns import MOST_OWN, anew
 from stepdiag_ros.effects.timeforms import TimeProfile, drift_form, exponential, linear, unknown
@@ -39,7 +40,6 @@ CREEP_S = (30.0, 200.0)
 """… with which what stands on something creeps …"""
 JOLTED_S = 0.7
 """… and with which fades what a move rocks; they are tuned."""
-MACHINE = 'the machine on its feet'
 PERIODS_M = tuple(np.geomspace(1.5e-4, 1e-3, 7))
 """Periods tried [m] of what swings as the spot wanders; they are tuned."""
 BEARINGS = 8
@@ -67,9 +67,12 @@ class Where:
 
 def table_families(view: StopView) -> dict[str, list[Form]]:
     """The cells by what is followed."""
+    machine = _machine(view)
+    sides = [*(_carried(view, axis) for axis in range(3)), *machine]
     return {'place': _shown(_by_place(view)), 'distance': _shown(_by_distance(view)),
-            'direction': _shown(_by_direction(view)), 'history': _shown(_by_history(view)),
-            'time': list(_turned_in_time(view)), 'shape': list(_shapes_in_time(view)),
+            'direction': _shown(_by_direction(view)),
+            'history': _shown(chain(_by_history(view), _jolts(view, machine), _creeps(view, sides))),
+            'time': list(_turned_in_time(view, sides)), 'shape': list(_shapes_in_time(view)),
             'fringes': _shown(_fringes(view))}
 
 
@@ -88,15 +91,18 @@ def _tool(view: StopView, axis: int) -> Where:
     return Where('tool: turned', view.by_motion[6 * axis + 3:6 * axis + 6], 2e-6, 'rad')
 
 
-def _sides(view: StopView) -> Iterator[Where]:
-    """What each axis carries of the tool, and all of it about the machine's feet, turned and shifted."""
+def _carried(view: StopView, axis: int) -> Where:
+    """What an axis carries of the tool, turned and shifted."""
+    return Where(f'what {AXES[axis]} carries: turned and shifted',
+                 np.concatenate([_tool(view, axis).columns, view.by_shift]), 2e-6, '1')
+
+
+def _machine(view: StopView) -> list[Where]:
+    """All that carries the tool about the machine's feet, turned and shifted; nothing where the table alone moves."""
     machine = view.description.machine
-    for axis, letter in enumerate(AXES):
-        turned = view.by_motion[6 * axis + 3:6 * axis + 6]
-        yield Where(f'what {letter} carries: turned and shifted', np.concatenate([turned, view.by_shift]), 2e-6, '1')
     outer = machine.chain[-1]
     if outer == 'F':
-        return
+        return []
     # A turn of the outermost axis, its lever another: all places and the tool are turned.
     axis, whole = AXES.index(outer), []
     for k, about in enumerate(np.eye(3)):
@@ -105,7 +111,7 @@ def _sides(view: StopView) -> Iterator[Where]:
         own = carried(machine.chain, view.commanded, 0.0 * turns, turns, np.array(machine.tool))
         arm = np.cross(about, view.commanded + machine.tool) - own
         whole.append(view.by_motion[6 * axis + 3 + k] + np.einsum('nj,jnc->nc', arm, view.by_shift))
-    yield Where(f'{MACHINE}: turned and shifted', np.concatenate([whole, view.by_shift]), 2e-6, '1')
+    return [Where('the machine on its feet: turned and shifted', np.concatenate([whole, view.by_shift]), 2e-6, '1')]
 
 
 def _beam(view: StopView) -> Where:
@@ -190,16 +196,13 @@ def _by_direction(view: StopView) -> Iterator[Form]:
 
 def _by_history(view: StopView) -> Iterator[Form]:
     """Something follows which axis moved last, or in which direction that was; the detector shows in part what it saw
-    before, a bed stays bent to where an axis stood, feet of rubber rock for a while."""
+    before."""
     moved = last_arrivals(view)[0].T.astype(float)
     unsettled = ~moved.any(axis=0)
     for where in (*_axes(view), _beam(view), _mirror(view), _length(view), _spot(view)):
         yield where.following(view, 'by which axis moved last', moved, unsettled)
         yield where.following(view, 'by the last move, each axis in its direction', moved * view.approach.T, unsettled)
     yield from (_remembered(view, tau) for tau in MEMORY_S)
-    sides = list(_sides(view))
-    yield from (_jolted(view, side, JOLTED_S) for side in sides if side.label.startswith(MACHINE))
-    yield from (_stays(view, side, axis, tau) for side in sides for axis, _ in _moving(view) for tau in CREEP_S)
 
 
 def _behind(view: StopView, values: np.ndarray, tau: float) -> np.ndarray:
@@ -212,18 +215,36 @@ def _behind(view: StopView, values: np.ndarray, tau: float) -> np.ndarray:
     return behind
 
 
-def _stays(view: StopView, side: Where, axis: int, tau: float) -> Form:
-    """What bends under an axis's weight follows where it stands with a time constant ``tau`` [s]."""
-    share = view.commanded[:, [axis]] / view.description.machine.volume[axis]
-    form = side.following(view, f'by where {AXES[axis]} stood before, over {tau:.2g} s', _behind(view, share, tau).T)
-    return tunable(form, 'tau_s', tau, lambda other: _stays(view, side, axis, other))
+def _creeps(view: StopView, sides: Sequence[Where]) -> Iterator[Form]:
+    """A bed stays bent to where an axis stood."""
+    for axis, _ in _moving(view):
+        for tau in CREEP_S:
+            behind = _place_behind(view, axis, tau)
+            yield from (_creeping(view, side, axis, tau, behind) for side in sides)
+
+
+def _place_behind(view: StopView, axis: int, tau: float) -> np.ndarray:
+    """By what what follows an axis's place with a time constant ``tau`` [s] is behind it (1, n), as a share of the
+    travel."""
+    return _behind(view, view.commanded[:, [axis]] / view.description.machine.volume[axis], tau).T
+
+
+def _creeping(view: StopView, side: Where, axis: int, tau: float, behind: np.ndarray) -> Form:
+    form = side.following(view, f'by where {AXES[axis]} stood before, over {tau:.2g} s', behind)
+    return tunable(form, 'tau_s', tau,
+                   lambda other: _creeping(view, side, axis, other, _place_behind(view, axis, other)))
+
+
+def _jolts(view: StopView, machine: Sequence[Where]) -> Iterator[Form]:
+    """Feet of rubber rock for a while after each move."""
+    return (_jolted(view, where, JOLTED_S) for where in machine)
 
 
 def _jolted(view: StopView, where: Where, tau: float) -> Form:
     """Each move of an axis leaves something behind, by the direction in which it was, that fades in the dwell with a
     time constant ``tau`` [s]."""
     moved, before = last_arrivals(view)
-    along = np.einsum('ni,knc->iknc', moved * view.approach, where.columns).reshape(-1, *view.reading.shape)
+    along = by_last_moves(view, moved, where.columns)
     columns, inside = fading_columns(along, bin_means(view.bin_time + before[:, None], tau)[None])
     form = replace(numbered_form(f'{where.label} by the last move, fading with {tau:.2g} s', columns, where.scale,
                                  where.units), inside=inside)
@@ -253,11 +274,11 @@ def _paces(view: StopView) -> tuple[list[TimeProfile], list[TimeProfile]]:
             [unknown(time, most=WAVES)[-1], *again])
 
 
-def _turned_in_time(view: StopView) -> Iterator[Form]:
+def _turned_in_time(view: StopView, sides: Sequence[Where]) -> Iterator[Form]:
     """What carries the tool turns and shifts with time, at all places alike: a shift alone has a name, and so have the
     mirror's turns in its mount and the beam's, none of which has a lever."""
     paces = [pace for each in _paces(view) for pace in each]
-    for side in _sides(view):
+    for side in sides:
         names = tuple(str(i) for i in range(len(side.columns)))
         for pace in paces:
             yield drift_form(view, pace, side.columns, names, np.full(len(names), side.scale), side.label, side.units)

@@ -6,7 +6,7 @@ each further one given those before, the largest over the orders.  A form's coef
 set, are free: what is left is what nothing in the set can explain.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
@@ -170,9 +170,7 @@ def _with_imitations(screen: Screen, sets: Iterable[EffectSet]) -> Iterator[Effe
         yield replace(found, log_bayes=found.log_bayes + evidence)
         # As forms of one cause each of them must bring what a further form must.
         if UNKNOWN not in found.key or all(m.log_bayes >= MEMBER_ALARM for m in found.members):
-            yield replace(found, members=tuple(
-                replace(m, effect=UNKNOWN, penalty=IMITATION_PENALTY)
-                if k in restricted else m for k, m in enumerate(found.members)))
+            yield _imitating(found, {found.members[k].effect for k in restricted}, IMITATION_PENALTY)
 
 
 def _as_one_cause(screen: Screen, sets: Iterable[EffectSet]) -> Iterator[EffectSet]:
@@ -182,9 +180,13 @@ def _as_one_cause(screen: Screen, sets: Iterable[EffectSet]) -> Iterator[EffectS
         names = found.key - {UNKNOWN}
         if names and not found.refused and any(m.effect == UNKNOWN and not screen.candidates[m.candidate].form.
                                                of_one_arrival for m in found.members):
-            penalty = found.penalty + IMITATION_PENALTY * len(names)
-            yield replace(found, members=tuple(m if m.effect == UNKNOWN else replace(m, effect=UNKNOWN, penalty=penalty)
-                                               for m in found.members))
+            yield _imitating(found, names, found.penalty + IMITATION_PENALTY * len(names))
+
+
+def _imitating(found: EffectSet, names: Collection[str], penalty: float) -> EffectSet:
+    """The set with what has no name in the place of some ``names``, at log prior odds ``penalty`` against it."""
+    return replace(found, members=tuple(replace(m, effect=UNKNOWN, penalty=penalty) if m.effect in names else m
+                                        for m in found.members))
 
 
 def _repeated(screen: Screen, found: EffectSet) -> Iterator[EffectSet]:

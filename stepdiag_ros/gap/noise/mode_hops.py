@@ -23,7 +23,7 @@ from stepdiag_ros.model.log import Samples
 LEAST_SAMPLES = 6
 EDGE = 2
 """Fewest samples on either side of a step."""
-MOST_ALIKE = 0.95
+MOST_CORRELATED = 0.95
 """Correlation of neighbouring samples up to which steps are looked for."""
 PRIOR_DOF = 10.0
 """ν: degrees of freedom by which the log's typical noise is known to hold in one dwell."""
@@ -85,19 +85,20 @@ def steps(values: np.ndarray, table: StopTable,
     ``least``; the steps (k,) [m], their standard deviations, and the share of each dwell that lies behind its step."""
     dwells = [(row, values[lo:hi][np.isfinite(values[lo:hi])]) for row, (lo, hi) in enumerate(table.displacement_rows)]
     dwells = [(row, dwell - dwell[0]) for row, dwell in dwells if len(dwell) >= LEAST_SAMPLES]
-    alike = _alike([dwell for _, dwell in dwells])
+    correlation = _correlation([dwell for _, dwell in dwells])
     found = []
     for row, dwell in dwells:
         n = len(dwell)
-        whitened, bend, level_of, step_of = _patterns(n, alike)
-        white = whitened @ dwell
-        along, power = step_of @ white, np.sum(step_of**2, axis=1)
+        shapes = _Shapes.of(n, correlation)
+        white = shapes.whitened @ dwell
+        along, power = shapes.step @ white, shapes.power
         k = int(np.argmax(along**2 / power))
-        flat = white - level_of * (level_of @ white)
-        rest = white - bend @ (bend.T @ white)
+        flat = white - shapes.level * (shapes.level @ white)
+        rest = white - shapes.bend @ (shapes.bend.T @ white)
         # Or one sample is far off, and those after it go with it.
-        alone = flat @ flat - np.max(flat**2 / np.maximum(1.0 - level_of**2, 1e-9))
-        found.append((row, n, bend.shape[1], along[k] / power[k], power[k], float(flat @ flat) - along[k]**2 / power[k],
+        alone = flat @ flat - np.max(flat**2 / np.maximum(1.0 - shapes.level**2, 1e-9))
+        found.append((row, n, shapes.bend.shape[1], along[k] / power[k], power[k],
+                      float(flat @ flat) - along[k]**2 / power[k],
                       min(float(rest @ rest), float(alone)), 1.0 - (EDGE + k) / n))
     row, n, free, size, weight, step, bent, behind = np.array(found).reshape(-1, 8).T
     level = float(np.median(bent / (n - free))) if found else 0.0
@@ -109,7 +110,7 @@ def steps(values: np.ndarray, table: StopTable,
     return row[seen].astype(int), size[seen], np.sqrt(level / weight[seen]), behind[seen]
 
 
-def _alike(dwells: list[np.ndarray]) -> float:
+def _correlation(dwells: list[np.ndarray]) -> float:
     """Correlation of neighbouring samples: by how much more than those of neighbours the squared differences of every
     second sample are, what drifts taken off, in the median of the dwells, of which few have a step."""
     ratios = []
@@ -118,17 +119,32 @@ def _alike(dwells: list[np.ndarray]) -> float:
         neighbours, seconds = (np.mean((dwell[k:] - dwell[:-k] - k * drift)**2) for k in (1, 2))
         if neighbours > 0.0:
             ratios.append(seconds / neighbours)
-    return float(np.round(np.clip(np.median(ratios) - 1.0, 0.0, MOST_ALIKE), 2)) if ratios else 0.0
+    return float(np.round(np.clip(np.median(ratios) - 1.0, 0.0, MOST_CORRELATED), 2)) if ratios else 0.0
 
 
-@lru_cache
-def _patterns(n: int, alike: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Of a dwell of n samples whose neighbours are ``alike``: what makes them white (n, n); all made white, orthonormal
-    polynomials (n, k) up to a cubic, in a short dwell up to a parabola; a level (n,); and steps (s, n) beside it."""
-    whitened = np.eye(n) - alike * np.eye(n, k=-1)
-    whitened[0, 0] = np.sqrt(1.0 - alike**2)
-    bend, _ = np.linalg.qr(whitened @ np.vander(np.linspace(-1.0, 1.0, n), 4 if n >= 2 * LEAST_SAMPLES - 4 else 3))
-    level = whitened.sum(axis=1)
-    level /= np.linalg.norm(level)
-    steps = (np.arange(n) >= np.arange(EDGE, n - EDGE + 1)[:, None]) @ whitened.T
-    return whitened, bend, level, steps - np.outer(steps @ level, level)
+@dataclass(frozen=True)
+class _Shapes:
+    """What a dwell of n samples of one ``correlation`` may look like.
+
+    ``whitened`` (n, n): what makes it white; all made white, ``bend`` (n, k): orthonormal polynomials up to a cubic, in
+    a short dwell up to a parabola; ``level`` (n,): a constant, of length one; ``step`` (s, n): steps beside it, of
+    ``power`` (s,).
+    """
+
+    whitened: np.ndarray
+    bend: np.ndarray
+    level: np.ndarray
+    step: np.ndarray
+    power: np.ndarray
+
+    @staticmethod
+    @lru_cache
+    def of(n: int, correlation: float) -> '_Shapes':
+        whitened = np.eye(n) - correlation * np.eye(n, k=-1)
+        whitened[0, 0] = np.sqrt(1.0 - correlation**2)
+        bend, _ = np.linalg.qr(whitened @ np.vander(np.linspace(-1.0, 1.0, n), 4 if n >= 2 * LEAST_SAMPLES - 4 else 3))
+        level = whitened.sum(axis=1)
+        level /= np.linalg.norm(level)
+        step = (np.arange(n) >= np.arange(EDGE, n - EDGE + 1)[:, None]) @ whitened.T
+        step -= np.outer(step @ level, level)
+        return _Shapes(whitened, bend, level, step, np.sum(step**2, axis=1))
