@@ -34,22 +34,29 @@ COUNTED = 1e4
 """Most steps that are counted in a difference of readings: over the way between two stops, millions of steps, not even
 the seventh digit of the step tells a whole number."""
 LEAST_TOLD = 0.005
-"""Share of the samples below which what is left out is not spoken of."""
+"""Share of the samples below which what is left out is not spoken of …"""
+HUNG = 10
+"""… but for rows of so many repetitions: an instrument that is asked too soon repeats a reading once or twice."""
 
 
 @dataclass(frozen=True)
 class LeftOut:
-    """Shares of one sensor's samples in the dwells: without signal, repeated, spikes."""
+    """Shares of one sensor's samples in the dwells: without signal, repeated, spikes; ``hung`` (k,) [s]: how long each
+    time for which its driver sent one reading again and again."""
 
     dark: float
     repeated: float
     spikes: float
+    hung: np.ndarray
 
     def words(self, sensor: str) -> str:
         """What was left out, '' where it is hardly anything."""
         parts = [f'{100.0 * share:.2g} % {what}' for share, what in (
             (self.dark, 'without signal'), (self.repeated, 'repeating the reading before'),
             (self.spikes, 'single spikes')) if share >= LEAST_TOLD]
+        if len(self.hung):
+            parts.append(f'those of {len(self.hung)} times for which it sent one reading again and again, '
+                         f'{self.hung.max():.2g} s at most (does its driver hang? see to its cable and its computer)')
         return f'{sensor}: samples left out: {", ".join(parts)}' if parts else ''
 
 
@@ -99,7 +106,7 @@ def _dark(intensity: np.ndarray) -> np.ndarray:
 def _clean(log: CalibrationLog, samples: Samples, dark: np.ndarray, ends: bool) -> tuple[Samples, LeftOut]:
     used = np.isfinite(samples.values).any(axis=0)
     if not used.any():
-        return samples, LeftOut(0.0, 0.0, 0.0)
+        return samples, LeftOut(0.0, 0.0, 0.0, np.zeros(0))
     values = np.where(dark[:, None], np.nan, samples.values)
     dwell = _dwell_of(log, samples)
     inside = dwell >= 0
@@ -110,7 +117,15 @@ def _clean(log: CalibrationLog, samples: Samples, dark: np.ndarray, ends: bool) 
     values[spikes] = np.nan
     count = max(int(inside.sum()), 1)
     return replace(samples, values=values), LeftOut(dark.sum() / count, (repeated & inside).sum() / count,
-                                                    spikes.sum() / count)
+                                                    spikes.sum() / count, _hung(samples.time_ns, repeated))
+
+
+def _hung(time_ns: np.ndarray, repeated: np.ndarray) -> np.ndarray:
+    """Times [s] (k,) for which one reading was ``repeated`` (n,), ``HUNG`` times and more on end."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], repeated, [False]]).astype(np.int8)))
+    first, last = edges[::2], edges[1::2] - 1
+    long = last - first + 1 >= HUNG
+    return (time_ns[last[long]] - time_ns[first[long] - 1]) * 1e-9
 
 
 def _dwell_of(log: CalibrationLog, samples: Samples) -> np.ndarray:

@@ -110,6 +110,23 @@ def test_an_evaluation_leaves_out_what_is_no_reading(case):
     assert any('repeating the reading before' in words for words in untidy.warnings)
 
 
+def test_a_driver_that_hangs_is_said_and_its_readings_are_none(case):
+    """It sent its last spot again and again for a second, through a move and the dwell behind it, newly stamped."""
+    log = case.log()
+    values, rows = log.spot.values.copy(), reduce_log(log).spot_rows
+    begins = rows[[3, 11], 0] + 5
+    ends = rows[[5, 12], 1]
+    for begin, end in zip(begins, ends, strict=True):
+        values[begin:end] = values[begin - 1]
+    hung = replace(log, spot=replace(log.spot, values=values))
+    found, words = clean(hung)
+    assert all(np.isnan(found.spot.values[begin:end]).all() for begin, end in zip(begins, ends, strict=True))
+    time = log.spot.time_ns * 1e-9
+    longest = max(time[end - 1] - time[begin - 1] for begin, end in zip(begins, ends, strict=True))
+    assert f'2 times for which it sent one reading again and again, {longest:.2g} s at most' in words[0]
+    assert diagnose(hung, [kind() for kind in all_effects().values()]).verdict == 'no_gap'
+
+
 def test_a_log_without_intensity_is_believed(case):
     log = case.log()
     assert not clean(replace(log, spot=replace(log.spot, health=np.zeros(len(log.spot)))))[1]
