@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from stepdiag_ros.model.log import DWELL, CalibrationLog, Samples
+from stepdiag_ros.model.log import DWELL, NONE, CalibrationLog, Samples
 
 DARK = 0.1
 """Share of the light of most samples below which a detector tells no place."""
@@ -108,10 +108,11 @@ def _clean(log: CalibrationLog, samples: Samples, dark: np.ndarray, ends: bool) 
     if not used.any():
         return samples, LeftOut(0.0, 0.0, 0.0, np.zeros(0))
     values = np.where(dark[:, None], np.nan, samples.values)
-    dwell = _dwell_of(log, samples)
+    dwell, way = _dwell_of(log, samples)
     inside = dwell >= 0
     dark = inside & ~np.isfinite(values[:, used]).all(axis=1)
-    repeated = _repeated(values[:, used], dwell) | _carried_over(values[:, used], dwell, samples.setup)
+    repeated = _repeated(values[:, used], dwell) | _carried_over(values[:, used], dwell, samples.setup) \
+        | _stood_still(values[:, used], dwell, samples.setup, way)
     values[repeated] = np.nan
     spikes = _spikes(values[:, used], dwell, samples.setup, ends)
     values[spikes] = np.nan
@@ -128,14 +129,15 @@ def _hung(time_ns: np.ndarray, repeated: np.ndarray) -> np.ndarray:
     return (time_ns[last[long]] - time_ns[first[long] - 1]) * 1e-9
 
 
-def _dwell_of(log: CalibrationLog, samples: Samples) -> np.ndarray:
-    """Number (n,) of the dwell in which each sample was taken; −1: in none."""
+def _dwell_of(log: CalibrationLog, samples: Samples) -> tuple[np.ndarray, np.ndarray]:
+    """Number (n,) of the dwell in which each sample was taken, −1: in none; by setup and axis, a number (m,) for the
+    kind of move that led to each, −1: none did."""
     events = log.steps
     order = np.argsort(events.time_ns, kind='stable')
     phase, time = events.phase[order], events.time_ns[order]
     last = np.searchsorted(time, samples.time_ns, side='right') - 1
     resting = (last >= 0) & (phase[np.maximum(last, 0)] == DWELL)
-    return np.where(resting, last, -1)
+    return np.where(resting, last, -1), np.where(events.axis == NONE, -1, events.setup * NONE + events.axis)[order]
 
 
 def _in_one_dwell(dwell: np.ndarray) -> np.ndarray:
@@ -186,6 +188,28 @@ def _carried_over(values: np.ndarray, dwell: np.ndarray, setup: np.ndarray) -> n
         end = begin + int(np.argmin(np.append(same[begin:], False)))
         if end < len(values) and dwell[end] == dwell[begin]:
             out[begin:end] = np.any(np.abs(values[end] - values[begin]) > SPIKE * noise[end])
+    return out
+
+
+def _stood_still(values: np.ndarray, dwell: np.ndarray, setup: np.ndarray, way: np.ndarray) -> np.ndarray:
+    """Samples (n,) that are, to the last bit, the reading from before a move, through all of it and on into the dwell
+    behind it, where most moves of that kind, ``way`` (m,) by dwell, change it by more than a spike.
+
+    Readings in steps repeat themselves at rest, so that nothing else tells the dwells that were never measured.
+    """
+    out = np.zeros(len(values), bool)
+    kept = np.flatnonzero((dwell >= 0) & np.isfinite(values).all(axis=1))
+    if len(kept) < 2:
+        return out
+    noise = np.stack([_noise(values[:, k], dwell, setup) for k in range(values.shape[1])], axis=1)
+    last, first = kept[:-1][np.diff(dwell[kept]) != 0], kept[1:][np.diff(dwell[kept]) != 0]
+    kind = way[dwell[first]]
+    far = np.nanmax(np.nan_to_num(np.abs(values[first] - values[last]) / noise[first]), axis=1)
+    seen = {k: k >= 0 and np.median(far[kind == k]) > SPIKE for k in np.unique(kind).tolist()}
+    row = np.cumsum(np.append(True, ~(values[1:] == values[:-1]).all(axis=1)))
+    through = (row[last] == row[first]) & np.array([seen[k] for k in kind.tolist()], bool)
+    for number in np.unique(row[first[through]]):
+        out[np.flatnonzero(row == number)[1:]] = True
     return out
 
 
