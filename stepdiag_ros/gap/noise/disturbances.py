@@ -9,7 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stepdiag_ros.gap.inference.joint import refitted
-from stepdiag_ros.gap.noise.dwell_spectrum import DwellSpectrum, dwell_spectrum
+from stepdiag_ros.gap.noise.dwell_spectrum import DwellSpectrum, dwell_spectrum, dwells_by_channel
+from stepdiag_ros.gap.noise.knocks import Knocks, knocks
 from stepdiag_ros.gap.noise.mode_hops import ModeHops, mode_hops
 from stepdiag_ros.gap.noise.slips_at_rest import SlipAtRest, slips_at_rest, without
 from stepdiag_ros.gap.preprocess.observe import Observation, sane_fit
@@ -20,17 +21,23 @@ from stepdiag_ros.model.log import CalibrationLog
 @dataclass(frozen=True)
 class Disturbances:
     """``quanta`` (c,) [m] of the steps in which readings move, 0: none; ``dwell_spectrum`` of the samples inside the
-    dwells; ``mode_hops`` of the laser, None: none; ``slips`` of the counter while the axes stood."""
+    dwells; ``mode_hops`` of the laser, None: none; ``slips`` of the counter while the axes stood; ``knocks`` in a few
+    dwells, None: none."""
 
     quanta: np.ndarray
     dwell_spectrum: DwellSpectrum
     mode_hops: ModeHops | None
     slips: tuple[SlipAtRest, ...] = ()
+    knocks: Knocks | None = None
 
     def words(self, names: Mapping[str, float]) -> tuple[str, str]:
         """What disturbs, in words: what goes before a pattern, and what is reported where there is none; ``names``:
         probabilities of the effects that are claimed."""
-        return self.mode_hops.words if self.mode_hops else '', _disturbance_words(self.dwell_spectrum, names)
+        instead = _disturbance_words(self.dwell_spectrum, names)
+        if not instead and self.knocks and not names:
+            # What has a name moves inside some dwells too, where it is large.
+            instead = self.knocks.words
+        return self.mode_hops.words if self.mode_hops else '', instead
 
 
 def disturbed(log: CalibrationLog, observation: Observation) -> tuple[Observation, Disturbances]:
@@ -48,7 +55,10 @@ def disturbed(log: CalibrationLog, observation: Observation) -> tuple[Observatio
     slips = slips_at_rest(log.displacement, table)
     if slips:
         observation = _with_slips(observation, slips)
-    return observation, Disturbances(quanta, samples, None, slips)
+    channels = dict(zip(('displacement', 'spot x', 'spot y'), dwells_by_channel(log, table), strict=True))
+    # Dwells that swing are each as loud as its line happens to begin.
+    knocked = None if samples.swings.any() else knocks(channels, {slip.row for slip in slips})
+    return observation, Disturbances(quanta, samples, None, slips, knocked)
 
 
 def _with_slips(observation: Observation, slips: tuple[SlipAtRest, ...]) -> Observation:
@@ -85,7 +95,7 @@ def _with_spectrum(observation: Observation, samples: DwellSpectrum) -> Observat
         # A part of a dwell has that of the e-folds between its length and the dwell's besides.
         more[:, :beams] = samples.power[:, None] * np.log(bins)
     # A line fills no more than two of the bins' contrasts, with all its power.
-    elif samples.shakes or samples.grows_with_path:
+    elif samples.shakes or samples.swings_in_few or samples.grows_with_path:
         more[:, :beams] = samples.displacement.variance(length / bins) * bins / 2.0
     if samples.mains_hum:
         more[:, beams:] = samples.swings[:, 1:].any(axis=0) * samples.spot.variance(length / bins) * bins / 2.0
@@ -112,6 +122,9 @@ def _disturbance_words(samples: DwellSpectrum, names: Mapping[str, float]) -> st
     if samples.grows_with_path:
         return (f'displacement: swings at {samples.displacement.frequency:.3g} Hz (as sampled) inside the dwells, '
                 'the more the longer the path, as of moving air or of the laser')
+    if samples.swings_in_few:
+        return (f'displacement: swings, at about {samples.displacement.frequency:.2g} Hz, inside a few of the dwells '
+                'only, as knocks from the floor or a supply that gives way would make it')
     if samples.mains_hum and names.get('ambient_light', 0.0) < 0.5:
         return (f'spot: swings at {samples.spot.frequency:.3g} Hz (as sampled) inside the dwells, '
                 'the displacement does not')

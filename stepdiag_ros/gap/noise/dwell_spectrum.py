@@ -19,6 +19,11 @@ from stepdiag_ros.gap.noise.incoherent_lines import Vibration, find_lines
 from stepdiag_ros.gap.preprocess.dwells import LEAST_DWELLS, Dwells, dwells_of
 from stepdiag_ros.model.log import CalibrationLog
 
+CALM = 0.8
+"""Share of the dwells, the quieter ones, that must show a line too …"""
+CALM_SHARE = 0.2
+"""… by this share of the log evidence of all: a tool that shakes leaves a half and more there, knocks nothing."""
+
 
 @dataclass(frozen=True)
 class DwellSpectrum:
@@ -42,7 +47,16 @@ class DwellSpectrum:
 
     @property
     def shakes(self) -> bool:
-        """Whether the tool point shakes: lines that no smooth spectrum explains, alike near and far."""
+        """Whether the tool point shakes: lines that no smooth spectrum explains, alike near and far, in all dwells."""
+        return self._swings and not self.displacement.of_few
+
+    @property
+    def swings_in_few(self) -> bool:
+        """Whether it does so in a few dwells only, as after knocks."""
+        return self._swings and self.displacement.of_few
+
+    @property
+    def _swings(self) -> bool:
         return _clear(self.displacement, self.slow) and not (self.turbulent or self.grows_with_path)
 
     @property
@@ -59,7 +73,7 @@ class DwellSpectrum:
     @property
     def mains_hum(self) -> bool:
         """Whether the spot alone swings: no motion that the displacement sees."""
-        return _clear(self.spot, self.slow_spot) and not self.shakes and not self.grows_with_path
+        return _clear(self.spot, self.slow_spot) and not self._swings and not self.grows_with_path
 
 
 def dwell_spectrum(log: CalibrationLog, table: StopTable, distance: np.ndarray) -> DwellSpectrum:
@@ -97,7 +111,17 @@ def _lines(dwells: Dwells, run: np.ndarray, distance: np.ndarray) -> tuple[Vibra
         return coherent, slow
     if _clear(coherent, slow) and abs(coherent.frequency - lines.frequency) < 1.0 / dwells.length:
         lines = replace(lines, frequency=coherent.frequency)  # of what a dwell tells to one over its length
+    if _clear(lines, slow):
+        lines = replace(lines, of_few=_of_few(dwells, lines))
     return lines, slow
+
+
+def _of_few(dwells: Dwells, lines: Vibration) -> bool:
+    """Whether the loudest dwells alone show some lines: what shakes does so in all, and beside quiet dwells a few that
+    were knocked have a spectrum that is no smooth one's."""
+    power = np.sum(dwells.values**2, axis=1)
+    calm, slow = find_lines(replace(dwells, values=dwells.values[power <= np.quantile(power, CALM)]))
+    return calm is None or calm.log_bayes - MISFIT * slow < CALM_SHARE * lines.log_bayes
 
 
 def _clear(lines: Vibration | None, slow: float) -> bool:

@@ -41,7 +41,8 @@ class Vibration:
     be an alias), its ``amplitude`` and ``sigma`` [m]; ``log_bayes`` of ``lines`` lines against a smooth spectrum;
     ``share`` of them in the dwells' variance; ``powers`` [m²]: variance of each line in one sample; ``coherent``: they
     keep their phase from dwell to dwell; ``log_growth``: log evidence that the strongest grows with the path;
-    ``by_dwell`` (K,) [m²]: what single dwells show of the strongest, beyond the noise on average."""
+    ``by_dwell`` (K,) [m²]: what single dwells show of the strongest, beyond the noise on average; ``of_few``: the
+    quieter dwells do not show them."""
 
     frequency: float
     amplitude: float
@@ -54,6 +55,7 @@ class Vibration:
     log_growth: float = 0.0
     by_dwell: np.ndarray | None = None
     rate: float = np.inf
+    of_few: bool = False
 
     @property
     def aliases(self) -> tuple[float, float]:

@@ -24,7 +24,7 @@ HELD = 4.0
 class Dwells:
     """Samples of K dwells of n, freed of mean, slope and what the move leaves: ``values`` (K, m), ``basis``
     (n, m) orthonormal; ``rows`` (K,) their stops, ``kind`` (K,) of their moves, ``first_s`` (K,) of their
-    first samples; ``period`` [s]."""
+    first samples; ``period`` [s]; ``whole`` (K,): whether none of their samples was put on a line."""
 
     values: np.ndarray
     basis: np.ndarray
@@ -32,6 +32,7 @@ class Dwells:
     kind: np.ndarray
     first_s: np.ndarray
     period: float
+    whole: np.ndarray
 
     @property
     def length(self) -> float:
@@ -75,7 +76,8 @@ def dwells_of(values: np.ndarray, time_ns: np.ndarray, rows: np.ndarray,
     if limit <= 0.0:
         return None
     inside *= np.sqrt(np.minimum(1.0, limit / np.maximum(power, 1e-300)))[:, None]
-    return Dwells(inside, basis, chosen, kind[chosen], (time_ns[index[:, 0]] - time_ns[index[0, 0]]) * 1e-9, period)
+    return Dwells(inside, basis, chosen, kind[chosen], (time_ns[index[:, 0]] - time_ns[index[0, 0]]) * 1e-9, period,
+                  there.all(axis=1))
 
 
 def _of_the_move(dwells: np.ndarray, kind: np.ndarray, later: np.ndarray) -> np.ndarray:
