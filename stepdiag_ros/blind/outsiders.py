@@ -10,8 +10,9 @@ from stepdiag_ros.blind.outside_field import FIELD
 from stepdiag_ros.blind.outside_more import MORE
 from stepdiag_ros.blind.outside_shopfloor import SHOPFLOOR
 from stepdiag_ros.blind.outside_unseen import UNSEEN
+from stepdiag_ros.blind.outside_works import WORKS
 
 USUAL = OUTSIDE
-MET = (*OUTSIDE, *MORE, *CELLS, *UNSEEN, *SHOPFLOOR)
-UNMET = FIELD
+MET = (*OUTSIDE, *MORE, *CELLS, *UNSEEN, *SHOPFLOOR, *FIELD)
+UNMET = WORKS
 OUTSIDERS = (*MET, *UNMET)

@@ -64,8 +64,8 @@ statement is good to a factor of two, and heavy tails add one of 1.7 at most."""
 SCATTER_ALARM = 12.0
 """Least log evidence of scatter beyond the noise in any group of readings."""
 KNOCKS_ALARM = 20.0
-"""Least log evidence of knocks inside a few dwells: of 360 nulls, 300 of them with untidy noise, three showed 6 and more,
-the most 14.4, so that about one in a thousand may show this (development set of seed 20270107, three sealed sets)."""
+"""Least log evidence of knocks inside a few dwells: of 360 nulls, 300 of them with untidy noise, three showed 6 and
+more, the most 14.4, so that about one in a thousand may show this (development set of seed 20270107, three others)."""
 CLOCK_SIGMAS = 6.0
 """An offset of stamps must exceed this many of its standard deviations …"""
 LEAST_CLOCK_S = 2.5e-3

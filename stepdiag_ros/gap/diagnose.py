@@ -18,6 +18,7 @@ import numpy as np
 
 from stepdiag_ros.effects.base import Effect
 from stepdiag_ros.estimate.metres import untold
+from stepdiag_ros.estimate.noise import estimate_noise
 from stepdiag_ros.estimate.on_centre import on_centre
 from stepdiag_ros.estimate.samples import clean
 from stepdiag_ros.gap.alternatives.unmodelled import NAME as UNKNOWN
@@ -33,7 +34,7 @@ from stepdiag_ros.gap.inference.candidates import Candidate
 from stepdiag_ros.gap.inference.discrepancy import residual
 from stepdiag_ros.gap.inference.evidence import prior_sigma_of
 from stepdiag_ros.gap.inference.joint import Joint, unexplained
-from stepdiag_ros.gap.inference.noise_or_effects import settle_in_noise
+from stepdiag_ros.gap.inference.noise_or_effects import left, settle_in_noise
 from stepdiag_ros.gap.inference.search import NOTHING, EffectSet, probabilities
 from stepdiag_ros.gap.noise.disturbances import disturbed
 from stepdiag_ros.gap.noise.far_arrivals import FarArrivals
@@ -94,7 +95,8 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
     if not unmodelled and not shakes:
         # Stamps make no arrival noisier.
         at_rest = any(f.name != STAMPS for f in found)
-        unmodelled = _without_pattern(joint, far, how_far, bool(found)) or ('' if at_rest else noisier(joint))
+        unmodelled = _without_pattern(joint, far, how_far, bool(found)) \
+            or noisier(_freed_of_discrepancies(joint) if at_rest else joint)
     if unmodelled and UNKNOWN not in best.key and not untimed:
         outside[UNKNOWN] = BEYOND_PATTERNS
     if found and not unmodelled and (how_far.left > LEAST_LEFT and how_far.beyond_chance
@@ -139,6 +141,12 @@ def _well_timed(log: CalibrationLog) -> tuple[CalibrationLog, Observation, Mappi
     same = all(np.array_equal(a.values, b.values, equal_nan=True)
                for a, b in ((log.displacement, stamped.displacement), (log.spot, stamped.spot)))
     return log, observation if same else observe(log), clocks, late, left_out
+
+
+def _freed_of_discrepancies(joint: Joint) -> Joint:
+    """The fit with the noise of what its effects leave beside their discrepancies: a share of a large one is none."""
+    observation = joint.observation
+    return replace(joint, noise=estimate_noise(left(joint), observation.log.description.noise, observation.fit.arrival))
 
 
 def _without_pattern(joint: Joint, far: FarArrivals, how_far: CrossValidation, found: bool) -> str:

@@ -40,7 +40,7 @@ class Knocks:
 
     @property
     def words(self) -> str:
-        return (f'{self.channel}: now and then it moves inside a dwell, in about {100.0 * self.share:.0f} % of them and '
+        return (f'{self.channel}: now and then it moves inside a dwell, in about {100.0 * self.share:.0f} % of them '
                 f'by some {self.size * 1e6:.2g} µm, as a knock from the floor or a supply that gives way would make it')
 
 
