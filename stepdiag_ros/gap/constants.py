@@ -58,9 +58,10 @@ LEAST_GROWTH = 0.75
 """Exponent with which the power of moving air grows with the path is 1 or more, that of shaking 0 …"""
 GROWTH_SIGMAS = 5.0
 """… and it must be seen by so many standard deviations."""
-NOISIER = 6.0
+NOISIER = 4.5
 """Times the noise that the description states from which a log is no longer believed to be of that machine: a maker's
-statement is good to a factor of two, and heavy tails add one of 1.7 at most."""
+statement is good to two, tails add 1.7 (Student's t with 3 degrees of freedom), and thirty repeats tell it to 1.3.  Of
+more than a thousand nulls none showed 3."""
 SCATTER_ALARM = 12.0
 """Least log evidence of scatter beyond the noise in any group of readings."""
 KNOCKS_ALARM = 20.0

@@ -120,6 +120,6 @@ def spectra(diagnosis: Diagnosis) -> dict[int, Spectrum]:
     if seen.swings is None:
         return {}
     found = {channel: spectrum(dwells, seen.table.run[dwells.rows])
-             for channel, dwells in enumerate(dwells_by_channel(seen.log, seen.table))
+             for channel, dwells in enumerate(dwells_by_channel(seen.log, seen.table).values())
              if dwells is not None and seen.swings[:, channel].any()}
     return {channel: one for channel, one in found.items() if one is not None}

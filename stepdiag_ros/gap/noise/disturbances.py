@@ -44,7 +44,8 @@ def disturbed(log: CalibrationLog, observation: Observation) -> tuple[Observatio
     """The observation with what disturbs it as noise, and what that is."""
     table = observation.table
     distance = observation.view.distance.mean(axis=1)
-    samples = dwell_spectrum(log, table, distance)
+    channels = dwells_by_channel(log, table)
+    samples = dwell_spectrum(channels, table.run, distance)
     quanta = np.array(table.quanta)
     if quanta.any():
         observation = _with_steps(observation, quanta)
@@ -55,7 +56,6 @@ def disturbed(log: CalibrationLog, observation: Observation) -> tuple[Observatio
     slips = slips_at_rest(log.displacement, table)
     if slips:
         observation = _with_slips(observation, slips)
-    channels = dict(zip(('displacement', 'spot x', 'spot y'), dwells_by_channel(log, table), strict=True))
     # Dwells that swing are each as loud as its line happens to begin.
     knocked = None if samples.swings.any() else knocks(channels, {slip.row for slip in slips})
     return observation, Disturbances(quanta, samples, None, slips, knocked)

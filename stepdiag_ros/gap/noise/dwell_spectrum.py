@@ -1,5 +1,6 @@
 """The spectrum of the samples inside the dwells: vibration of the machine, turbulence of the air, mains hum."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -76,13 +77,15 @@ class DwellSpectrum:
         return _clear(self.spot, self.slow_spot) and not self._swings and not self.grows_with_path
 
 
-def dwell_spectrum(log: CalibrationLog, table: StopTable, distance: np.ndarray) -> DwellSpectrum:
-    """What the samples inside the dwells show; ``distance`` (n,) [m] of the stops to the mirror."""
-    beams, *spots = dwells_by_channel(log, table)
-    found = [(None, 0.0) if dwells is None else _lines(dwells, table.run, distance) for dwells in (beams, *spots)]
-    growth, sigma, power = growth_with(beams, distance) if beams else (0.0, np.inf, np.zeros(len(table)))
-    swings = np.zeros((len(table), len(found)))
-    for channel, (dwells, (lines, slow)) in enumerate(zip((beams, *spots), found, strict=True)):
+def dwell_spectrum(channels: Mapping[str, Dwells | None], run: np.ndarray, distance: np.ndarray) -> DwellSpectrum:
+    """What the samples inside the dwells of :func:`dwells_by_channel` show; ``run`` (n,) of the stops and ``distance``
+    (n,) [m] to the mirror."""
+    dwells_of_all = tuple(channels.values())
+    found = [(None, 0.0) if dwells is None else _lines(dwells, run, distance) for dwells in dwells_of_all]
+    beams = dwells_of_all[0]
+    growth, sigma, power = growth_with(beams, distance) if beams else (0.0, np.inf, np.zeros(len(run)))
+    swings = np.zeros((len(run), len(found)))
+    for channel, (dwells, (lines, slow)) in enumerate(zip(dwells_of_all, found, strict=True)):
         if _clear(lines, slow):
             swings[dwells.rows, channel] = lines.by_dwell
     (lines, slow), *others = found
@@ -90,13 +93,15 @@ def dwell_spectrum(log: CalibrationLog, table: StopTable, distance: np.ndarray) 
     return DwellSpectrum(lines, spot, slow, slow_spot, growth, sigma, power, swings)
 
 
-def dwells_by_channel(log: CalibrationLog, table: StopTable) -> list[Dwells | None]:
+def dwells_by_channel(log: CalibrationLog, table: StopTable) -> dict[str, Dwells | None]:
     """The dwells' samples of displacement, spot x and spot y; None where they are too few or too short."""
     kind = (table.setup * 256 + table.axis) * 3 + table.direction
-    return [dwells_of(values, samples.time_ns, rows, kind, table.dwell_ns)
-            for samples, rows, columns in ((log.displacement, table.displacement_rows,
-                                            [log.displacement.values.mean(axis=1)]),
-                                           (log.spot, table.spot_rows, log.spot.values.T)) for values in columns]
+    beams, spot = log.displacement, log.spot
+    channels = (('displacement', beams, table.displacement_rows, beams.values.mean(axis=1)),
+                ('spot x', spot, table.spot_rows, spot.values[:, 0]),
+                ('spot y', spot, table.spot_rows, spot.values[:, 1]))
+    return {name: dwells_of(values, samples.time_ns, rows, kind, table.dwell_ns)
+            for name, samples, rows, values in channels}
 
 
 def _lines(dwells: Dwells, run: np.ndarray, distance: np.ndarray) -> tuple[Vibration | None, float]:

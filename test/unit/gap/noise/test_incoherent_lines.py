@@ -8,7 +8,7 @@ import pytest
 from stepdiag_ros.effects import effect_class
 from stepdiag_ros.estimate.reduce import reduce_log
 from stepdiag_ros.gap.noise.disturbances import disturbed
-from stepdiag_ros.gap.noise.dwell_spectrum import dwell_spectrum
+from stepdiag_ros.gap.noise.dwell_spectrum import dwell_spectrum, dwells_by_channel
 from stepdiag_ros.gap.noise.incoherent_lines import find_lines
 from stepdiag_ros.gap.preprocess.dwells import dwells_of
 from stepdiag_ros.gap.preprocess.observe import observe
@@ -104,7 +104,7 @@ def test_a_dwell_of_six_samples_tells_a_line_from_noise():
 def _seen(log):
     table = reduce_log(log)
     away = table.displacement.mean(axis=1)
-    return dwell_spectrum(log, table, 0.2 + away - np.nanmin(away))
+    return dwell_spectrum(dwells_by_channel(log, table), table.run, 0.2 + away - np.nanmin(away))
 
 
 def _with(samples, extra):
