@@ -1,7 +1,8 @@
 """The samples of a log without those that say nothing of where the machine is.
 
-A sample without signal, one that repeats the reading before it because the instrument was asked too soon, and a lone
-spike are no readings: they become NaN, which all that follows leaves out.  How many there were is stated.
+A sample without signal, one that repeats the reading before it because the instrument was asked too soon, one that a
+driver drew as a straight line between others, and a lone spike are no readings: they become NaN, which all that follows
+leaves out.  How many there were is stated.
 """
 
 from dataclasses import dataclass, replace
@@ -36,16 +37,20 @@ the seventh digit of the step tells a whole number."""
 LEAST_TOLD = 0.005
 """Share of the samples below which what is left out is not spoken of …"""
 HUNG = 10
-"""… but for rows of so many repetitions: an instrument that is asked too soon repeats a reading once or twice."""
+"""… but for rows of so many repetitions: an instrument that is asked too soon repeats a reading once or twice.  Of so
+many on end on a straight line too none is a reading."""
+STRAIGHT = 1e-4
+"""Of what samples at rest are off the line through their neighbours, up to which they are on it."""
 
 
 @dataclass(frozen=True)
 class LeftOut:
-    """Shares of one sensor's samples in the dwells: without signal, repeated, spikes; ``hung`` (k,) [s]: how long each
-    time for which its driver sent one reading again and again."""
+    """Shares of one sensor's samples in the dwells: without signal, repeated, on straight lines, spikes; ``hung`` (k,)
+    [s]: how long each time for which its driver sent one reading again and again."""
 
     dark: float
     repeated: float
+    straight: float
     spikes: float
     hung: np.ndarray
 
@@ -53,6 +58,7 @@ class LeftOut:
         """What was left out, '' where it is hardly anything."""
         parts = [f'{100.0 * share:.2g} % {what}' for share, what in (
             (self.dark, 'without signal'), (self.repeated, 'repeating the reading before'),
+            (self.straight, 'on straight lines, as a driver fills in what it lost'),
             (self.spikes, 'single spikes')) if share >= LEAST_TOLD]
         if len(self.hung):
             parts.append(f'those of {len(self.hung)} times for which it sent one reading again and again, '
@@ -106,27 +112,35 @@ def _dark(intensity: np.ndarray) -> np.ndarray:
 def _clean(log: CalibrationLog, samples: Samples, dark: np.ndarray, ends: bool) -> tuple[Samples, LeftOut]:
     used = np.isfinite(samples.values).any(axis=0)
     if not used.any():
-        return samples, LeftOut(0.0, 0.0, 0.0, np.zeros(0))
+        return samples, LeftOut(0.0, 0.0, 0.0, 0.0, np.zeros(0))
     values = np.where(dark[:, None], np.nan, samples.values)
     dwell, way = _dwell_of(log, samples)
     inside = dwell >= 0
     dark = inside & ~np.isfinite(values[:, used]).all(axis=1)
     repeated = _repeated(values[:, used], dwell) | _carried_over(values[:, used], dwell, samples.setup) \
         | _stood_still(values[:, used], dwell, samples.setup, way)
-    values[repeated] = np.nan
+    straight = _straight(values[:, used], samples.time_ns, dwell) & ~repeated
+    values[repeated | straight] = np.nan
     spikes = _spikes(values[:, used], dwell, samples.setup, ends)
     values[spikes] = np.nan
     count = max(int(inside.sum()), 1)
     return replace(samples, values=values), LeftOut(dark.sum() / count, (repeated & inside).sum() / count,
-                                                    spikes.sum() / count, _hung(samples.time_ns, repeated))
+                                                    (straight & inside).sum() / count, spikes.sum() / count,
+                                                    _hung(samples.time_ns, repeated))
 
 
 def _hung(time_ns: np.ndarray, repeated: np.ndarray) -> np.ndarray:
     """Times [s] (k,) for which one reading was ``repeated`` (n,), ``HUNG`` times and more on end."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], repeated, [False]]).astype(np.int8)))
+    first, last = _rows(repeated)
+    return (time_ns[last] - time_ns[first - 1]) * 1e-9
+
+
+def _rows(which: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """First and last (k,) of each row of ``HUNG`` and more samples on end of those (n,) ``which`` something is."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], which, [False]]).astype(np.int8)))
     first, last = edges[::2], edges[1::2] - 1
     long = last - first + 1 >= HUNG
-    return (time_ns[last[long]] - time_ns[first[long] - 1]) * 1e-9
+    return first[long], last[long]
 
 
 def _dwell_of(log: CalibrationLog, samples: Samples) -> tuple[np.ndarray, np.ndarray]:
@@ -151,14 +165,37 @@ def _repeated(values: np.ndarray, dwell: np.ndarray) -> np.ndarray:
     again = np.zeros(len(values), bool)
     if len(values) < 3:
         return again
-    resting = (dwell[2:] >= 0) & (dwell[2:] == dwell[:-2])
     same = (values[1:] == values[:-1]).all(axis=1)
-    returned = (values[2:] == values[:-2]).any(axis=1) & ~same[1:] & ~same[:-1]
-    if not resting.any() or np.mean(returned[resting]) > AGAIN or np.mean(same[1:][resting]) > STANDING:
+    if _in_steps(values, dwell):
         same &= _under_way(values, same, dwell)
     # In motion too: there it would be late by the time between two samples, and a clock seem off.
     again[1:] = same
     return again
+
+
+def _in_steps(values: np.ndarray, dwell: np.ndarray) -> bool:
+    """Whether readings (n ≥ 3,) move in steps, or do not say whether: equal neighbours are no repetition then."""
+    resting = (dwell[2:] >= 0) & (dwell[2:] == dwell[:-2])
+    same = (values[1:] == values[:-1]).all(axis=1)
+    returned = (values[2:] == values[:-2]).any(axis=1) & ~same[1:] & ~same[:-1]
+    return not resting.any() or bool(np.mean(returned[resting]) > AGAIN or np.mean(same[1:][resting]) > STANDING)
+
+
+def _straight(values: np.ndarray, time_ns: np.ndarray, dwell: np.ndarray) -> np.ndarray:
+    """Samples (n,) of rows of ``HUNG`` and more that lie on a straight line in time, as no reading with noise does."""
+    out = np.zeros(len(values), bool)
+    if len(values) < 3 or _in_steps(values, dwell):
+        return out
+    slope = np.diff(values, axis=0) / np.maximum(np.diff(time_ns), 1)[:, None]
+    bend = np.abs(np.diff(slope, axis=0))
+    resting = bend[(dwell[2:] >= 0) & (dwell[2:] == dwell[:-2]) & np.isfinite(bend).all(axis=1)]
+    if not len(resting):
+        return out
+    on = np.zeros(len(values), bool)
+    on[1:-1] = (bend < STRAIGHT * np.median(resting, axis=0)).all(axis=1)
+    for first, last in zip(*_rows(on), strict=True):
+        out[first:last + 1] = True
+    return out
 
 
 def _under_way(values: np.ndarray, same: np.ndarray, dwell: np.ndarray) -> np.ndarray:

@@ -131,6 +131,21 @@ def test_a_driver_that_hangs_is_said_and_its_readings_are_none(case, step):
     assert diagnose(hung, [kind() for kind in all_effects().values()]).verdict == 'no_gap'
 
 
+def test_what_a_driver_drew_between_two_blocks_is_no_reading(case):
+    """It fills in the blocks that got lost: in a move the line comes too soon or late, as of a wrong clock."""
+    log, rng = case.log(), np.random.default_rng(3)
+    values, time = log.spot.values.copy(), (log.spot.time_ns - log.spot.time_ns[0]) * 1e-9
+    lost = np.repeat(rng.random(len(values) // 20 + 1) < 0.1, 20)[:len(values)]
+    lost[[0, -1]] = False
+    for k in range(2):
+        values[lost, k] = np.interp(time[lost], time[~lost], values[~lost, k])
+    filled = replace(log, spot=replace(log.spot, values=values))
+    found, words = clean(filled)
+    assert np.isnan(found.spot.values[lost]).all() and np.isfinite(found.spot.values[~lost]).mean() > 0.99
+    assert 'on straight lines' in words[0]
+    assert diagnose(filled, [kind() for kind in all_effects().values()]).verdict == 'no_gap'
+
+
 def test_a_log_without_intensity_is_believed(case):
     log = case.log()
     assert not clean(replace(log, spot=replace(log.spot, health=np.zeros(len(log.spot)))))[1]
