@@ -41,7 +41,7 @@ HUNG = 10
 STRAIGHT = 1e-4
 """Of what samples at rest are off the line through their neighbours, up to which they are on it …"""
 ON_A_LINE = 2
-"""… and so many on end: of noise one pair in 10⁸ is."""
+"""… and so many values of them, of samples on end or of one sample: of noise one pair in 10⁸ is."""
 
 
 @dataclass(frozen=True)
@@ -194,7 +194,7 @@ def _straight(values: np.ndarray, time_ns: np.ndarray, dwell: np.ndarray) -> np.
         return out
     on = np.zeros(len(values), bool)
     on[1:-1] = (bend < STRAIGHT * np.median(resting, axis=0)).all(axis=1)
-    for first, last in zip(*_rows(on, ON_A_LINE), strict=True):
+    for first, last in zip(*_rows(on, -(-ON_A_LINE // values.shape[1])), strict=True):
         out[first:last + 1] = True
     return out
 

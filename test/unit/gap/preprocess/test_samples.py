@@ -133,7 +133,7 @@ def test_a_driver_that_hangs_is_said_and_its_readings_are_none(case, step):
     assert diagnose(hung, [kind() for kind in all_effects().values()]).verdict == 'no_gap'
 
 
-@pytest.mark.parametrize('size', [2, 20])
+@pytest.mark.parametrize('size', [1, 20])
 def test_what_a_driver_drew_between_two_blocks_is_no_reading(case, size):
     """It fills in the blocks that got lost: in a move the line comes too soon or late, as of a wrong clock."""
     log, rng = case.log(), np.random.default_rng(3)
