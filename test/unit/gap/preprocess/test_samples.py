@@ -135,7 +135,7 @@ def test_a_driver_that_hangs_is_said_and_its_readings_are_none(case, step):
 
 @pytest.mark.parametrize('size', [1, 20])
 def test_what_a_driver_drew_between_two_blocks_is_no_reading(case, size):
-    """It fills in the blocks that got lost: in a move the line comes too soon or late, as of a wrong clock."""
+    """It fills in the blocks that got lost, at rest and in moves."""
     log, rng = case.log(), np.random.default_rng(3)
     values, time = log.spot.values.copy(), (log.spot.time_ns - log.spot.time_ns[0]) * 1e-9
     lost = np.repeat(rng.random(len(values) // size + 1) < 0.1, size)[:len(values)]
