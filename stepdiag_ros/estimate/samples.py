@@ -118,9 +118,11 @@ def _clean(log: CalibrationLog, samples: Samples, dark: np.ndarray, ends: bool) 
     dwell, way = _dwell_of(log, samples)
     inside = dwell >= 0
     dark = inside & ~np.isfinite(values[:, used]).all(axis=1)
-    repeated = _repeated(values[:, used], dwell) | _carried_over(values[:, used], dwell, samples.setup) \
+    in_steps = _in_steps(values[:, used], dwell)
+    repeated = _repeated(values[:, used], dwell, in_steps) | _carried_over(values[:, used], dwell, samples.setup) \
         | _stood_still(values[:, used], dwell, samples.setup, way)
-    straight = _straight(values[:, used], samples.time_ns, dwell) & ~repeated
+    straight = np.zeros(len(values), bool) if in_steps else \
+        _straight(values[:, used], samples.time_ns, dwell) & ~repeated
     values[repeated | straight] = np.nan
     spikes = _spikes(values[:, used], dwell, samples.setup, ends)
     values[spikes] = np.nan
@@ -160,14 +162,14 @@ def _in_one_dwell(dwell: np.ndarray) -> np.ndarray:
     return (dwell[1:] >= 0) & (dwell[1:] == dwell[:-1])
 
 
-def _repeated(values: np.ndarray, dwell: np.ndarray) -> np.ndarray:
-    """Samples (n,) that repeat the one before to the last bit; where readings move in steps, of those in motion only: a
-    machine at rest is read alike again and again, one that goes on is not."""
+def _repeated(values: np.ndarray, dwell: np.ndarray, in_steps: bool) -> np.ndarray:
+    """Samples (n,) that repeat the one before to the last bit; where readings move ``in_steps``, of those in motion
+    only: a machine at rest is read alike again and again, one that goes on is not."""
     again = np.zeros(len(values), bool)
     if len(values) < 3:
         return again
     same = (values[1:] == values[:-1]).all(axis=1)
-    if _in_steps(values, dwell):
+    if in_steps:
         same &= _under_way(values, same, dwell)
     # In motion too: there it would be late by the time between two samples, and a clock seem off.
     again[1:] = same
@@ -175,7 +177,7 @@ def _repeated(values: np.ndarray, dwell: np.ndarray) -> np.ndarray:
 
 
 def _in_steps(values: np.ndarray, dwell: np.ndarray) -> bool:
-    """Whether readings (n ≥ 3,) move in steps, or do not say whether: equal neighbours are no repetition then."""
+    """Whether readings (n,) move in steps, or do not say whether: equal neighbours are no repetition then."""
     resting = (dwell[2:] >= 0) & (dwell[2:] == dwell[:-2])
     same = (values[1:] == values[:-1]).all(axis=1)
     returned = (values[2:] == values[:-2]).any(axis=1) & ~same[1:] & ~same[:-1]
@@ -185,8 +187,6 @@ def _in_steps(values: np.ndarray, dwell: np.ndarray) -> bool:
 def _straight(values: np.ndarray, time_ns: np.ndarray, dwell: np.ndarray) -> np.ndarray:
     """Samples (n,) of rows that lie on a straight line in time, as no reading with noise does."""
     out = np.zeros(len(values), bool)
-    if len(values) < 3 or _in_steps(values, dwell):
-        return out
     slope = np.diff(values, axis=0) / np.maximum(np.diff(time_ns), 1)[:, None]
     bend = np.abs(np.diff(slope, axis=0))
     resting = bend[(dwell[2:] >= 0) & (dwell[2:] == dwell[:-2]) & np.isfinite(bend).all(axis=1)]
@@ -221,7 +221,7 @@ def _carried_over(values: np.ndarray, dwell: np.ndarray, setup: np.ndarray) -> n
     begins = begins[same[begins]]
     if not len(begins):
         return out
-    noise = np.stack([_noise(values[:, k], dwell, setup) for k in range(values.shape[1])], axis=1)
+    noise = _noises(values, dwell, setup)
     for begin in begins:
         end = begin + int(np.argmin(np.append(same[begin:], False)))
         if end < len(values) and dwell[end] == dwell[begin]:
@@ -239,7 +239,7 @@ def _stood_still(values: np.ndarray, dwell: np.ndarray, setup: np.ndarray, way: 
     kept = np.flatnonzero((dwell >= 0) & np.isfinite(values).all(axis=1))
     if len(kept) < 2:
         return out
-    noise = np.stack([_noise(values[:, k], dwell, setup) for k in range(values.shape[1])], axis=1)
+    noise = _noises(values, dwell, setup)
     last, first = kept[:-1][np.diff(dwell[kept]) != 0], kept[1:][np.diff(dwell[kept]) != 0]
     kind = way[dwell[first]]
     far = np.nanmax(np.nan_to_num(np.abs(values[first] - values[last]) / noise[first]), axis=1)
@@ -249,6 +249,11 @@ def _stood_still(values: np.ndarray, dwell: np.ndarray, setup: np.ndarray, way: 
     for before, behind in zip(last[through], first[through], strict=True):
         out[before + 1:np.searchsorted(row, row[behind], side='right')] = True
     return out
+
+
+def _noises(values: np.ndarray, dwell: np.ndarray, setup: np.ndarray) -> np.ndarray:
+    """:func:`_noise` of each column (n, k)."""
+    return np.stack([_noise(column, dwell, setup) for column in values.T], axis=1)
 
 
 def _noise(values: np.ndarray, dwell: np.ndarray, setup: np.ndarray) -> np.ndarray:

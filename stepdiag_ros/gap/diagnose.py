@@ -18,7 +18,6 @@ import numpy as np
 
 from stepdiag_ros.effects.base import Effect
 from stepdiag_ros.estimate.metres import untold
-from stepdiag_ros.estimate.noise import estimate_noise
 from stepdiag_ros.estimate.on_centre import on_centre
 from stepdiag_ros.estimate.samples import clean
 from stepdiag_ros.gap.alternatives.unmodelled import NAME as UNKNOWN
@@ -36,6 +35,7 @@ from stepdiag_ros.gap.inference.evidence import prior_sigma_of
 from stepdiag_ros.gap.inference.joint import Joint, unexplained
 from stepdiag_ros.gap.inference.noise_or_effects import left, settle_in_noise
 from stepdiag_ros.gap.inference.search import NOTHING, EffectSet, probabilities
+from stepdiag_ros.gap.inference.select_effects import noise_of
 from stepdiag_ros.gap.noise.disturbances import disturbed
 from stepdiag_ros.gap.noise.far_arrivals import FarArrivals
 from stepdiag_ros.gap.noise.incoherent_lines import Vibration
@@ -145,8 +145,7 @@ def _well_timed(log: CalibrationLog) -> tuple[CalibrationLog, Observation, Mappi
 
 def _freed_of_discrepancies(joint: Joint) -> Joint:
     """The fit with the noise of what its effects leave beside their discrepancies: a share of a large one is none."""
-    observation = joint.observation
-    return replace(joint, noise=estimate_noise(left(joint), observation.log.description.noise, observation.fit.arrival))
+    return replace(joint, noise=noise_of(replace(joint.observation, table=left(joint))))
 
 
 def _without_pattern(joint: Joint, far: FarArrivals, how_far: CrossValidation, found: bool) -> str:

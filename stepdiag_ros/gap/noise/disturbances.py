@@ -95,7 +95,7 @@ def _with_spectrum(observation: Observation, samples: DwellSpectrum) -> Observat
         # A part of a dwell has that of the e-folds between its length and the dwell's besides.
         more[:, :beams] = samples.power[:, None] * np.log(bins)
     # A line fills no more than two of the bins' contrasts, with all its power.
-    elif samples.shakes or samples.swings_in_few or samples.grows_with_path:
+    elif samples.has_lines:
         more[:, :beams] = samples.displacement.variance(length / bins) * bins / 2.0
     if samples.mains_hum:
         more[:, beams:] = samples.swings[:, 1:].any(axis=0) * samples.spot.variance(length / bins) * bins / 2.0

@@ -49,21 +49,22 @@ class DwellSpectrum:
     @property
     def shakes(self) -> bool:
         """Whether the tool point shakes: lines that no smooth spectrum explains, alike near and far, in all dwells."""
-        return self._swings and not self.displacement.of_few
+        return self.has_lines and not (self.grows_with_path or self.displacement.of_few)
 
     @property
     def swings_in_few(self) -> bool:
         """Whether it does so in a few dwells only, as after knocks."""
-        return self._swings and self.displacement.of_few
+        return self.has_lines and not self.grows_with_path and self.displacement.of_few
 
     @property
-    def _swings(self) -> bool:
-        return _clear(self.displacement, self.slow) and not (self.turbulent or self.grows_with_path)
+    def has_lines(self) -> bool:
+        """Whether the displacement swings inside dwells, in whatever way."""
+        return _clear(self.displacement, self.slow) and not self.turbulent
 
     @property
     def grows_with_path(self) -> bool:
         """Whether lines of the displacement grow with the path, as those of air or of the laser do."""
-        return _clear(self.displacement, self.slow) and self.displacement.log_growth > GROWS and not self.turbulent
+        return self.has_lines and self.displacement.log_growth > GROWS
 
     @property
     def turbulent(self) -> bool:
@@ -74,7 +75,7 @@ class DwellSpectrum:
     @property
     def mains_hum(self) -> bool:
         """Whether the spot alone swings: no motion that the displacement sees."""
-        return _clear(self.spot, self.slow_spot) and not self._swings and not self.grows_with_path
+        return _clear(self.spot, self.slow_spot) and not self.has_lines
 
 
 def dwell_spectrum(channels: Mapping[str, Dwells | None], run: np.ndarray, distance: np.ndarray) -> DwellSpectrum:
@@ -150,12 +151,8 @@ def growth_with(dwells: Dwells, distance: np.ndarray) -> tuple[float, float, np.
     The power of the slow half of the spectrum, above that of the fast half, is fitted as c dᵖ.  Of noise as 1/f the
     k-th half wave has 1/k of what an e-fold has.
     """
-    size = len(dwells.basis)
-    waves = np.arange(2, max(size // 4, 4))
-    slow = np.linalg.qr(dwells.basis.T @ np.cos(np.pi * np.outer(np.arange(size) + 0.5, waves) / size))[0]
-    power = np.sum((dwells.values @ slow) ** 2, axis=1)
-    rest = np.sum(dwells.values**2, axis=1) - power
-    white = np.median(rest) / max(dwells.basis.shape[1] - slow.shape[1], 1) * slow.shape[1]
+    power, rest, slow = dwells.slow_and_fast()
+    white = np.median(rest) / max(dwells.basis.shape[1] - slow, 1) * slow
     far = distance[dwells.rows]
     kept = np.isfinite(far) & (far > 0.0)
     if kept.sum() < LEAST_DWELLS or np.ptp(np.log(far[kept])) < 0.3:
@@ -178,4 +175,4 @@ def growth_with(dwells: Dwells, distance: np.ndarray) -> tuple[float, float, np.
     spread = max(float(np.sum(weight * misfit**2)) / (len(x) - 2), 1.0)
     near = np.log(np.where(np.isfinite(distance) & (distance > 0.0), distance, np.exp(middle))) - middle
     return slope, float(np.sqrt(spread / np.sum(weight * x * x))), \
-        np.exp(level + slope * near) / size / float(np.sum(1.0 / waves))
+        np.exp(level + slope * near) / len(dwells.basis) / float(np.sum(1.0 / dwells.slow_waves))

@@ -58,17 +58,8 @@ def knocks(channels: Mapping[str, Dwells | None], known: Collection[int]) -> Kno
     return best if best is not None and best.log_bayes - np.log(len(channels)) > KNOCKS_ALARM else None
 
 
-def _slow_and_fast(dwells: Dwells) -> tuple[np.ndarray, np.ndarray]:
-    """Power (K,) [m²] of the slow half waves of each dwell's samples, from one swing in a dwell on, and of the rest."""
-    size = len(dwells.basis)
-    waves = np.arange(2, max(size // 4, 4))
-    slow = np.linalg.qr(dwells.basis.T @ np.cos(np.pi * np.outer(np.arange(size) + 0.5, waves) / size))[0]
-    power = np.sum((dwells.values @ slow) ** 2, axis=1)
-    return power, np.sum(dwells.values**2, axis=1) - power
-
-
 def _in_channel(name: str, dwells: Dwells) -> Knocks:
-    power, fast = _slow_and_fast(dwells)
+    power, fast, _ = dwells.slow_and_fast()
     middle = max(float(np.median(power)), 1e-300)
     # Tails of single samples are as loud in the fast half waves.
     power = power / np.maximum(fast / max(float(np.median(fast)), 1e-300), 1.0)

@@ -38,6 +38,19 @@ class Dwells:
     def length(self) -> float:
         return len(self.basis) * self.period
 
+    @property
+    def slow_waves(self) -> np.ndarray:
+        """Numbers (s,) of the half waves that count as slow, from one swing in a dwell on."""
+        return np.arange(2, max(len(self.basis) // 4, 4))
+
+    def slow_and_fast(self) -> tuple[np.ndarray, np.ndarray, int]:
+        """Power (K,) [m²] of each dwell's slow half waves and of the rest, and how many dimensions are slow."""
+        size = len(self.basis)
+        turns = np.pi * np.outer(np.arange(size) + 0.5, self.slow_waves) / size
+        slow = np.linalg.qr(self.basis.T @ np.cos(turns))[0]
+        power = np.sum((self.values @ slow) ** 2, axis=1)
+        return power, np.sum(self.values**2, axis=1) - power, slow.shape[1]
+
 
 def dwells_of(values: np.ndarray, time_ns: np.ndarray, rows: np.ndarray,
               kind: np.ndarray, begin_ns: np.ndarray) -> Dwells | None:
