@@ -16,6 +16,8 @@ from scipy.interpolate import PchipInterpolator
 
 from stepdiag_ros.effects.base import Effect, Moment
 from stepdiag_ros.model.log import CalibrationLog
+from stepdiag_ros.model.path import start_corner, stops
+from stepdiag_ros.model.sensor import station
 from stepdiag_ros.virtual.cell import Cell
 
 TimeProfile = Callable[[np.ndarray], np.ndarray]
@@ -208,6 +210,22 @@ def across(rng: np.random.Generator, axis: int) -> np.ndarray:
 def place_of(stage: Stage, moment: Moment, axis: int) -> np.ndarray:
     """Where an axis stands (n,), 0 to 1 of its travel."""
     return moment.commanded[:, axis] / stage.travel[axis]
+
+
+def walk_of(moment: Moment) -> np.ndarray:
+    """How far (n, 2) [m] the mirror has gone across the beam, along (u, v), since the setup's first stop."""
+    machine, setup = moment.description.machine, moment.description.setups[moment.setup]
+    return (moment.commanded - start_corner(machine, setup)) @ station(machine, setup).triad[:2].T
+
+
+def ends_of_runs(stage: Stage) -> np.ndarray:
+    """Where [m] each run begins and ends (r, 2, 3): a setup is walked to and fro."""
+    names, seen, ends = list(stage.cell.description.setups), dict[int, int](), []
+    for setup in stage.run_setup.tolist():
+        there = stops(stage.cell.description, names[setup]).positions[[0, -1]]
+        seen[setup] = seen.get(setup, -1) + 1
+        ends.append(there if seen[setup] % 2 == 0 else there[::-1])
+    return np.array(ends)
 
 
 def turn_by(moment: Moment, turn: np.ndarray, arm: np.ndarray) -> None:

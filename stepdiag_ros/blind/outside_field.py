@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from stepdiag_ros.blind.hidden import PLACES, UP, Stage, chosen_axes, direction, place_of, run_of, turn_by
+from stepdiag_ros.blind.hidden import PLACES, UP, Stage, chosen_axes, direction, place_of, run_of, turn_by, walk_of
 from stepdiag_ros.blind.outside import Outside
 from stepdiag_ros.effects.base import Moment
 from stepdiag_ros.model.log import CalibrationLog
@@ -254,9 +254,7 @@ class TouchedMirror(Outside):
         self.facts = {'middle_m': self._middle.tolist(), 'radius_m': self._radius, 'run': self._run}
 
     def after_light(self, moment: Moment) -> None:
-        machine, setup = moment.description.machine, moment.description.setups[moment.setup]
-        walk = (moment.commanded - start_corner(machine, setup)) @ station(machine, setup).triad[:2].T
-        out = (walk - self._middle) / self._radius
+        out = (walk_of(moment) - self._middle) / self._radius
         there = (run_of(self.stage, moment.seconds) >= self._run) * np.exp(-0.5 * np.sum(out ** 2, axis=1))
         moment.spot = moment.spot + 1.6 * self.size * there[:, None] * out
         lost = self._swallows * min(self.size / self.typical, 1.0) * there

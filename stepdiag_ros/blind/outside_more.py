@@ -7,11 +7,9 @@ flickers is not among them: a spot that is pulled to the middle by an amount tha
 
 import numpy as np
 
-from stepdiag_ros.blind.hidden import Stage, direction
+from stepdiag_ros.blind.hidden import Stage, direction, walk_of
 from stepdiag_ros.blind.outside import Outside
 from stepdiag_ros.effects.base import Moment
-from stepdiag_ros.model.path import start_corner
-from stepdiag_ros.model.sensor import station
 
 
 def states(rng: np.random.Generator, count: int = 8000) -> np.ndarray:
@@ -32,8 +30,7 @@ class ClippedBeam(Outside):
         self.facts = {'edge_m': self._edge, 'light': self._light}
 
     def after_light(self, moment: Moment) -> None:
-        machine, setup = moment.description.machine, moment.description.setups[moment.setup]
-        walk = (moment.commanded - start_corner(machine, setup)) @ station(machine, setup).triad[:2].T
+        walk = walk_of(moment)
         beyond = walk @ self._bearing - self._edge
         cut = np.clip(beyond / self._edge, 0.0, 1.0)
         moment.spot = moment.spot - self.size * cut[:, None] * self._bearing

@@ -11,7 +11,18 @@ from dataclasses import replace
 
 import numpy as np
 
-from stepdiag_ros.blind.hidden import PLACES, UP, Stage, chosen_axes, direction, place_of, run_of, turn_by
+from stepdiag_ros.blind.hidden import (
+    PLACES,
+    UP,
+    Stage,
+    chosen_axes,
+    direction,
+    ends_of_runs,
+    place_of,
+    run_of,
+    turn_by,
+    walk_of,
+)
 from stepdiag_ros.blind.outside import Outside
 from stepdiag_ros.blind.outside_field import at_times, one_setup
 from stepdiag_ros.blind.outside_shopfloor import stop_of
@@ -43,9 +54,7 @@ def resting(stage: Stage, moment: Moment, axis: int, step: float) -> np.ndarray:
 
 def strikes(moment: Moment, offset: tuple[float, float]) -> np.ndarray:
     """Where (n, 2) [m] a beam meets the mirror, along (u, v) from its reference point: the mirror goes by."""
-    machine, setup = moment.description.machine, moment.description.setups[moment.setup]
-    walk = (moment.commanded - start_corner(machine, setup)) @ station(machine, setup).triad[:2].T
-    return np.array(offset) - walk
+    return np.array(offset) - walk_of(moment)
 
 
 def walked(stage: Stage, setup: str) -> np.ndarray:
@@ -123,16 +132,9 @@ class AccumulatorGas(Outside):
 
     def __init__(self, stage: Stage, rng: np.random.Generator):
         super().__init__(stage, rng)
-        description, names = stage.cell.description, list(stage.cell.description.setups)
-        times, heights, seen = [], [], {}
-        for (begin, end), setup in zip(stage.runs, stage.run_setup, strict=True):
-            ends = stops(description, names[setup]).positions[[0, -1], 2] / stage.travel[2]
-            seen[setup] = seen.get(setup, -1) + 1
-            times += [begin, end]
-            heights += list(ends if seen[setup] % 2 == 0 else ends[::-1])
         tau = rng.uniform(8.0, 50.0)
         self._grid = np.arange(0.0, stage.span_s + 2.0 * GRID_S, GRID_S)
-        height = np.interp(self._grid, times, heights)
+        height = np.interp(self._grid, stage.runs.ravel(), ends_of_runs(stage)[:, :, 2].ravel() / stage.travel[2])
         self._even = np.empty(len(self._grid))
         self._even[0], share = height[0], 1.0 - np.exp(-GRID_S / tau)
         for i in range(1, len(height)):
@@ -480,12 +482,7 @@ class TiltByCountedWay(Outside):
 
     def __init__(self, stage: Stage, rng: np.random.Generator):
         super().__init__(stage, rng)
-        names, seen, begins = list(stage.cell.description.setups), {}, []
-        for setup in stage.run_setup:
-            ends = stops(stage.cell.description, names[setup]).positions[[0, -1]]
-            seen[setup] = seen.get(setup, -1) + 1
-            begins.append(ends[seen[setup] % 2])
-        self._begins, self._arm = np.array(begins), direction(rng, 2)
+        self._begins, self._arm = ends_of_runs(stage)[:, 0], direction(rng, 2)
         # What was typed in for the distance at the reset, whoever resets it and wherever.
         self._typed = rng.uniform(0.15, 0.6)
         self.facts = {'arm': self._arm.tolist(), 'typed_m': self._typed}
