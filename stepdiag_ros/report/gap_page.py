@@ -86,7 +86,8 @@ def _budget(diagnosis: Diagnosis) -> str:
                f'on {escape(diagnosis.cross_validation.held_out)} — a part of the log that took no part in the fit.')
             + '</p>')
     return (text + budget_svg(labels, floor) + _budget_narrow(labels, floor)
-            + f'<p>{escape(gap_words.over_setups_words(diagnosis))}</p>')
+            + f'<p>{escape(gap_words.further_words(diagnosis.cross_validation))} '
+            f'{escape(gap_words.over_setups_words(diagnosis))}</p>')
 
 
 def _budget_narrow(rows: list[tuple[str, float]], floor: float) -> str:

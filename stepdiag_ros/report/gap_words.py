@@ -267,6 +267,18 @@ def how_far(diagnosis: Diagnosis) -> str:
             f'{micrometres(gap.floor_m)}): {closed_percent(share or 0.0)} of it is gone, {rest}.')
 
 
+def further_words(gap: CrossValidation) -> str:
+    """What a further part of the log will show, in a sentence; '' where nothing was held out."""
+    of = gap.gap
+    if of.after_95 is None or of.closed_95 is None:
+        return ''
+    part = next((word for word in ('repeat', 'setup') if word in gap.held_out), 'run')
+    low, high = (micrometres(limit) for limit in of.after_95)
+    gone = '' if of.before == of.after else \
+        f', and {closed_percent(of.closed_95[0])} to {closed_percent(of.closed_95[1])} of the gap gone'
+    return f'Of a further {part}, predicted from all of these, expect an error of {low} to {high}{gone} (95 %).'
+
+
 def _hardly_shows(diagnosis: Diagnosis) -> str:
     """That the stops' means hardly tell of what was found, and what does."""
     gap = diagnosis.cross_validation
@@ -414,6 +426,8 @@ def where_words(diagnosis: Diagnosis) -> str:
 def summary(diagnosis: Diagnosis, name: str, adoption: tuple[str, ...] = ()) -> str:
     """What the command prints of one log."""
     lines = [f'{name}: {headline(diagnosis)}', f'  {how_far(diagnosis)}']
+    if further := further_words(diagnosis.cross_validation):
+        lines.append(f'  {further}')
     if diagnosis.untold:
         lines += ['', f'  The lengths are {diagnosis.untold}', f'  {NOT_METRES}']
     for found in diagnosis.effects:

@@ -7,6 +7,7 @@ The gap is a distance: the root mean square [m] of what is read and was not fitt
 and after, beside what noise alone makes.  Of lengths or of spots, whichever stands out of its noise more.  Beside it
 stands how large the error is against what the forecast expected of itself, its noise and the uncertainty of
 what was fitted; a forecast so wide that it says nothing is right by that measure and closes nothing by the other.
+What a further part will show is said with an interval (:mod:`summary.further_part`).
 The reset of a run that was not fitted is not known and is given free.  Beside that each setup is predicted from the
 others, with the misalignments of its own no better known than before the log.
 """
@@ -23,6 +24,7 @@ from stepdiag_ros.estimate.noise import Whitener
 from stepdiag_ros.gap.constants import PRIOR_RESET_M
 from stepdiag_ros.gap.inference.joint import Joint, prior_sigmas
 from stepdiag_ros.gap.summary.forecast import HeldOut, Run
+from stepdiag_ros.gap.summary.further_part import limits
 
 ONCE = 0.05
 """Share of an effect's columns outside the part held out below which the effect happened in that part alone."""
@@ -30,15 +32,21 @@ TOO_WIDE = 0.5
 """A forecast that is uncertain by more than this share of the gap says nothing of how far it closes."""
 
 
+Limits = tuple[float, float]
+
+
 @dataclass(frozen=True)
 class Distance:
     """Root mean squares [m] of held-out readings of one kind: less their forecast ``before`` and ``after`` the effects,
-    what noise alone makes, ``floor``, and the forecast's own uncertainty after, ``sigma``."""
+    what noise alone makes, ``floor``, and the forecast's own uncertainty after, ``sigma``; limits [m] of what a further
+    part will show with 95 %, ``before_95`` and ``after_95``, None where nothing was held out."""
 
     before: float
     after: float
     floor: float
     sigma: float = 0.0
+    before_95: Limits | None = None
+    after_95: Limits | None = None
 
     @property
     def stands_out(self) -> float:
@@ -48,11 +56,20 @@ class Distance:
     @property
     def left(self) -> float:
         """Share of the mean square before, above noise, that is there after."""
-        return float(np.clip((self.after**2 - self.floor**2) / max(self.before**2 - self.floor**2, 1e-300), 0.0, 1.0))
+        return self._left_of(self.after)
+
+    @property
+    def closed_95(self) -> Limits | None:
+        """Share of the mean square before, above noise, that is gone in a further part, with 95 %."""
+        return self.after_95 and (1.0 - self._left_of(self.after_95[1]), 1.0 - self._left_of(self.after_95[0]))
+
+    def _left_of(self, after: float) -> float:
+        return float(np.clip((after**2 - self.floor**2) / max(self.before**2 - self.floor**2, 1e-300), 0.0, 1.0))
 
     def to_json_dict(self) -> dict:
+        stated = {'before_95_m': self.before_95, 'after_95_m': self.after_95, 'closed_95': self.closed_95}
         return {'before_m': self.before, 'after_m': self.after, 'noise_floor_m': self.floor,
-                'forecast_sigma_m': self.sigma}
+                'forecast_sigma_m': self.sigma, **{key: list(of) for key, of in stated.items() if of}}
 
 
 @dataclass(frozen=True)
@@ -137,8 +154,10 @@ def _cross_validated(joint: Joint, place: Joint, parts: list[np.ndarray], name: 
     after = _predicted(joint, parts, with_effects=True)
     before = _predicted(place, parts, with_effects=False) if joint.active else after
     freedom = max(after.freedom, 1)
-    distances = {kind: Distance(before.errors[kind], rms, after.floors[kind], after.sigmas[kind])
-                 for kind, rms in after.errors.items()}
+    alone = any(part.all() for part in parts)
+    distances = {kind: Distance(before.parts[kind].error, of.error, of.floor, of.sigma,
+                                *((None, None) if alone else (before.parts[kind].further, of.further)))
+                 for kind, of in after.parts.items()}
     return CrossValidation(before.chi2 / freedom, after.chi2 / freedom, after.count, float(sum(joint.noise.dof)), name,
                    distances)
 
@@ -150,16 +169,53 @@ def _left(joint: Joint) -> float:
 
 
 @dataclass(frozen=True)
+class _Parts:
+    """Readings of one kind in the parts held out, of the repeats where that is but one.  ``squares`` (K, 5): sums of squares [m²] of errors, of noise, of what
+    the forecast is uncertain by, their degrees of freedom, and the sum of squares [m⁴] of the covariance expected."""
+
+    squares: np.ndarray
+
+    def _rms(self, column: int) -> float:
+        total = self.squares.sum(axis=0)
+        return float(np.sqrt(max(total[column], 0.0) / max(total[3], 1.0)))
+
+    @property
+    def error(self) -> float:
+        """Root mean square [m] of what is read less what is predicted, …"""
+        return self._rms(0)
+
+    @property
+    def floor(self) -> float:
+        """… of noise alone, …"""
+        return self._rms(1)
+
+    @property
+    def sigma(self) -> float:
+        """… and of what the forecast is uncertain by."""
+        return self._rms(2)
+
+    @property
+    def further(self) -> Limits:
+        """Limits [m] of the root mean square of errors in a further part."""
+        error, noise, forecast, count, fourth = self.squares[self.squares[:, 3] > 0.0].T
+        expected = noise + forecast
+        dof = float(np.sum(expected) ** 2 / max(np.sum(fourth) * len(error), 1e-300))
+        # Of a part that errs by s² more than its noise M in each of n readings the square varies by 4 s² M/n: as one of
+        # n s²/2M degrees of freedom does.
+        dof *= max(1.0, 0.5 * float(np.sum(error) / max(np.sum(expected), 1e-300)))
+        low, high = limits(error / count, dof)
+        return float(np.sqrt(low)), float(np.sqrt(high))
+
+
+@dataclass(frozen=True)
 class _Forecast:
-    """χ² of all that is held out, ``count`` readings with ``freedom`` degrees of freedom; by kind of reading the root
-    mean square [m] of the ``errors``, of the noise alone, ``floors``, and of what the forecast is uncertain by."""
+    """χ² of all that is held out, ``count`` readings with ``freedom`` degrees of freedom; the parts by kind of
+    reading."""
 
     chi2: float
     freedom: int
     count: int
-    errors: Mapping[str, float]
-    floors: Mapping[str, float]
-    sigmas: Mapping[str, float]
+    parts: Mapping[str, _Parts]
 
 
 def _predicted(joint: Joint, parts: list[np.ndarray], with_effects: bool) -> _Forecast:
@@ -182,7 +238,8 @@ def _predicted(joint: Joint, parts: list[np.ndarray], with_effects: bool) -> _Fo
     rest = HeldOut(runs, [[held[run.whitener.rows // channels] for run in runs] for held in parts], precision)
     noise = {int(w.rows[0]): w for w in joint.parity.projection.white}
     total, freedom, count = 0.0, 0, 0
-    sums = {kind: np.zeros(4) for kind in ('displacement', 'spot')}
+    among = table.repeat if len(parts) == 1 else np.argmax(parts, axis=0)
+    sums = {kind: np.zeros((among.max() + 1, 5)) for kind in ('displacement', 'spot')}
     for number, held in enumerate(parts):
         new = np.setdiff1d(table.run[held], table.run[~held])
         chi2, expected, covariance = rest.forecast(number)
@@ -198,13 +255,13 @@ def _predicted(joint: Joint, parts: list[np.ndarray], with_effects: bool) -> _Fo
             factor = noise[int(rows[0])].factor
             freedom, count = freedom + int(flag.sum()), count + int(flag.sum())
             fresh = bool(table.run[rows[0] // channels] in new)
-            for channel in np.unique(rows[flag] % channels):
-                mine = flag & (rows % channels == channel)
+            part = among[rows // channels]
+            for channel, k in {*zip(rows[flag] % channels, part[flag], strict=True)}:
+                mine = flag & (rows % channels == channel) & (part == k)
                 length = channel < beams
-                sums['displacement' if length else 'spot'] += _squares(
+                sums['displacement' if length else 'spot'][k] += _squares(
                     own[mine], run.jacobian[mine], covariance, factor[mine], fresh and bool(length))
-    rms = {kind: np.sqrt(np.maximum(of[:3], 0.0) / max(of[3], 1.0)) for kind, of in sums.items() if of[3] > 0.0}
-    return _Forecast(total, freedom, count, *({kind: float(of[k]) for kind, of in rms.items()} for k in range(3)))
+    return _Forecast(total, freedom, count, {kind: _Parts(of) for kind, of in sums.items() if np.any(of[:, 3] > 0.0)})
 
 
 def _with_resets(joint: Joint, parts: list[np.ndarray]) -> tuple[list[Whitener], np.ndarray]:
@@ -228,15 +285,20 @@ def _with_resets(joint: Joint, parts: list[np.ndarray]) -> tuple[list[Whitener],
 
 def _squares(error: np.ndarray, design: sparse.csr_array, covariance: np.ndarray, factor: np.ndarray,
              fresh: bool) -> np.ndarray:
-    """Sums of squares [m²] of some rows of a beam in a run: of their ``error`` (m,), of noise, whose Cholesky
-    ``factor`` (m, …) has these rows, of what the forecast is uncertain by; and their degrees of freedom.  In a
+    """The ``squares`` (5,) of :class:`_Parts` of some rows of a beam in a run: of their ``error`` (m,), of noise, whose
+    Cholesky ``factor`` (m, …) has these rows, and of the forecast, with the ``covariance`` of its unknowns.  In a
     ``fresh`` run what all have in common is its reset, and no error."""
-    wide = design @ covariance
-    result = np.array([np.sum(error**2), np.sum(factor**2), design.multiply(wide).sum(), len(error)])
+    noise, forecast = factor @ factor.T, design @ (design @ covariance).T
     if fresh:
-        result -= [len(error) * np.mean(error)**2, len(error) * np.sum(factor.mean(axis=0)**2),
-                   len(error) * float(design.mean(axis=0) @ wide.mean(axis=0)), 1.0]
-    return result
+        error, noise, forecast = error - error.mean(), _centred(noise), _centred(forecast)
+    return np.array([error @ error, np.trace(noise), np.trace(forecast), len(error) - fresh,
+                     np.sum((noise + forecast) ** 2)])
+
+
+def _centred(covariance: np.ndarray) -> np.ndarray:
+    """The covariance (m, m) of readings less their mean."""
+    less = covariance - covariance.mean(axis=0)
+    return less - less.mean(axis=1, keepdims=True)
 
 
 def excess_forecast(how_far: CrossValidation) -> tuple[float, str]:

@@ -28,6 +28,10 @@ def test_an_effect_found_closes_the_gap(case):
     assert found.before > 1.2
     assert found.after < 1.0 + 0.1 * (found.before - 1.0) + 4.0 * np.sqrt(2.0 / found.count)
     assert found.after_m < found.before_m
+    low, high = found.gap.after_95
+    assert low < found.after_m < high < 2.0 * found.after_m and found.gap.before_95[0] > high
+    assert 0.5 < found.gap.closed_95[0] < 1.0 - found.gap.left <= found.gap.closed_95[1] <= 1.0
+    assert found.to_json_dict()['after_95_m'] == [low, high]
 
 
 def test_each_setup_is_predicted_from_the_others(case):
@@ -53,6 +57,8 @@ def test_the_last_cycles_of_an_only_run_are_predicted_from_those_before(tmp_path
     assert found.cross_validation.held_out == 'the last 2 of 5 repeats, predicted from those before'
     assert found.cross_validation.count == 36 and found.over_setups is None
     assert found.cross_validation.before > 50.0
+    low, high = found.cross_validation.gap.after_95
+    assert 0.5e-6 < low < 1e-6 < high < 3e-6
     assert found.cross_validation.after == pytest.approx(1.0, abs=5.0 * np.sqrt(2.0 / 36))
 
 
