@@ -170,8 +170,11 @@ def _left(joint: Joint) -> float:
 
 @dataclass(frozen=True)
 class _Parts:
-    """Readings of one kind in the parts held out, of the repeats where that is but one.  ``squares`` (K, 5): sums of squares [m²] of errors, of noise, of what
-    the forecast is uncertain by, their degrees of freedom, and the sum of squares [m⁴] of the covariance expected."""
+    """Readings of one kind in the parts held out, of the repeats where that is but one.
+
+    ``squares`` (K, 5): sums of squares [m²] of errors, of noise, of what the forecast is uncertain by, their degrees of
+    freedom, and the sum of squares [m⁴] of the covariance expected.
+    """
 
     squares: np.ndarray
 

@@ -2,14 +2,14 @@
 
 The mean square of a part less its forecast is c χ²_ν/ν: c is how much larger it is than the forecast expects, the same
 for all parts and not known; ν is at most what the forecast's covariance S tells, (tr S)²/tr S² (Satterthwaite, An
-approximate distribution of estimates of variance components, Biometrics Bulletin 2, 1946), and less where parts differ by
-more than that: a drift that begins anew in each repeat, a stage that jumps in one.  Given ν, c integrated over dc/c, K
-mean squares qₖ have the density
+approximate distribution of estimates of variance components, Biometrics Bulletin 2, 1946), and less where parts differ
+by more than that: a drift that begins anew in each repeat, a stage that jumps in one.  Given ν, c integrated over dc/c,
+K mean squares qₖ have the density
 
     Γ(Kν/2) Γ(ν/2)^(−K) Πₖ qₖ^(ν/2 − 1) (Σₖ qₖ)^(−Kν/2),
 
-and the next one, over their mean, is distributed as F(ν, Kν).  What is said of it is averaged over ν: what the
-forecast says, or, with a fifth of the odds, anything from there down to one, evenly in logarithm.
+and the next one, over their mean, is distributed as F(ν, Kν).  What is said of it is averaged over ν: what
+the forecast says, or, with a fifth of the odds, anything from there down to one, evenly in logarithm.
 """
 
 import numpy as np

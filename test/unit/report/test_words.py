@@ -107,8 +107,8 @@ def test_forms_of_one_axis_are_one_size(parameters, said):
 def test_what_a_further_repeat_will_show_is_said_with_its_limits():
     of = Distance(4.0e-6, 1.0e-6, 0.8e-6, 0.0, (3.0e-6, 5.0e-6), (0.8e-6, 1.5e-6))
     assert further_words(CrossValidation(20.0, 1.5, 200, 100.0, 'each repeat in turn', {'displacement': of})) == (
-        'Of a further repeat, predicted from all of these, expect an error of 0.800 µm to 1.50 µm, and 90 % to 100 % of '
-        'the gap gone (95 %).')
+        'Of a further repeat, predicted from all of these, expect an error of 0.800 µm to 1.50 µm, and 90 % to 100 % '
+        'of the gap gone (95 %).')
     same = replace(of, before=1.0e-6)
     assert 'gone' not in further_words(CrossValidation(1.5, 1.5, 200, 100.0, 'each repeat', {'displacement': same}))
     alone = replace(of, before_95=None, after_95=None)

@@ -9,7 +9,8 @@ from stepdiag_ros.gap.summary.further_part import limits
 def within(parts, dof, scatter, rng, trials=400):
     """Share of further parts within the limits from ``parts`` others: normal errors of 60 readings, whose size differs
     from part to part by a factor of exp(±scatter)."""
-    squares = rng.chisquare(60, (trials, parts + 1)) / 60 * np.exp(2.0 * scatter * rng.standard_normal((trials, parts + 1)))
+    size = np.exp(scatter * rng.standard_normal((trials, parts + 1)))
+    squares = rng.chisquare(60, (trials, parts + 1)) / 60 * size**2
     told = [limits(row[:-1], dof) for row in squares]
     return float(np.mean([low <= row[-1] <= high for row, (low, high) in zip(squares, told, strict=True)]))
 
