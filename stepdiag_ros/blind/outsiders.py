@@ -11,8 +11,9 @@ from stepdiag_ros.blind.outside_more import MORE
 from stepdiag_ros.blind.outside_shopfloor import SHOPFLOOR
 from stepdiag_ros.blind.outside_unseen import UNSEEN
 from stepdiag_ros.blind.outside_works import WORKS
+from stepdiag_ros.blind.outside_workshop import WORKSHOP
 
 USUAL = OUTSIDE
-MET = (*OUTSIDE, *MORE, *CELLS, *UNSEEN, *SHOPFLOOR, *FIELD)
-UNMET = WORKS
+MET = (*OUTSIDE, *MORE, *CELLS, *UNSEEN, *SHOPFLOOR, *FIELD, *WORKS)
+UNMET = WORKSHOP
 OUTSIDERS = (*MET, *UNMET)
