@@ -15,6 +15,7 @@ from stepdiag_ros.gap.summary.margins import SETTLING, Margins
 from stepdiag_ros.model.description import Description
 from stepdiag_ros.report import gap_figures, gap_words
 from stepdiag_ros.report.page import bars, figure, page, table
+from stepdiag_ros.report.pattern_words import pattern_words
 from stepdiag_ros.report.series import Series, inside, series, spectra
 from stepdiag_ros.report.words import (
     SHORT_CHANNELS,
@@ -25,7 +26,6 @@ from stepdiag_ros.report.words import (
     plain,
     quantity,
     title,
-    unmodelled_words,
 )
 
 BADGES = {'no_gap': ('good', 'nothing wrong'), 'hint': ('good', 'nothing for sure'),
@@ -155,7 +155,7 @@ def _causes(diagnosis: Diagnosis) -> str:
             what = 'to which this log gives no sure name' if gap_words.stand_ins(diagnosis) else \
                 'that is none of the known causes'
             text += (f'<div class="todo warn2"><b>Something is there {what}.</b> '
-                     f'What it looks like: {escape(unmodelled_words(diagnosis.unmodelled))}. '
+                     f'What it looks like: {escape(pattern_words(diagnosis.unmodelled))}. '
                      f'{escape(gap_words.correlates_words(diagnosis))} No name was put on '
                      'it, because none predicts it better than a shapeless pattern does.</div>')
     text += _apart(diagnosis)

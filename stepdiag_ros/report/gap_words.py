@@ -13,6 +13,7 @@ from stepdiag_ros.gap.summary.cross_validation import CrossValidation, Distance,
 from stepdiag_ros.gap.summary.margins import AT_REST, MOVING, SETTLING
 from stepdiag_ros.gap.summary.volume import VolumeChange
 from stepdiag_ros.model.machine import CURVES, SQUARENESS
+from stepdiag_ros.report.pattern_words import pattern_words
 from stepdiag_ros.report.series import reach
 from stepdiag_ros.report.words import (
     SHORT_CHANNELS,
@@ -26,7 +27,6 @@ from stepdiag_ros.report.words import (
     quantity,
     scale,
     title,
-    unmodelled_words,
 )
 
 ALTERNATIVE = 0.05
@@ -108,7 +108,7 @@ def reach_words(diagnosis: Diagnosis, name: str) -> str:
 
 def headline(diagnosis: Diagnosis) -> str:
     """The verdict in one sentence."""
-    found, unmodelled = diagnosis.effects, unmodelled_words(diagnosis.unmodelled)
+    found, unmodelled = diagnosis.effects, pattern_words(diagnosis.unmodelled)
     floor = micrometres(diagnosis.cross_validation.floor_m)
     if not found and not diagnosis.unmodelled:
         said = (f'Nothing is wrong that this log could show: machine and simulator agree as closely as '
@@ -202,7 +202,7 @@ def _hinted(diagnosis: Diagnosis) -> str:
     said = []
     for name, form in diagnosis.hint.forms.items():
         others = [n for group in diagnosis.indistinguishable if name in group for n in group if n != name]
-        first = f'unmodelled structure ({unmodelled_words(form)})' if name == UNKNOWN else f'“{title(name)}”'
+        first = f'unmodelled structure ({pattern_words(form)})' if name == UNKNOWN else f'“{title(name)}”'
         said.append(' or '.join([first, *(f'“{title(n)}”' for n in others)]))
     return ' and '.join(said)
 
@@ -449,7 +449,7 @@ def summary(diagnosis: Diagnosis, name: str, adoption: tuple[str, ...] = ()) -> 
     if diagnosis.hint:
         lines += ['', f'  {hint_words(diagnosis)}']
     if diagnosis.unmodelled:
-        more = f'{unmodelled_words(diagnosis.unmodelled)}. {correlates_words(diagnosis)}'
+        more = f'{pattern_words(diagnosis.unmodelled)}. {correlates_words(diagnosis)}'
         lines += ['', f'  Not explained: {more}'.rstrip()]
     if diagnosis.shares:
         lines += ['', f'  Where: {where_words(diagnosis)}']

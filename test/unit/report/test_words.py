@@ -42,25 +42,6 @@ def test_parameters_lose_their_unit_and_keep_their_meaning():
     assert words.parameter_name('tau_s (2)') == 'time constant (2)'
 
 
-@pytest.mark.parametrize(('label', 'said'), [
-    ('displacement: places by direction in ppp',
-     'the laser length belongs to places along ppp, and is opposite forward and backward'),
-    ('mirror: wandering inside the runs', "the mirror's attitude wanders inside each run"),
-    ('spot_x: jump at npp/0/+ stop 4', 'the spot in x jumps once (run npp/0/+, stop 4) and stays there'),
-    ('constant: not alike from setup to setup',
-     'a known pattern (constant) whose size differs from setup to setup'),
-    ('displacement: bent beyond 35 % of the range', 'the laser length is bent beyond 35 % of its range'),
-    ('displacement: follows the spot at 45°, saturating at 1 mm',
-     'the laser length follows the spot along 45°, up to some 1 mm'),
-    ('tool: turned by the direction of X, by place', 'the tool turns with the direction in which X moves, by place'),
-    ('length: another unit from ppp/0/+ stop 4 on', 'the unit of length is another one from run ppp/0/+, stop 4 on'),
-    ('EYX changes its shape, bow, slowing',
-     'the guideway of X changes its shape in Y with time (as a bow; slowing)'),
-    ('something never received of', 'something never received of')])
-def test_unmodelled_structure_is_described(label, said):
-    assert words.unmodelled_words(label) == said
-
-
 @pytest.mark.parametrize(('after', 'sigma', 'said'), [
     (2.9e-7, 5e-8, 'the residual is noise.'),
     (3.4e-7, 1.9e-7, 'the residual is noise and the 0.190 µm by which the prediction itself is uncertain.')])
