@@ -44,6 +44,8 @@ PERIODS_M = tuple(np.geomspace(1.5e-4, 1e-3, 7))
 """Periods tried [m] of what swings as the spot wanders; they are tuned."""
 BEARINGS = 8
 """Directions in the detector's plane in which it may, evenly over half a turn."""
+ALIKE = 1e-6
+"""Share of their squares by which columns may differ that do the same to the readings."""
 
 
 @dataclass(frozen=True)
@@ -179,13 +181,14 @@ def _by_distance(view: StopView) -> Iterator[Form]:
 
 def _by_direction(view: StopView) -> Iterator[Form]:
     """Something follows the direction from which an axis came, alike or otherwise at each place of it or of another:
-    all but a shift of that axis, which is its backlash."""
+    all but a shift of that axis, which is its backlash, and what does the same as one."""
     shifts, bends = _axes(view), {axis: _bends(view, axis) for axis, _ in _moving(view)}
     for axis, letter in _moving(view):
         sign = view.approach[:, axis].astype(float)
         unsettled = sign == 0.0
         others = [shift for a, shift in enumerate(shifts) if a != axis]
-        for where in (*others, _tool(view, axis), _beam(view), _length(view), _spot(view)):
+        places = (*others, _tool(view, axis), _beam(view), _length(view), _spot(view))
+        for where in (each for each in places if not _same(each.columns, shifts[axis].columns)):
             yield where.following(view, f'by the direction of {letter}', sign[None], unsettled)
             yield where.following(view, f'by the direction of {letter} at each place', sign * bends[axis], unsettled)
             for other, beside in _moving(view):
@@ -194,12 +197,21 @@ def _by_direction(view: StopView) -> Iterator[Form]:
                                           sign * bends[other][:2], unsettled)
 
 
+def _same(one: np.ndarray, other: np.ndarray) -> bool:
+    """Whether columns (k, n, c) do the same to the readings but for a factor, as a shift of X and an error of length do
+    where the laser looks along X alone."""
+    if one.shape != other.shape:
+        return False
+    return bool(abs(np.vdot(one, other)) > (1.0 - ALIKE) * np.linalg.norm(one) * np.linalg.norm(other) > 0.0)
+
+
 def _by_history(view: StopView) -> Iterator[Form]:
     """Something follows which axis moved last, or in which direction that was; the detector shows in part what it saw
-    before."""
+    before.  Where one axis moves alone the last move's direction is that axis's."""
     moved = last_arrivals(view)[0].T.astype(float)
     unsettled = ~moved.any(axis=0)
-    for where in (*_axes(view), _beam(view), _mirror(view), _length(view), _spot(view)):
+    alone = len(list(_moving(view))) < 2
+    for where in () if alone else (*_axes(view), _beam(view), _mirror(view), _length(view), _spot(view)):
         yield where.following(view, 'by which axis moved last', moved, unsettled)
         yield where.following(view, 'by the last move, each axis in its direction', moved * view.approach.T, unsettled)
     yield from (_remembered(view, tau) for tau in MEMORY_S)

@@ -185,3 +185,16 @@ def test_cells_that_a_name_has_are_not_in_the_table(case):
     for letter in 'XYZ':
         assert any(label.startswith(f'{letter}: shifted by the direction of') for label in labels)
         assert not any(label.startswith(f'{letter}: shifted by the direction of {letter}') for label in labels)
+
+
+def test_on_one_line_a_length_that_follows_the_direction_is_backlash(case):
+    """A real stage's reversal error of 50 µm was an error of the length, or what follows the last move, as likely as
+    backlash: where the laser looks along the one axis that moves the three are one thing, and it has a name."""
+    begin, end = case.quiet.index('  ppp:'), case.quiet.index('  lin_x:')
+    text = case.quiet[:begin] + case.quiet[end:]
+    line = '\n'.join(row for row in text.split('\n') if not row.startswith(('  lin_y:', '  lin_z:')))
+    labels = {name: {form.label for forms in table_families(observe(simulate_log(parse_cell(of))).view).values()
+                     for form in forms} for name, of in (('line', line), ('all', case.quiet))}
+    for same in ('displacement: off by the direction of X', 'X: shifted by which axis moved last'):
+        assert same in labels['all'] and same not in labels['line']
+    assert 'spot: off by the direction of X' in labels['line']
