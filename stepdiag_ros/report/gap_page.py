@@ -149,6 +149,7 @@ def _causes(diagnosis: Diagnosis) -> str:
         if diagnosis.effects:
             text += table(['what it is', 'how sure', 'size', 'what to do'],
                           [_cause_row(diagnosis, f) for f in diagnosis.effects], 'causes')
+            text += f'<p>{escape(gap_words.AMONG_KNOWN)}</p>'
         if diagnosis.hint:
             text += f'<p>{escape(gap_words.hint_words(diagnosis))}</p>'
         if diagnosis.unmodelled:
