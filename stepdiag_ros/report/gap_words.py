@@ -30,8 +30,8 @@ from stepdiag_ros.report.words import (
 )
 
 AMONG_KNOWN = ('How sure is meant among the causes that are known here. Of what nobody had thought of, one in four was '
-               'given one of these names, as sure as this (blind checks, 53 of 188): where the shop floor contradicts a '
-               'name, believe the shop floor and measure again.')
+               'given one of these names, as sure as this (blind checks, 53 of 188): where the shop floor contradicts '
+               'a name, believe the shop floor and measure again.')
 """What a probability cannot say; the four sealed sets of kinds that nobody had looked into (docs/blind-check.md)."""
 ALTERNATIVE = 0.05
 """Probability from which a headline names what may act instead."""
