@@ -1,4 +1,4 @@
-"""Twenty effects from outside the vocabulary as a machine builder and a metrologist on his rounds tell of them, written
+"""Nineteen effects from outside the vocabulary as a machine builder and a metrologist on his rounds tell of them, written
 without any look at the diagnosis.
 
 They act in oil films, bolted joints and counterweights, in screws, encoders' cables and the control's smoothing, in the
@@ -28,7 +28,6 @@ from stepdiag_ros.blind.outside_field import one_setup
 from stepdiag_ros.blind.outside_shopfloor import stop_of
 from stepdiag_ros.blind.outside_works import GRID_S, reach, resting, step_s, strikes, walked
 from stepdiag_ros.effects.base import Moment
-from stepdiag_ros.model.air import WAVELENGTH
 from stepdiag_ros.model.log import CalibrationLog
 from stepdiag_ros.model.path import stops
 from stepdiag_ros.model.sensor import station
@@ -284,24 +283,6 @@ class TwinScrewSlips(Outside):
 
 # ---- laser and its way ------------------------------------------------------------------------------
 
-class ChannelCrosstalk(Outside):
-    """light of one of the interferometer's beams gets into the next one's fibre: they beat as the mirror tilts"""
-
-    name, typical, largest = 'channel_crosstalk', 5e-8, 4e-7
-
-    def __init__(self, stage: Stage, rng: np.random.Generator):
-        super().__init__(stage, rng)
-        self._phase, self._leaks = rng.uniform(0.0, 2.0 * np.pi, 16), rng.uniform(0.3, 1.0, 16)
-        self.facts = {'leaks': self._leaks[:3].tolist()}
-
-    def after_light(self, moment: Moment) -> None:
-        if moment.length.shape[1] > 1:
-            ahead = np.roll(moment.length, -1, axis=1) - moment.length
-            beams = np.arange(moment.length.shape[1]) % 16
-            beat = np.sin(4.0 * np.pi * ahead / WAVELENGTH + self._phase[beams])
-            moment.length = moment.length + self.size * self._leaks[beams] * beat
-
-
 class SealingAirJet(Outside):
     """the spindle's sealing air comes on now and then: its cold jet crosses the beams before the mirror, near or far"""
 
@@ -547,6 +528,6 @@ class LengthsSmoothed(Outside):
 
 
 WORKSHOP = (SqueezeFilm, BoltedJointTicks, CounterweightSwings, SunPatch, EncoderCrosstalk, WholeDegrees,
-            CornersSmoothed, ThrustFacesWobble, TwinScrewSlips, ChannelCrosstalk, SealingAirJet, GrinderNextDoor,
+            CornersSmoothed, ThrustFacesWobble, TwinScrewSlips, SealingAirJet, GrinderNextDoor,
             TautHose, CrackedMirror, SpindlePlay, BatteryRail, ZeroTracking, ReportByException, TornReads,
             LengthsSmoothed)
