@@ -1,8 +1,8 @@
-"""Nineteen effects from outside the vocabulary as a machine builder and a metrologist on his rounds tell of them, written
-without any look at the diagnosis.
+"""Nineteen effects from outside the vocabulary as a machine builder and a metrologist on his rounds tell of them,
+written without any look at the diagnosis.
 
 They act in oil films, bolted joints and counterweights, in screws, encoders' cables and the control's smoothing, in the
-interferometer's channels, at the mirror's spindle, hose and glass, in detectors, drivers and historians, and
+interferometer's averaging, at the mirror's spindle, hose and glass, in detectors, drivers and historians, and
 come from the sun, from jets of air and from the machine next door.  Nothing is remembered from call to call: what
 happened before follows from the times of the runs, from where a run came from, from the order of the plan, or from
 the finished log.
