@@ -7,9 +7,11 @@ Nothing is remembered from call to call: what happened before follows from the t
 where a run came from, from the order of the plan, or from the finished log.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from stepdiag_ros.blind.hidden import (
     PLACES,
@@ -33,6 +35,30 @@ from stepdiag_ros.model.sensor import station
 
 GRID_S = 0.25
 """Of tables over time."""
+
+
+def grid_of(stage: Stage) -> np.ndarray:
+    """Times (k,) [s] of a table over the whole log."""
+    return np.arange(0.0, stage.span_s + 2.0 * GRID_S, GRID_S)
+
+
+def followed(target: np.ndarray, tau: float, begin: float | None = None) -> np.ndarray:
+    """What follows a table (k,) over time with a time constant [s], from where that begins or from ``begin``."""
+    state, share = np.empty(len(target)), 1.0 - np.exp(-GRID_S / tau)
+    state[0] = target[0] if begin is None else begin
+    for i in range(1, len(target)):
+        state[i] = state[i - 1] + share * (target[i] - state[i - 1])
+    return state
+
+
+def shown(log: CalibrationLog, of: Callable[[int, np.ndarray, np.ndarray], ArrayLike]) -> CalibrationLog:
+    """The log with the spots that are shown, channel by channel k: ``of`` (k, the samples (m,) that have a reading, the
+    readings (m,))."""
+    values = log.spot.values.copy()
+    for k in range(values.shape[1]):
+        seen = np.flatnonzero(np.isfinite(values[:, k]))
+        values[seen, k] = of(k, seen, values[seen, k])
+    return replace(log, spot=replace(log.spot, values=values))
 
 
 def step_s(stage: Stage) -> float:
@@ -133,12 +159,9 @@ class AccumulatorGas(Outside):
     def __init__(self, stage: Stage, rng: np.random.Generator):
         super().__init__(stage, rng)
         tau = rng.uniform(8.0, 50.0)
-        self._grid = np.arange(0.0, stage.span_s + 2.0 * GRID_S, GRID_S)
+        self._grid = grid_of(stage)
         height = np.interp(self._grid, stage.runs.ravel(), ends_of_runs(stage)[:, :, 2].ravel() / stage.travel[2])
-        self._even = np.empty(len(self._grid))
-        self._even[0], share = height[0], 1.0 - np.exp(-GRID_S / tau)
-        for i in range(1, len(height)):
-            self._even[i] = self._even[i - 1] + share * (height[i] - self._even[i - 1])
+        self._even = followed(height, tau)
         self._nod = np.append(direction(rng, 2), 0.0)
         self._stiff = rng.uniform(0.2, 0.8)
         self.facts = {'tau_s': tau, 'nod': self._nod.tolist()}
@@ -381,7 +404,7 @@ class CranePasses(Outside):
         times = at_times(rng, stage, every)
         load, lasts = rng.lognormal(-0.2, 0.5, len(times)), rng.uniform(5.0, 20.0, len(times))
         load *= rng.choice([-1.0, 1.0], len(times))
-        self._grid = np.arange(0.0, stage.span_s + 2.0 * GRID_S, GRID_S)
+        self._grid = grid_of(stage)
         self._towards, self._aside = np.zeros((2, len(self._grid)))
         for time, heavy, long in zip(times, load, lasts, strict=True):
             off = (self._grid - time) / long
@@ -411,7 +434,7 @@ class DoorDraught(Outside):
         times = at_times(rng, stage, every)
         cold, opened = rng.lognormal(-0.2, 0.4, len(times)), rng.uniform(8.0, 45.0, len(times))
         falls, warms = rng.uniform(2.0, 8.0), rng.uniform(15.0, 60.0)
-        self._grid = np.arange(0.0, stage.span_s + 2.0 * GRID_S, GRID_S)
+        self._grid = grid_of(stage)
         self._cold = np.zeros(len(self._grid))
         for time, much, lasts in zip(times, cold, opened, strict=True):
             since = np.maximum(self._grid - time, 0.0)
@@ -439,9 +462,7 @@ class AirConditionerBends(Outside):
         changes = np.cumsum(lasts) - rng.uniform(1.0, 2.0) * period
         self._grid = np.arange(-2.0 * tau, stage.span_s + 2.0 * GRID_S, GRID_S)
         blows = np.searchsorted(changes, self._grid) % 2 - 0.5
-        self._layers, share = np.zeros(len(self._grid)), 1.0 - np.exp(-GRID_S / tau)
-        for i in range(1, len(blows)):
-            self._layers[i] = self._layers[i - 1] + share * (blows[i] - self._layers[i - 1])
+        self._layers = followed(blows, tau, begin=0.0)
         self._layers /= max(float(np.ptp(self._layers)), 1e-3)
         self.facts = {'period_s': period, 'tau_s': tau}
 
@@ -509,15 +530,15 @@ class SpikeLimiter(Outside):
         if len(log.spot) < 2:
             return log
         period = float(np.median(np.diff(log.spot.time_ns))) * 1e-9
-        values = log.spot.values.copy()
-        for k in range(values.shape[1]):
-            most = 1e-3 * period / (self.size * self._slower[k % 2])
-            seen, shown = np.flatnonzero(np.isfinite(values[:, k])), []
-            for value in values[seen, k].tolist():
-                before = shown[-1] if shown else value
-                shown.append(min(max(value, before - most), before + most))
-            values[seen, k] = shown
-        return replace(log, spot=replace(log.spot, values=values))
+
+        def limited(k: int, _: np.ndarray, values: np.ndarray) -> list[float]:
+            most, result = 1e-3 * period / (self.size * self._slower[k % 2]), []
+            for value in values.tolist():
+                before = result[-1] if result else value
+                result.append(min(max(value, before - most), before + most))
+            return result
+
+        return shown(log, limited)
 
 
 class BlocksFilledIn(Outside):

@@ -26,25 +26,11 @@ from stepdiag_ros.blind.hidden import (
 from stepdiag_ros.blind.outside import Outside
 from stepdiag_ros.blind.outside_field import one_setup
 from stepdiag_ros.blind.outside_shopfloor import stop_of
-from stepdiag_ros.blind.outside_works import GRID_S, reach, resting, step_s, strikes, walked
+from stepdiag_ros.blind.outside_works import GRID_S, followed, grid_of, reach, resting, shown, step_s, strikes, walked
 from stepdiag_ros.effects.base import Moment
 from stepdiag_ros.model.log import CalibrationLog
 from stepdiag_ros.model.path import stops
 from stepdiag_ros.model.sensor import station
-
-
-def grid_of(stage: Stage) -> np.ndarray:
-    """Times (k,) [s] of a table over the whole log."""
-    return np.arange(0.0, stage.span_s + 2.0 * GRID_S, GRID_S)
-
-
-def followed(target: np.ndarray, tau: float) -> np.ndarray:
-    """What follows a table (k,) over time with a time constant [s]."""
-    state, share = np.empty(len(target)), 1.0 - np.exp(-GRID_S / tau)
-    state[0] = target[0]
-    for i in range(1, len(target)):
-        state[i] = state[i - 1] + share * (target[i] - state[i - 1])
-    return state
 
 
 def on_and_off(rng: np.random.Generator, stage: Stage, on_s: float, off_s: float) -> np.ndarray:
@@ -436,20 +422,21 @@ class ZeroTracking(Outside):
     def spoil(self, log: CalibrationLog) -> CalibrationLog:
         if len(log.spot) < 2:
             return log
-        seconds, values = (log.spot.time_ns - log.spot.time_ns[0]) * 1e-9, log.spot.values.copy()
+        seconds = (log.spot.time_ns - log.spot.time_ns[0]) * 1e-9
         step = np.diff(seconds, prepend=seconds[0])
         # While the spot runs the zero waits; for a new setup the readout is switched on anew.
         step = np.clip(step, 0.0, 2.0 * float(np.median(step)))
         anew = np.diff(log.spot.setup, prepend=log.spot.setup[0]) != 0
-        for k in range(values.shape[1]):
-            seen, zero, shown = np.flatnonzero(np.isfinite(values[:, k])), 0.0, []
-            rates = (self.size * self._slower[k % 2] * step[seen]).tolist()
-            for value, most, new in zip(values[seen, k].tolist(), rates, anew[seen].tolist(), strict=True):
+
+        def tracked(k: int, seen: np.ndarray, values: np.ndarray) -> list[float]:
+            zero, result, rates = 0.0, [], (self.size * self._slower[k % 2] * step[seen]).tolist()
+            for value, most, new in zip(values.tolist(), rates, anew[seen].tolist(), strict=True):
                 zero = 0.0 if new else zero
                 zero += min(max(value - zero, -most), most)
-                shown.append(value - zero)
-            values[seen, k] = shown
-        return replace(log, spot=replace(log.spot, values=values))
+                result.append(value - zero)
+            return result
+
+        return shown(log, tracked)
 
 
 class ReportByException(Outside):
@@ -463,13 +450,13 @@ class ReportByException(Outside):
         self.facts = {'bands': self._bands.tolist()}
 
     def spoil(self, log: CalibrationLog) -> CalibrationLog:
-        values = log.spot.values.copy()
-        for k in range(values.shape[1]):
-            seen, shown, band = np.flatnonzero(np.isfinite(values[:, k])), [], self.size * self._bands[k % 2]
-            for value in values[seen, k].tolist():
-                shown.append(value if not shown or abs(value - shown[-1]) > band else shown[-1])
-            values[seen, k] = shown
-        return replace(log, spot=replace(log.spot, values=values))
+        def reported(k: int, _: np.ndarray, values: np.ndarray) -> list[float]:
+            result, band = [], self.size * self._bands[k % 2]
+            for value in values.tolist():
+                result.append(value if not result or abs(value - result[-1]) > band else result[-1])
+            return result
+
+        return shown(log, reported)
 
 
 class TornReads(Outside):
@@ -484,15 +471,14 @@ class TornReads(Outside):
         self.facts = {'share': share}
 
     def spoil(self, log: CalibrationLog) -> CalibrationLog:
-        values = log.spot.values.copy()
-        for k in range(values.shape[1]):
-            seen = np.flatnonzero(np.isfinite(values[:, k]))
-            high = np.floor(values[seen, k] / self.size + self._zero[k % 2])
+        def read(k: int, seen: np.ndarray, values: np.ndarray) -> np.ndarray:
+            high = np.floor(values / self.size + self._zero[k % 2])
             # Between two samples of one stop it is a carry or none; over a move the high half may be far behind.
             before = np.append(high[:1], high[:-1])
             torn = self._torn[seen % len(self._torn), k % 2] & (np.abs(high - before) < 1.5)
-            values[seen, k] += self.size * np.where(torn, before - high, 0.0)
-        return replace(log, spot=replace(log.spot, values=values))
+            return values + self.size * np.where(torn, before - high, 0.0)
+
+        return shown(log, read)
 
 
 class LengthsSmoothed(Outside):

@@ -103,15 +103,13 @@ def _error_motion(label: str) -> str:
     who = f'the carriage of {axis} turns about {turns[motion]}' if motion in turns else \
         f'{axis} is off along itself' if motion == axis else f'the guideway of {axis}'
     shape = re.fullmatch(r', (slope|bow|S), (.*)', tail)
-    if changes.startswith('has'):
-        told = 'otherwise in each run'
-    elif shape:
+    if shape:
         form = {'slope': 'in proportion to the place', 'bow': 'as a bow', 'S': 'as an S'}[shape[1]]
-        told = f'with time ({form}; {shape[2]})'
-    else:
-        told = f'with time ({tail[2:]})'
+        tail = f', {form}; {shape[2]}'
+    in_time = changes.startswith('changes')
+    told = f'with time ({tail[2:]})' if in_time else 'otherwise in each run'
     if motion in turns or motion == axis:
-        return f'{who}, {"by its place " if changes.startswith("has") else "by its place and "}{told}'
+        return f'{who}, by its place {"and " if in_time else ""}{told}'
     return f'{who} changes its shape in {motion} {told}'
 
 

@@ -24,15 +24,12 @@ from stepdiag_ros.estimate.noise import Whitener
 from stepdiag_ros.gap.constants import PRIOR_RESET_M
 from stepdiag_ros.gap.inference.joint import Joint, prior_sigmas
 from stepdiag_ros.gap.summary.forecast import HeldOut, Run
-from stepdiag_ros.gap.summary.further_part import limits
+from stepdiag_ros.gap.summary.further_part import Limits, limits
 
 ONCE = 0.05
 """Share of an effect's columns outside the part held out below which the effect happened in that part alone."""
 TOO_WIDE = 0.5
 """A forecast that is uncertain by more than this share of the gap says nothing of how far it closes."""
-
-
-Limits = tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -259,7 +256,7 @@ def _predicted(joint: Joint, parts: list[np.ndarray], with_effects: bool) -> _Fo
             freedom, count = freedom + int(flag.sum()), count + int(flag.sum())
             fresh = bool(table.run[rows[0] // channels] in new)
             part = among[rows // channels]
-            for channel, k in {*zip(rows[flag] % channels, part[flag], strict=True)}:
+            for channel, k in np.unique(np.column_stack([rows % channels, part])[flag], axis=0):
                 mine = flag & (rows % channels == channel) & (part == k)
                 length = channel < beams
                 sums['displacement' if length else 'spot'][k] += _squares(
