@@ -76,7 +76,7 @@ def made():
     return []
 
 def stand_still():
-    subprocess.Popen(['sh', '-c', f'sleep 7; kill -CONT {os.getpid()}'])
+    subprocess.Popen(['sh', '-c', f'sleep 3; kill -CONT {os.getpid()}'])
     os.kill(os.getpid(), 19)
     time.sleep(0.01)
 
@@ -89,6 +89,14 @@ def test_that_stood_still(made):
         assert False
     assert made == [1]       # the module's fixtures were made anew
 
+def test_that_is_busy():
+    until_s = time.process_time() + 2.0
+    while time.process_time() < until_s:
+        pass
+    with open('busy', 'a') as file:
+        file.write('.')
+    assert False
+
 def test_that_is_wrong():
     with open('wrong', 'a') as file:
         file.write('.')
@@ -98,6 +106,7 @@ def test_that_is_wrong():
 
 def test_only_a_standstill_is_a_reason_to_run_a_test_again(tmp_path: Path) -> None:
     result = run_tests(tmp_path, STOOD_STILL)
-    assert result.returncode == 1 and '1 failed, 1 passed' in result.stdout, result.stdout + result.stderr
+    assert result.returncode == 1 and '2 failed, 1 passed' in result.stdout, result.stdout + result.stderr
     assert 'RUN AGAIN test_it.py::test_that_stood_still: the computer stood still for' in result.stdout
     assert result.stdout.count('RUN AGAIN') == 1 and (tmp_path / 'wrong').read_text() == '.'
+    assert (tmp_path / 'busy').read_text() == '.'
