@@ -8,14 +8,16 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 
 
-def run_tests(folder: Path, source: str) -> subprocess.CompletedProcess[str]:
-    """Runs a test module with the repository's conftest and options in a process of its own."""
+def run_tests(folder: Path, source: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """Runs a test module, or what ``arguments`` say, with the repository's conftest and options in a process of its
+    own."""
     for name in ('conftest.py', 'standstill.py'):
         (folder / name).write_text((ROOT / 'test' / name).read_text())
     (folder / 'test_it.py').write_text(source)
     (folder / 'pyproject.toml').write_text((ROOT / 'pyproject.toml').read_text())
     return subprocess.run(
-        [sys.executable, '-m', 'pytest', '-q', '-p', 'no:cacheprovider', str(folder / 'test_it.py')],
+        [sys.executable, '-m', 'pytest', '-q', '-p', 'no:cacheprovider',
+         *(arguments or [str(folder / 'test_it.py')])],
         cwd=folder,
         capture_output=True,
         text=True,
@@ -110,3 +112,28 @@ def test_only_a_standstill_is_a_reason_to_run_a_test_again(tmp_path: Path) -> No
     assert 'RUN AGAIN test_it.py::test_that_stood_still: the computer stood still for' in result.stdout
     assert result.stdout.count('RUN AGAIN') == 1 and (tmp_path / 'wrong').read_text() == '.'
     assert (tmp_path / 'busy').read_text() == '.'
+
+
+NOTES = """
+import os, pathlib, time
+
+def test_notes():
+    worker, niceness = os.environ['PYTEST_XDIST_WORKER'], os.nice(0)
+    pathlib.Path(f'{pathlib.Path(__file__).stem}.noted').write_text(f'{worker} {niceness}')
+    time.sleep(0.5)
+"""
+
+
+def test_what_runs_live_takes_turns_and_what_computes_gives_way(tmp_path: Path) -> None:
+    for name in ('node/test_first', 'fault/test_second', 'node/test_third', 'unit/test_fourth', 'unit/test_fifth'):
+        file = tmp_path / 'test' / f'{name}.py'
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(NOTES)
+    result = run_tests(tmp_path, '', 'test', '-n', '2')
+    assert '5 passed' in result.stdout, result.stdout + result.stderr
+    noted = {path.stem: path.read_text().split() for path in tmp_path.glob('*.noted')}
+    live = [noted[f'test_{name}'] for name in ('first', 'second', 'third')]
+    computing = [noted[f'test_{name}'] for name in ('fourth', 'fifth')]
+    assert len({worker for worker, _ in live}) == 1
+    assert {int(niceness) for _, niceness in live} == {os.nice(0)}
+    assert {int(niceness) for _, niceness in computing} == {max(10, os.nice(0))}
