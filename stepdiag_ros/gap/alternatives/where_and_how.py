@@ -18,7 +18,7 @@ from numpy.polynomial import legendre
 
 from stepdiag_ros.effects.base import Form, StopView
 from stepdiag_ros.effects.fading import bin_means, by_last_moves, fading_columns, last_arrivals
-from stepdiag_ros.effects.made import Split
+from stepdiag_ros.effects.made import Product, Split
 from stepdiag_ros.effects.patterns import MOST_OWN, anew
 from stepdiag_ros.effects.timeforms import TimeProfile, drift_form, exponential, linear, unknown
 from stepdiag_ros.effects.tuning import tunable
@@ -63,8 +63,7 @@ class Where:
         if unsettled is not None:
             own = unsettled & (view.setup == np.unique(view.setup)[:, None])
             courses = np.concatenate([courses, own[own.any(axis=1)]])
-        columns = np.einsum('mn,knc->mknc', courses, self.columns).reshape(-1, *view.reading.shape)
-        return numbered_form(f'{self.label} {what}', columns, self.scale, self.units)
+        return numbered_form(f'{self.label} {what}', Product(courses, self.columns), self.scale, self.units)
 
 
 def table_families(view: StopView) -> dict[str, list[Form]]:
@@ -316,9 +315,9 @@ def _shapes_in_time(view: StopView) -> Iterator[Form]:
                 for pace in (*paces, *smooth):
                     yield drift_form(view, pace, signature[None], ('0',), np.full(1, 2e-6),
                                      f'{name} changes its shape, {shape}', units)
-            names = tuple(str(i) for i in number)
+            names, shaped = tuple(str(i) for i in number), waves[:, :, None] * motion
             for pace in (*paces, unknown(time, most=FEW_WAVES)[-1]):
-                yield replace(drift_form(view, pace, waves[:, :, None] * motion, names, 2e-6 / number,
+                yield replace(drift_form(view, pace, shaped, names, 2e-6 / number,
                                          f'{name} changes its shape', units), process=True)
             if len(runs) > MOST_OWN:
                 continue
