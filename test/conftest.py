@@ -1,8 +1,4 @@
-"""What all tests share: a ROS domain of one's own, the shared data, no process left behind.
-
-Tests on running machines take turns in one worker, and what computes gives way to them: two graphs at once ask more of
-two slow processors than they have, and then nothing is in time.
-"""
+"""What all tests share: a ROS domain of one's own, the shared data, no process left behind."""
 
 import fcntl
 import os
@@ -13,19 +9,15 @@ import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO, Any
 
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
+import turns  # noqa: E402
 from standstill import Standstills  # noqa: E402
 
-#: Where the tests are that run a graph, instruments and a machine in real time.
-LIVE = ('test/conformance/test_linuxcnc', 'test/conformance/test_web', 'test/fault/', 'test/node/')
-GIVES_WAY = 10
-"""Niceness of a worker that computes beside one with a running machine."""
 DOMAINS = range(1, 101)  # above, Fast DDS's ports run into those that the kernel hands out
 LOCKS = Path('/tmp') / f'stepdiag-ros-domains-{os.getuid()}'
 
@@ -73,51 +65,9 @@ def ros_domain(tmp_path: Path) -> Iterator[int]:
         yield domain
 
 
-_turn: IO[str] | None = None
-
-
 def pytest_configure(config: pytest.Config) -> None:
+    config.pluginmanager.register(turns, 'turns')
     config.pluginmanager.register(Standstills(), 'standstills')
-
-
-@pytest.hookimpl(optionalhook=True)
-def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
-    from xdist.scheduler import LoadFileScheduling
-
-    class LiveInTurn(LoadFileScheduling):
-        """A file to a worker, and all files of :data:`LIVE` to one."""
-
-        def _split_scope(self, nodeid: str) -> str:
-            return 'live' if nodeid.startswith(LIVE) else super()._split_scope(nodeid)
-
-    return LiveInTurn(config, log)
-
-
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    # They take longest, and who has computed once gives way to the end.
-    items.sort(key=lambda item: not item.nodeid.startswith(LIVE))
-
-
-def pytest_runtest_setup(item: pytest.Item) -> None:
-    if 'PYTEST_XDIST_WORKER' in os.environ and not item.nodeid.startswith(LIVE):
-        os.nice(max(0, GIVES_WAY - os.nice(0)))
-
-
-@pytest.hookimpl(wrapper=True, tryfirst=True)
-def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> Iterator[None]:
-    """Modules with tests on a LinuxCNC take turns: a computer runs one at a time, and what waits for it while it starts
-    gives up one day.  The wait is before the test's own time begins."""
-    global _turn
-    if _turn is None and item.get_closest_marker('linuxcnc') is not None:
-        _turn = open(LOCKS.with_name(f'stepdiag-linuxcnc-tests-{os.getuid()}'), 'w')
-        fcntl.flock(_turn, fcntl.LOCK_EX)
-    try:
-        return (yield)
-    finally:
-        # The module's fixtures, a LinuxCNC among them, live until its last test.
-        if _turn is not None and (nextitem is None or nextitem.path != item.path):
-            _turn.close()
-            _turn = None
 
 
 @pytest.fixture(scope='module')

@@ -1,9 +1,12 @@
 """The safety net of the tests themselves: it must catch what it is there for."""
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
+
+from turns import GIVES_WAY, is_live
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -11,7 +14,7 @@ ROOT = Path(__file__).resolve().parents[2]
 def run_tests(folder: Path, source: str, *arguments: str) -> subprocess.CompletedProcess[str]:
     """Runs a test module, or what ``arguments`` say, with the repository's conftest and options in a process of its
     own."""
-    for name in ('conftest.py', 'standstill.py'):
+    for name in ('conftest.py', 'standstill.py', 'turns.py'):
         (folder / name).write_text((ROOT / 'test' / name).read_text())
     (folder / 'test_it.py').write_text(source)
     (folder / 'pyproject.toml').write_text((ROOT / 'pyproject.toml').read_text())
@@ -136,4 +139,13 @@ def test_what_runs_live_takes_turns_and_what_computes_gives_way(tmp_path: Path) 
     computing = [noted[f'test_{name}'] for name in ('fourth', 'fifth')]
     assert len({worker for worker, _ in live}) == 1
     assert {int(niceness) for _, niceness in live} == {os.nice(0)}
-    assert {int(niceness) for _, niceness in computing} == {max(10, os.nice(0))}
+    assert {int(niceness) for _, niceness in computing} == {max(GIVES_WAY, os.nice(0))}
+
+
+def test_whoever_has_a_ros_domain_is_among_those_that_run_live() -> None:
+    """They all are, but for what tries the fixture itself."""
+    with_domain = {file.relative_to(ROOT).as_posix() for file in (ROOT / 'test').rglob('test_*.py')
+                   if {'ros_domain', 'module_domain'} & set(re.findall(r'\w+', file.read_text(encoding='utf-8')))}
+    with_domain.remove(Path(__file__).relative_to(ROOT).as_posix())
+    assert with_domain
+    assert [name for name in sorted(with_domain) if not is_live(name)] == []
