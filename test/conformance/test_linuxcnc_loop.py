@@ -23,7 +23,8 @@ from stepdiag_ros.virtual.cell import load_cell
 pytestmark = [pytest.mark.linuxcnc, pytest.mark.timeout(3000)]
 CELL = Path(__file__).resolve().parents[2] / 'cells' / 'linuxcnc.yaml'
 #: For screw tables, which carry three of the 21 errors: a machine whose screws err most, and fewer stops and samples.
-SCREWS = {'{steps: 3,': '{steps: 2,', 'interferometer: 200.0, psd: 200.0': 'interferometer: 100.0, psd: 100.0',
+SCREWS = {'{steps: 3, order: XYZ, repeats: 2}': '{steps: 2, order: XYZ, repeats: 1}',
+          'interferometer: 200.0, psd: 200.0': 'interferometer: 100.0, psd: 100.0',
           'positioning: 4.0e-5, straightness: 2.0e-5, angle: 1.2e-4, squareness: 8.0e-5':
               'positioning: 4.0e-5, straightness: 5.0e-6, angle: 2.0e-5, squareness: 1.0e-5'}
 

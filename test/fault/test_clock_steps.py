@@ -12,6 +12,7 @@ import pytest
 from scipy.stats import chi2
 
 from stepdiag_ros.nodes import environment
+from test.some import some
 
 environment.prepare()
 
@@ -63,7 +64,7 @@ def still(module_domain, tmp_path_factory, clock_shim):
     return evaluate(read_log(folder / 'log'))
 
 
-@pytest.mark.parametrize('seconds', [-5.0, 3600.0, pytest.param(-3600.0, marks=pytest.mark.long)])
+@pytest.mark.parametrize('seconds', some(-5.0, later=[3600.0, -3600.0]))
 def test_a_step_of_the_clock_is_marked_and_the_run_goes_on(ros_domain, tmp_path, monkeypatch, clock_shim, still,
                                                            seconds):
     outcome = calibrate(tmp_path / 'stepped', monkeypatch, clock_shim, seconds)

@@ -38,7 +38,8 @@ def values(hall: Hall) -> dict[str, str]:
 
 
 def test_one_machine_dies_in_the_middle_and_the_others_finish(hall, tmp_path, eventually):
-    command = subprocess.Popen([sys.executable, '-m', 'stepdiag_ros.cli.main', 'calibrate', '--all', '--json'],
+    command = subprocess.Popen([sys.executable, '-m', 'stepdiag_ros.cli.main', 'calibrate', '--all', '--setups', 'lin_x',
+                                '--json'],
                                stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path)
     ended = threading.Event()
     answer: list[str] = []
@@ -66,5 +67,5 @@ def test_one_machine_dies_in_the_middle_and_the_others_finish(hall, tmp_path, ev
     assert back_s < LEASE_S + 5.0
     for name in 'bc':
         log = read_log(results[f'/{name}']['bag'])
-        assert len(set(log.steps.run)) >= 4 and log.namespace == f'/{name}'
-        assert not [w for w in log.warnings if 'hold no usable' in w or 'dwell' in w]
+        assert len(set(log.steps.run)) >= 2 and log.namespace == f'/{name}'
+        assert not [w for w in log.warnings if 'dwells began' in w or 'dwells hold no' in w]

@@ -13,6 +13,7 @@ from stepdiag_ros.bag.source import open_bag
 from stepdiag_ros.nodes.graph import NODES
 from stepdiag_ros.nodes.operator import Operator
 from stepdiag_ros.virtual.cell_process import CellProcess
+from test.some import some
 
 STEPDIAG = [sys.executable, '-m', 'stepdiag_ros.cli.main']
 
@@ -72,8 +73,7 @@ def test_without_a_cell_that_runs_the_command_says_how_to_start_one(cell_file: P
 
 
 @pytest.mark.timeout(900)
-@pytest.mark.parametrize('node', ['interferometer_driver', *(
-    pytest.param(name, marks=pytest.mark.long) for name in ('recorder', 'step_sequencer'))])
+@pytest.mark.parametrize('node', some('interferometer_driver', later=['recorder', 'step_sequencer']))
 def test_a_calibration_goes_on_where_a_node_that_launch_started_dies(ros_domain: int, tmp_path: Path, write_cell,
                                                                      repeated, eventually, node: str) -> None:
     runtime, cell = tmp_path / 'run', write_cell(tmp_path, dwell=0.5)

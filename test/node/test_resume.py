@@ -11,6 +11,7 @@ from stepdiag_ros.bag.reader import read_log
 from stepdiag_ros.bag.source import open_bag
 from stepdiag_ros.estimate import evaluate
 from stepdiag_ros.model.log import DONE
+from test.some import some
 
 RUNS = ('ppp/0/+', 'ppp/0/-', 'lin_x/0/+', 'lin_x/0/-')
 STOPS = {'ppp': {0, 1, 2, 3}, 'lin_x': {0, 1}}
@@ -38,8 +39,8 @@ def agree(one, other) -> None:
 
 
 @pytest.mark.timeout(1800)
-@pytest.mark.parametrize('node', ['psd_driver', 'recorder', 'gap_monitor', 'step_sequencer', *(
-    pytest.param(name, marks=pytest.mark.long) for name in ('interferometer_driver', 'evaluation_solver'))])
+@pytest.mark.parametrize('node', some(
+    'psd_driver', 'step_sequencer', later=['recorder', 'gap_monitor', 'interferometer_driver', 'evaluation_solver']))
 def test_a_calibration_goes_on_where_a_node_s_death_broke_it_off(cell, undisturbed, node, repeated, eventually):
     killed, bag, before = [], cell.runtime.parent / node, cell.restarts
     cell.operator.new_log(str(bag))

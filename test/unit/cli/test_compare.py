@@ -43,6 +43,7 @@ def test_json(simulated, capsys):
     assert 'multilateration' in data['not_run']
 
 
+@pytest.mark.long
 def test_without_truth_the_enhanced_method_is_the_reference(simulated, capsys):
     assert main(['compare', str(simulated[0])]) == 0
     assert 'Largest deviation from enhanced' in capsys.readouterr().out

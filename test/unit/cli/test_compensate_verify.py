@@ -28,6 +28,7 @@ from stepdiag_ros.estimate.traceability import Traceability
 from stepdiag_ros.report.compensation_words import summary
 from stepdiag_ros.virtual.cell import Cell, parse_cell
 from stepdiag_ros.virtual.offline import simulate_log
+from test.some import some
 
 from ..compensated import compensated_log
 from ..conftest import DEMO
@@ -82,7 +83,7 @@ def place(tmp_path_factory):
     return folder
 
 
-@pytest.mark.parametrize('kind', ['linuxcnc', 'heidenhain', 'isg'])
+@pytest.mark.parametrize('kind', some('linuxcnc', later=['heidenhain', 'isg']))
 def test_the_loop_closes_as_predicted(place, kind, capsys):
     """Measure, make tables, put them in force, measure: the machine is better, and as much as was predicted."""
     capsys.readouterr()
@@ -148,6 +149,7 @@ def test_what_lies_beside_the_tables(place):
     assert float((folder / 'x.comp').read_text().split()[0]) == 1e3 * ORIGIN[0]
 
 
+@pytest.mark.long
 def test_lost_motion_goes_into_the_trims(tmp_path):
     """And out of the positioning: a run is zeroed where its first stop was reached from behind."""
     cell = cell_of({'backlash': {'B': [4e-6, 0.0, 0.0]}})

@@ -55,6 +55,7 @@ def test_each_kind_has_its_sheet(page):
     assert (page / 'sheets.pdf').stat().st_size > 10_000
 
 
+@pytest.mark.long
 def test_nothing_is_found_in_it(log, tmp_path):
     assert main(['gap', str(log), '--out', str(tmp_path / 'gap')]) == 0
     found = json.loads(next((tmp_path / 'gap').rglob('gap.json')).read_text(encoding='utf-8'))

@@ -8,13 +8,14 @@ import pytest
 
 from stepdiag_ros.cli.main import main
 from stepdiag_ros.estimate.methods import METHODS
+from test.some import some
 
 from .test_compensate_verify import bag_of, cell_of
 
 SPREAD = re.compile(r'±|\bU\b(?! ?\(k)')
 COVERAGE = re.compile(r'k ?= ?2|95 %|68 %|1σ|standard uncertaint|\bk\b')
-TEXTS = [['evaluate'], *(['evaluate', '--method', name] for name in METHODS if name != 'enhanced'),
-         ['uncertainty', '--at', '0.1,0.08,0.06'], ['compare'], ['gap'], ['map', '--out', 'map.png']]
+TEXTS = some(['evaluate'], *(['evaluate', '--method', name] for name in METHODS if name != 'enhanced'),
+             ['uncertainty', '--at', '0.1,0.08,0.06'], ['gap'], ['map', '--out', 'map.png'], later=[['compare']])
 
 
 @pytest.fixture(scope='module')
@@ -42,6 +43,7 @@ def test_what_is_printed(bag, command, capsys, tmp_path, monkeypatch):
     assert out and lines_without(out) == []
 
 
+@pytest.mark.long
 def test_pages_and_tables(bag, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert main(['report', bag, '--out', 'report']) == 0

@@ -17,6 +17,7 @@ from stepdiag_ros.estimate.solution import Solution
 from stepdiag_ros.model.budget import KINDS, MEASURED, Budget
 from stepdiag_ros.model.log import Samples
 from stepdiag_ros.model.machine import Curve, GeometricErrors
+from test.some import some
 
 from .vacuum import cell, describing, log_of, without_topics
 
@@ -62,7 +63,7 @@ def full():
     return log_of(cell())
 
 
-@pytest.mark.parametrize('seed', [0, 1, *(pytest.param(k, marks=pytest.mark.long) for k in range(2, 6))])
+@pytest.mark.parametrize('seed', some(0, later=range(6)))
 def test_every_uncertainty_grows_or_stays(full, seed):
     """Inputs go one after the other, in drawn order.
 
@@ -95,7 +96,7 @@ def cell_states(log, rng):
     return describing(log, budget=Budget(tuple(lines)))
 
 
-@pytest.mark.parametrize('seed', [0, 1, *(pytest.param(k, marks=pytest.mark.long) for k in range(2, 8))])
+@pytest.mark.parametrize('seed', some(1, later=range(8)))
 def test_whatever_the_budget_every_uncertainty_grows_or_stays(full, seed):
     """Drawn budgets, in which now the mirror's form, now the tool, now the detector leads; every other order begins
     with the tilts, without which rotations are open."""
@@ -118,7 +119,7 @@ def figures(log):
     return {'volumetric': largest_deviation(solution, machine)[1], **{k: test.sigma_m[k] for k in ('Ed', 'Bd')}}
 
 
-@pytest.mark.parametrize('name', ['spots', 'repeats', 'air_temperature', 'air', 'material', 'lin_x'])
+@pytest.mark.parametrize('name', some('spots', 'repeats', 'air_temperature', 'lin_x', later=['air', 'material']))
 def test_the_volume_and_the_diagonals_are_no_better_known(full, name):
     known, less = figures(full), figures(INPUTS[name](full))
     for what, sigma in known.items():
@@ -233,8 +234,7 @@ def test_every_method_of_compare_grows_or_stays(full):
         before = after
 
 
-@pytest.mark.parametrize('name', ['npp', *(pytest.param(n, marks=pytest.mark.long) for n in sorted(READINGS)
-                                            if n != 'npp')])
+@pytest.mark.parametrize('name', some('npp', later=sorted(READINGS)))
 def test_every_method_of_compare_with_fewer_readings_grows_or_stays(full, name):
     """A method of the literature weighs all setups alike, so that one which scattered more by chance may be missed
     with gain; E and B, the largest of the diagonals that are there, are other figures without one."""

@@ -10,6 +10,7 @@ from stepdiag_ros.bag.import_csv import import_csv
 from stepdiag_ros.bag.reader import read_log
 from stepdiag_ros.effects import all_effects, effect_class
 from stepdiag_ros.gap import diagnose
+from test.some import some
 
 KEYS = {'verdict', 'gap', 'where', 'effects', 'indistinguishable', 'next_measurement'}
 
@@ -20,13 +21,11 @@ def test_a_null_log_is_left_alone(case):
     assert 0.8 < found.cross_validation.after < 1.2
 
 
-@pytest.mark.parametrize(('name', 'values', 'size'), [
+@pytest.mark.parametrize(('name', 'values', 'size'), some(
     ('backlash', {'B': [4e-6, 0.0, 3e-6]}, ('X', 4e-6)),
     ('psd_zero_offset', {'x': 2e-4, 'y': -1e-4}, ('x', 2e-4)),
-    pytest.param('mirror_curvature', {'radius': 2000.0, 'astigmatism': 0.0}, None, marks=pytest.mark.long),
-    pytest.param('servo_settling', {'amp': 5e-6, 'tau': 0.15}, None, marks=pytest.mark.long),
-    pytest.param('psd_rotation', {'angle': 0.05}, None, marks=pytest.mark.long),
-])
+    later=[('mirror_curvature', {'radius': 2000.0, 'astigmatism': 0.0}, None),
+           ('servo_settling', {'amp': 5e-6, 'tau': 0.15}, None), ('psd_rotation', {'angle': 0.05}, None)]))
 def test_a_single_effect_is_named_and_its_gap_closed(case, name, values, size):
     found = case.diagnose(effect_class(name)(**values))
     assert [e.name for e in found.effects] == [name], found.to_json_dict()['sets'][:3]
@@ -73,7 +72,7 @@ def test_scatter_without_a_pattern_is_called_unknown(case):
     assert found.verdict in ('unexplained', 'partly_explained')
 
 
-@pytest.mark.parametrize('name', ['log_01', *(pytest.param(n, marks=pytest.mark.long) for n in ('log_04', 'log_05'))])
+@pytest.mark.parametrize('name', some('log_01', later=['log_04', 'log_05']))
 def test_open_field_logs(shared, name):
     """Logs by an independent maker: the reading of the contract is right."""
     folder = shared / 'field_logs' / 'open'

@@ -14,6 +14,7 @@ from stepdiag_ros.model.description import Noise
 from stepdiag_ros.twin.adopt import adopt
 from stepdiag_ros.virtual.cell import Cell, parse_cell
 from stepdiag_ros.virtual.offline import simulate_log
+from test.some import some
 
 CASES = {'backlash': {'B': [4e-6, 3e-6, 5e-6]},
          # So large that machine and effect have to be found in turn.
@@ -26,7 +27,7 @@ SLOW = {'structural_thermal_drift': 2.0}
 FLOOR = 1.15
 """Reduced χ² of log minus noise-free simulation: 1 is the log's own noise."""
 LONG = ('ambient_light', 'mirror_curvature', 'structural_thermal_drift')
-SHORT_AND_LONG = [pytest.param(name, marks=pytest.mark.long) if name in LONG else name for name in CASES]
+SHORT_AND_LONG = some(*(name for name in CASES if name not in LONG), later=LONG)
 
 
 def adopted(diagnosis: Diagnosis, **without: None) -> tuple[Cell, dict, tuple[str, ...]]:

@@ -12,6 +12,7 @@ from stepdiag_ros.gap.alternatives.known_physics import BEARINGS, beyond_familie
 from stepdiag_ros.gap.alternatives.unmodelled import inconsistent_forms, unknown_families
 from stepdiag_ros.gap.constants import SCATTER_ALARM
 from stepdiag_ros.gap.summary.cross_validation import CrossValidation, excess_forecast
+from test.some import some
 from test.unit.gap.ring import Ring
 
 
@@ -44,9 +45,8 @@ class Bow(Effect):
         moment.shift = moment.shift + size[:, None] * np.eye(3)[2]
 
 
-@pytest.mark.parametrize(('kind', 'words'), [
-    (Leak, 'follows the spot'), (Bow, 'changes its shape'),
-    pytest.param(Twist, 'turned by the direction of Z', marks=pytest.mark.long)])
+@pytest.mark.parametrize(('kind', 'words'), some(
+    (Leak, 'follows the spot'), (Bow, 'changes its shape'), later=[(Twist, 'turned by the direction of Z')]))
 def test_physics_of_no_name_is_not_named(case, kind, words):
     found = case.diagnose(kind())
     assert not found.effects, [(e.name, e.probability) for e in found.effects]
@@ -54,6 +54,7 @@ def test_physics_of_no_name_is_not_named(case, kind, words):
     assert words in found.unmodelled
 
 
+@pytest.mark.long
 def test_a_fringe_keeps_its_name(case):
     given = effect_class('cyclic_nonlinearity')(amp=1.2e-7, amp2=0.0, phase=0.4, wavelength=1.53e-6)
     found = case.diagnose(given)
@@ -148,8 +149,8 @@ class CutBeam(Effect):
         moment.spot = moment.spot + cut[:, None] * np.array([3e-4, -1e-4])
 
 
-@pytest.mark.parametrize(('kind', 'words'), [(Shear, 'not square'), (HalfPlane, 'one side'),
-                                             pytest.param(CutBeam, 'follow the', marks=pytest.mark.long)])
+@pytest.mark.parametrize(('kind', 'words'), some(
+    (Shear, 'not square'), later=[(HalfPlane, 'one side'), (CutBeam, 'follow the')]))
 def test_a_detector_that_no_effect_describes_is_not_named(case, kind, words):
     found = case.diagnose(kind())
     assert not [e.name for e in found.effects if e.probability > 0.85], [(e.name, e.probability) for e in found.effects]
@@ -207,6 +208,7 @@ class Sinks(Effect):
         moment.position = moment.position - 7e-7 * np.maximum(moment.since_arrival, 0.0)[:, None] * np.eye(3)[2]
 
 
+@pytest.mark.long
 def test_what_sinks_in_each_dwell_is_no_drift(case):
     # Each setup sees it under an angle of its own.
     found = case.diagnose(Sinks())

@@ -61,6 +61,7 @@ def test_what_has_no_name_is_weighed_against_the_names_that_may_stand_for_it(fou
     assert names == {UNKNOWN, member.effect}
 
 
+@pytest.mark.long
 def test_beside_a_motion_that_bends_others_may_bend_unseen(case):
     """A coupling that a log sees says that there may be others, as large, that it does not see."""
     bent = case.diagnose(effect_class('non_rigid_coupling')(motion='EZX', by='Y', amp=1.5e-5))
@@ -114,6 +115,7 @@ def test_of_a_correction_the_share_stays_uncertain_that_the_log_would_let_pass(f
     assert large.sigma.max() < 0.5 * np.abs(large.value).max()
 
 
+@pytest.mark.long
 def test_errors_are_as_uncertain_as_tails_leave_them(case):
     """By drawing: arrivals of Student's t with four degrees of freedom.  With the weights that the log itself gave its
     arrivals taken for known, the squares of what the errors are off by were 1.4 times their variances."""

@@ -21,6 +21,7 @@ def large():
     return case
 
 
+@pytest.mark.long
 def test_what_only_a_beam_that_lengthens_could_replace_stays_found(large):
     # The effect once freed, a linear step of the beams' tilts seems to do as well; their cosine cannot.
     found = large.diagnose(effect_class('non_rigid_coupling')(motion='EXX', by='Z', amp=-1e-5))

@@ -18,6 +18,7 @@ from stepdiag_ros.gap.noise.arrival_law import as_it_is
 from stepdiag_ros.gap.preprocess.observe import observe
 from stepdiag_ros.virtual.cell import parse_cell
 from stepdiag_ros.virtual.offline import simulate_log
+from test.some import some
 
 T3 = '{position: {dof: 3}, angle: {dof: 3}}'
 ALIKE = '{position: {correlation: 0.6}, angle: {correlation: 0.6}}'
@@ -108,7 +109,7 @@ def test_correlated_arrivals_by_drawing(case):
     assert np.abs((drawn - covariance) / sigma[:, None] / sigma).max() < 0.05
 
 
-@pytest.mark.parametrize(('law', 'seed'), [(T3, 3), (ALIKE, 1)])
+@pytest.mark.parametrize(('law', 'seed'), some((T3, 3), later=[(ALIKE, 1)]))
 def test_untidy_noise_is_no_cause(case, law, seed):
     """Both have been a cause of certainty 1.0 to a noise that was taken to be normal and independent."""
     found = diagnose(case.untidy(law, seed=seed), [kind() for kind in all_effects().values()])
@@ -118,7 +119,7 @@ def test_untidy_noise_is_no_cause(case, law, seed):
     assert 0.8 < found.cross_validation.after < 1.25
 
 
-@pytest.mark.parametrize(('law', 'arrival'), [('{}', 20), pytest.param(T3, 25, marks=pytest.mark.long)])
+@pytest.mark.parametrize(('law', 'arrival'), some(('{}', 20), later=[(T3, 25)]))
 def test_a_slip_is_no_tail(case, law, arrival):
     """A step that stays makes tails where noise may have them; it is found all the same, in tidy noise and untidy."""
     slip = effect_class('count_slip')(jump=19 * 316.4e-9, arrival=arrival)

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from stepdiag_ros.effects import all_effects
 from stepdiag_ros.estimate.noise import Law
@@ -25,6 +26,7 @@ def off_by(log, amounts):
     return replace(log, displacement=replace(log.displacement, values=values))
 
 
+@pytest.mark.long
 def test_an_arrival_that_is_far_off_is_spoken_of_where_tails_take_it(case):
     """A count lost before the last stop of a run: nobody can tell it from an arrival that is off, and it is said."""
     log = case.untidy('{position: {dof: 3}}')

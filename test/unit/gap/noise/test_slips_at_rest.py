@@ -50,6 +50,7 @@ class SlipsInADwell(Effect):
         moment.length = moment.length + 2.0 * JUMP * after[:, None]
 
 
+@pytest.mark.long
 def test_a_slip_in_a_dwell_keeps_its_name_and_size(case):
     found = case.diagnose(SlipsInADwell())
     assert [e.name for e in found.effects] == ['count_slip']

@@ -103,6 +103,7 @@ def test_every_margin_adds_up(case):
     assert margins['state']['at_rest'] > 0.9 and margins['axis']['Y'] < margins['axis']['X']
 
 
+@pytest.mark.long
 def test_wrong_stamps_lie_in_the_motion(case):
     late = effect_class('clock_skew')(interferometer=0.02)
     assert case.diagnose(late).margins.to_json_dict() == {'state': {'moving': 1.0, 'settling': 0.0, 'at_rest': 0.0}}
