@@ -38,8 +38,8 @@ def values(hall: Hall) -> dict[str, str]:
 
 
 def test_one_machine_dies_in_the_middle_and_the_others_finish(hall, tmp_path, eventually):
-    command = subprocess.Popen([sys.executable, '-m', 'stepdiag_ros.cli.main', 'calibrate', '--all', '--setups', 'lin_x',
-                                '--json'],
+    command = subprocess.Popen([sys.executable, '-m', 'stepdiag_ros.cli.main', 'calibrate', '--all', '--json',
+                                '--setups', 'lin_x'],
                                stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path)
     ended = threading.Event()
     answer: list[str] = []

@@ -137,6 +137,7 @@ def test_purposes_never_share_a_log() -> None:
         orders('both', 1, COUNTS)
 
 
+@pytest.mark.long
 def test_open_asks_the_sealed_worlds(copy: Path, monkeypatch: pytest.MonkeyPatch,
                                      capsys: pytest.CaptureFixture[str]) -> None:
     """What noise alone leaves of each log with effects of the vocabulary; how far what competes with one effect is."""
@@ -181,6 +182,7 @@ def test_untidy_noise_is_drawn_besides_all_else() -> None:
     np.testing.assert_array_equal(tidy.log.steps.time_ns, untidy.log.steps.time_ns)
 
 
+@pytest.mark.long
 def test_what_readings_in_steps_round_off_is_no_visibility() -> None:
     """The same effect, of the same size and as well seen, under tidy noise and untidy."""
     tidy, untidy = (make(Order('develop', 9, 4, 'single', ('scale_thermal_expansion',), 'varied', True, share))

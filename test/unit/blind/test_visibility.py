@@ -71,6 +71,7 @@ def test_what_the_fit_can_imitate_is_not_seen(scene) -> None:
     assert left < 0.02 * plain
 
 
+@pytest.mark.long
 def test_what_is_left_is_what_a_fit_without_noise_leaves() -> None:
     """Also where turns of beam and mirror act to second order, and the Jacobian at the truth misleads tenfold."""
     made = make(Order('sealed', 20261129, 617, 'single', ('scale_thermal_expansion',)))

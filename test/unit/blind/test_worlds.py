@@ -16,6 +16,7 @@ def made():
     return make(Order('develop', 5, 1, 'single', ('backlash',), 'field', small=True))
 
 
+@pytest.mark.long
 def test_the_floor_is_where_a_gap_closed_to_the_noise_ends(made):
     bare, effects = observe(made.yardstick.log), [kind() for kind in all_effects().values()]
     before, after = diagnose(made.yardstick.log, effects).cross_validation, diagnose(made.log, effects).cross_validation

@@ -196,6 +196,7 @@ def headlines(log, solution=None):
             'verify': largest(solution, machine, np.asarray(machine.tool), field)[1]}
 
 
+@pytest.mark.long
 def test_what_the_commands_print_first_grows_or_stays(full):
     """All that is known about a log taken away bit by bit; a quantile of 400 draws differs by some per cent itself."""
     log, before = full, headlines(full)
@@ -234,7 +235,8 @@ def test_every_method_of_compare_grows_or_stays(full):
         before = after
 
 
-@pytest.mark.parametrize('name', some('npp', later=sorted(READINGS)))
+@pytest.mark.long
+@pytest.mark.parametrize('name', sorted(READINGS))
 def test_every_method_of_compare_with_fewer_readings_grows_or_stays(full, name):
     """A method of the literature weighs all setups alike, so that one which scattered more by chance may be missed
     with gain; E and B, the largest of the diagonals that are there, are other figures without one."""
@@ -244,6 +246,7 @@ def test_every_method_of_compare_with_fewer_readings_grows_or_stays(full, name):
             assert less.get(key, np.inf) >= 0.8 * sigma or sigma > OPEN, key
 
 
+@pytest.mark.long
 def test_every_contributor_reaches_errors_and_headlines(full):
     """A contributor ten times as large makes no U smaller, and some larger, in errors and in what is printed first."""
     whole = evaluate_in_full(full)

@@ -23,8 +23,8 @@ def test_a_null_log_is_left_alone(case):
 
 @pytest.mark.parametrize(('name', 'values', 'size'), some(
     ('backlash', {'B': [4e-6, 0.0, 3e-6]}, ('X', 4e-6)),
-    ('psd_zero_offset', {'x': 2e-4, 'y': -1e-4}, ('x', 2e-4)),
-    later=[('mirror_curvature', {'radius': 2000.0, 'astigmatism': 0.0}, None),
+    later=[('psd_zero_offset', {'x': 2e-4, 'y': -1e-4}, ('x', 2e-4)),
+           ('mirror_curvature', {'radius': 2000.0, 'astigmatism': 0.0}, None),
            ('servo_settling', {'amp': 5e-6, 'tau': 0.15}, None), ('psd_rotation', {'angle': 0.05}, None)]))
 def test_a_single_effect_is_named_and_its_gap_closed(case, name, values, size):
     found = case.diagnose(effect_class(name)(**values))

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from stepdiag_ros.effects.base import Effect
-from test.some import some
 
 
 class Lamp(Effect):
@@ -26,7 +25,8 @@ class Knock(Effect):
         moment.laser = moment.laser + 2e-5 * (moment.seconds > 520.0)[:, None] * np.array([0.8, -0.6])
 
 
-@pytest.mark.parametrize(('kind', 'name'), some((Lamp, 'ambient_light'), later=[(Knock, 'beam_pointing_drift')]))
+@pytest.mark.long
+@pytest.mark.parametrize(('kind', 'name'), [(Lamp, 'ambient_light'), (Knock, 'beam_pointing_drift')])
 def test_what_changes_at_once_is_named_by_where_it_acts(case, kind, name):
     found = case.diagnose(kind())
     assert [e.name for e in found.effects] == [name] and found.effects[0].probability > 0.9

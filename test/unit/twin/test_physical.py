@@ -48,6 +48,7 @@ def test_a_servo_that_was_fitted_with_several_times_has_one(diagnosed):
     assert float(_note(notes, 'run along').split('leaves ')[1].split(' ')[0]) == pytest.approx(1.0, abs=0.1)
 
 
+@pytest.mark.long
 def test_what_the_log_does_not_tell_apart_stays_plausible(diagnosed):
     """Warmth and pressure of the air change the same index: no log tells 4 K from 1500 Pa."""
     found = diagnosed('air_refraction_drift', {'dT': 4.0, 'dP': -600.0, 'tau': 400.0}, None, 2.0)

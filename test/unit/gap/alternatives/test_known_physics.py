@@ -176,6 +176,7 @@ def test_a_standoff_off_is_what_a_fit_of_the_wrong_description_leaves(case):
     np.testing.assert_allclose(moved[mine][:, -2:], expected, atol=0.02 * np.abs(expected).max())
 
 
+@pytest.mark.long
 def test_a_ringing_mirror_is_no_servo(case):
     found = case.diagnose(Ring())
     assert not found.effects, [(e.name, e.probability) for e in found.effects]

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from stepdiag_ros.effects import effect_class
 from stepdiag_ros.gap.inference.evidence import SIZES, prior_sigma_of
@@ -10,6 +11,7 @@ from stepdiag_ros.gap.inference.joint import fit_jointly, held_to_sizes, solve, 
 from stepdiag_ros.gap.inference.select_effects import noise_of
 
 
+@pytest.mark.long
 def test_a_coefficient_that_nothing_settles_is_held_to_the_size_of_the_others(case):
     found = case.diagnose(effect_class('psd_zero_offset')(x=3e-5, y=1e-5))
     active, space = found.joint.active[0], found.joint.parity

@@ -52,6 +52,7 @@ def test_nothing_is_said_where_nothing_was_found(case):
     assert shares(null.joint, (), False) == ()
 
 
+@pytest.mark.long
 def test_what_shows_inside_the_dwells_alone_lies_where_it_shows_there(case):
     found = case.diagnose(FaintRing())
     assert 'rings after each move' in found.unmodelled
