@@ -16,6 +16,7 @@ import pytest
 import rclpy
 
 from stepdiag_ros.nodes.patience import Patience
+from test.some import some
 
 ROOT = Path(__file__).resolve().parents[2]
 BIN = Path(sys.executable).parent
@@ -50,7 +51,7 @@ def laid_out(workspace: Path, *options: str) -> Path:
     return workspace / 'src'
 
 
-@pytest.fixture(scope='module', params=[pytest.param('two base paths', marks=pytest.mark.long), 'a workspace'])
+@pytest.fixture(scope='module', params=some(later=['two base paths', 'a workspace']))
 def install(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The install tree of `colcon build --base-paths . msg_defs`, and that of `colcon build` in a workspace."""
     place = tmp_path_factory.mktemp('colcon')

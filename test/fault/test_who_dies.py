@@ -258,7 +258,7 @@ with Operator(sys.argv[1]) as operator:
 """
 
 
-@pytest.mark.parametrize(('lost', 'to_the_stop'), [('next_stop', True), ('at_once', False)])
+@pytest.mark.parametrize(('lost', 'to_the_stop'), some(('next_stop', True), later=[('at_once', False)]))
 def test_a_killed_client_ends_the_run(ros_domain, tmp_path, lost, to_the_stop):
     with Bringup(write_cell(tmp_path, lost=lost), bag=tmp_path / 'log', runtime=tmp_path / 'run') as cell:
         machine = Machine(tmp_path / 'run')

@@ -32,6 +32,7 @@ def test_table_and_picture(simulated, tmp_path, capsys):
     assert picture.stat().st_size > 20_000
 
 
+@pytest.mark.long
 def test_json(simulated, capsys):
     bag, truth = simulated
     assert main(['compare', str(bag), '--truth', str(truth), '--json']) == 0

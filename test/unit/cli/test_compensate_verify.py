@@ -250,6 +250,7 @@ def test_lengths_without_air_are_neither_compensated_nor_verified(refused, tmp_p
     assert 'not corrected for air' in one_line(capsys)
 
 
+@pytest.mark.long
 def test_every_answer_says_that_lengths_are_not_corrected_for_air(refused, tmp_path, capsys):
     """Whatever is asked: text, status, page and JSON; and no error along an axis looks known."""
     bag, out = refused['vacuum'], tmp_path / 'gap'

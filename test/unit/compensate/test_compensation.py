@@ -148,7 +148,7 @@ def test_an_evaluation_that_describes_no_machine_makes_no_table(status):
                         ORIGIN).files
 
 
-@pytest.mark.parametrize('kind', some('linuxcnc-matrix', 'isg', later=CONTROLS))
+@pytest.mark.parametrize('kind', some('isg', later=CONTROLS))
 def test_on_top_of_what_the_control_applies(kind):
     """Measured with tables in force: the sum is written, the change is what was measured, the way back is there."""
     machine, control = machine_of(), CONTROLS[kind]
@@ -218,7 +218,7 @@ def test_tables_of_axes_that_were_not_measured_stay_in_force():
 
 
 @pytest.mark.parametrize('kind', some(
-    'linuxcnc', 'linuxcnc-volume', 'sinumerik', later=['linuxcnc-matrix', 'heidenhain']))
+    'linuxcnc', later=['linuxcnc-volume', 'linuxcnc-matrix', 'sinumerik', 'heidenhain']))
 def test_reversal_goes_into_both_directions(kind):
     machine, solution = machine_of(), made(7, sigma=2e-7)
     lost = 6e-6

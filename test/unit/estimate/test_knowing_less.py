@@ -176,6 +176,7 @@ def trial(seed):
     return np.array(found)
 
 
+@pytest.mark.long
 def test_intervals_hold_the_truth():
     """Monte Carlo of whole cells: of the k = 2 intervals 95 % and more hold the truth."""
     every = np.array([trial(seed) for seed in range(16)])

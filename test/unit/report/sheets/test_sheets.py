@@ -167,6 +167,7 @@ def test_one_command_writes_html_and_pdf_that_need_nothing_else(full, tmp_path, 
     assert pdf.startswith(b'%PDF') and len(re.findall(rb'/Type /Page\b', pdf)) >= 4
 
 
+@pytest.mark.long
 def test_fewer_targets_and_cycles_are_said_on_both(tmp_path, capsys):
     bag = bag_of(tmp_path / 'short')
     assert main(['report', str(bag), '--sheets', '--out', str(tmp_path / 'out')]) == 0
