@@ -16,6 +16,7 @@ ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import turns  # noqa: E402
+from participants import participants  # noqa: E402
 from standstill import Standstills  # noqa: E402
 
 DOMAINS = range(1, 101)  # above, Fast DDS's ports run into those that the kernel hands out
@@ -115,11 +116,12 @@ def marked_processes() -> dict[int, str]:
 
 @pytest.fixture(scope='module', autouse=True)
 def no_process_left() -> Iterator[None]:
-    """Fails when a process that the module's tests started is still alive after them, and ends it."""
+    """Fails when a process that the module's tests started is still alive after them, and ends it; or when a node of
+    theirs in this process was closed and goes on to hear all others of its domain, those of later tests too."""
     yield
     left = marked_processes()
     deadline = time.monotonic() + 10
-    while left and time.monotonic() < deadline:
+    while (left or participants()) and time.monotonic() < deadline:
         time.sleep(0.1)
         left = marked_processes()
     for process in left:
@@ -128,3 +130,4 @@ def no_process_left() -> Iterator[None]:
         except ProcessLookupError:
             continue
     assert not left, f'processes left behind: {left}'
+    assert not participants(), f'{participants()} participants of DDS are left in this process'

@@ -27,10 +27,12 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue  # n
 from lifecycle_msgs.srv import ChangeState  # noqa: E402
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor  # noqa: E402
 from rclpy.clock import Clock, ClockType  # noqa: E402
+from rclpy.context import Context  # noqa: E402
 from rclpy.exceptions import InvalidParameterValueException  # noqa: E402
 from rclpy.experimental.events_executor import EventsExecutor  # noqa: E402
 from rclpy.impl.implementation_singleton import rclpy_implementation  # noqa: E402
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn  # noqa: E402
+from rclpy.node import Node  # noqa: E402
 from rclpy.qos import (  # noqa: E402
     DurabilityPolicy,
     HistoryPolicy,
@@ -319,6 +321,19 @@ def spin(executor, until: Callable[[], bool], failed: Callable[[Exception], None
             if failed is None:
                 raise
             failed(error)
+
+
+def end(node: Node, context: Context, executor: Any = None) -> None:
+    """End a node that has a context of its own, and what DDS has of it; actions of it are to be destroyed before.
+
+    What still holds the node keeps its participant: that goes on to hear and answer everybody in its domain.
+    """
+    if executor is not None:
+        # Before what it listens to is destroyed: a message that comes meanwhile has nobody to wake.
+        executor.remove_node(node)
+        executor.shutdown()
+    node.destroy_node()
+    context.try_shutdown()
 
 
 def run_node(make: Callable[[], StepdiagNode]) -> int:

@@ -94,8 +94,7 @@ class Observer:
             return
         self._stop.set()
         self._thread.join()
-        self._node.destroy_node()
-        self._context.try_shutdown()
+        base.end(self._node, self._context, self._executor)
 
     def overview(self) -> Overview:
         """What runs; where machines were named, only those, and every laser."""

@@ -133,8 +133,8 @@ class Operator:
             return
         self._stop.set()
         self._thread.join()
-        self.node.destroy_node()
-        self._context.try_shutdown()
+        self._action.destroy()
+        base.end(self.node, self._context, self._executor)
 
     # -- what is received -----------------------------------------------------------
 

@@ -35,8 +35,7 @@ class Player:
         return self
 
     def __exit__(self, *_exception) -> None:
-        self._node.destroy_node()
-        self._context.try_shutdown()
+        base.end(self._node, self._context)
 
     def wait_for_listeners(self, timeout_s: float) -> bool:
         """Whether every topic that has to be received has a listener before the time is over."""

@@ -18,6 +18,7 @@ from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.nodes import base, bringup
 from stepdiag_ros.nodes.base import StepdiagNode, reliable
 from stepdiag_ros.virtual import faults
+from test.participants import participants
 
 NODES = ('recorder', 'evaluation_solver', 'gap_monitor', 'interferometer_driver', 'psd_driver', 'step_sequencer')
 
@@ -337,6 +338,18 @@ def test_unknown_parameters_of_the_psd_are_refused_in_one_line(cell, eventually)
     operator.bring('psd_driver', 'active')
 
 
+def test_who_is_closed_is_gone(ros_domain):
+    """What DDS keeps of a node that was not taken apart hears everybody who comes later, in threads of its own."""
+    from stepdiag_ros.nodes.observer import Observer
+    from stepdiag_ros.nodes.operator import Operator
+    from stepdiag_ros.nodes.player import Player
+    before = participants()
+    for make in (lambda: Operator('/tiny'), Observer, lambda: Player('/tiny')):
+        with make():
+            assert participants() == before + 1
+        assert participants() == before
+
+
 def test_a_node_that_takes_long_for_each_answer_is_heard(cell):
     """Longer than the time after which it is asked again, as on a busy computer."""
     import rclpy
@@ -362,8 +375,7 @@ def test_a_node_that_takes_long_for_each_answer_is_heard(cell):
     finally:
         stop.set()
         answering.join(60.0)
-        node.destroy_node()
-        context.try_shutdown()
+        base.end(node, context, executor)
 
 
 def test_a_raw_subscription_hands_on_nothing_before_its_start(ros_domain, eventually):
