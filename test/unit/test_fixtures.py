@@ -14,8 +14,8 @@ ROOT = Path(__file__).resolve().parents[2]
 def run_tests(folder: Path, source: str, *arguments: str) -> subprocess.CompletedProcess[str]:
     """Runs a test module, or what ``arguments`` say, with the repository's conftest and options in a process of its
     own."""
-    for name in ('conftest.py', 'standstill.py', 'turns.py'):
-        (folder / name).write_text((ROOT / 'test' / name).read_text())
+    for file in (ROOT / 'test').glob('*.py'):
+        (folder / file.name).write_text(file.read_text())
     (folder / 'test_it.py').write_text(source)
     (folder / 'pyproject.toml').write_text((ROOT / 'pyproject.toml').read_text())
     return subprocess.run(
@@ -43,6 +43,18 @@ def test_a_process_left_behind_fails_and_is_ended(tmp_path: Path) -> None:
             assert entry.read_bytes() != f'sleep\0{seconds}\0'.encode()
         except OSError:
             continue
+
+
+def test_a_participant_left_behind_fails(tmp_path: Path) -> None:
+    result = run_tests(
+        tmp_path,
+        'import rclpy\n'
+        'kept = []\n'
+        'def test_leaves_a_node(ros_domain):\n'
+        '    rclpy.init()\n'
+        '    kept.append(rclpy.create_node("left"))\n',
+    )
+    assert result.returncode == 1 and '1 participants of DDS are left' in result.stdout
 
 
 def test_a_warning_fails(tmp_path: Path) -> None:
