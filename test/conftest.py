@@ -1,6 +1,7 @@
 """What all tests share: a ROS domain of one's own, the shared data, no process left behind."""
 
 import fcntl
+import gc
 import os
 import signal
 import sys
@@ -121,6 +122,7 @@ def no_process_left() -> Iterator[None]:
     yield
     left = marked_processes()
     deadline = time.monotonic() + 10
+    gc.collect()    # nodes lie in circles of references
     while (left or participants()) and time.monotonic() < deadline:
         time.sleep(0.1)
         left = marked_processes()
