@@ -20,12 +20,14 @@ import turns  # noqa: E402
 from participants import participants  # noqa: E402
 from standstill import Standstills  # noqa: E402
 
+from stepdiag_ros.nodes.environment import LOOPBACK_PROFILE  # noqa: E402
+
 DOMAINS = range(1, 101)  # above, Fast DDS's ports run into those that the kernel hands out
 LOCKS = Path('/tmp') / f'stepdiag-ros-domains-{os.getuid()}'
 
 # Nothing leaves this machine, and no shared-memory segment outlives a killed process.
 os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'SYSTEM_DEFAULT'
-os.environ['FASTRTPS_DEFAULT_PROFILES_FILE'] = str(ROOT / 'test' / 'fastdds_loopback.xml')
+os.environ['FASTRTPS_DEFAULT_PROFILES_FILE'] = str(LOOPBACK_PROFILE)
 os.environ.pop('ROS_STATIC_PEERS', None)
 os.environ['MPLBACKEND'] = 'Agg'
 # One thread for each worker, as the package has it; a test that imports numpy first would have as many as processors.
