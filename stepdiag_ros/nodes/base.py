@@ -326,7 +326,7 @@ def spin(executor, until: Callable[[], bool], failed: Callable[[Exception], None
 def end(node: Node, context: Context, executor: Any = None) -> None:
     """End a node that has a context of its own, and what DDS has of it; actions of it are to be destroyed before.
 
-    What still holds the node keeps its participant: that goes on to hear and answer everybody in its domain.
+    What still holds the node keeps its participant, which goes on to discover and answer all others of its domain.
     """
     if executor is not None:
         # Before what it listens to is destroyed: a message that comes meanwhile has nobody to wake.

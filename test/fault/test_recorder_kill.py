@@ -82,8 +82,8 @@ class Source:
         self._stop.set()
         if self._thread.is_alive():
             self._thread.join()
-        self.node.destroy_node()
-        self._context.try_shutdown()
+        from stepdiag_ros.nodes import base
+        base.end(self.node, self._context)
 
 
 @pytest.fixture

@@ -339,7 +339,7 @@ def test_unknown_parameters_of_the_psd_are_refused_in_one_line(cell, eventually)
 
 
 def test_who_is_closed_is_gone(ros_domain):
-    """What DDS keeps of a node that was not taken apart hears everybody who comes later, in threads of its own."""
+    """What DDS keeps of a node that was not taken apart discovers all that come later, in threads of its own."""
     from stepdiag_ros.nodes.observer import Observer
     from stepdiag_ros.nodes.operator import Operator
     from stepdiag_ros.nodes.player import Player
@@ -403,5 +403,4 @@ def test_a_raw_subscription_hands_on_nothing_before_its_start(ros_domain, eventu
         assert raw.lost == {'cell_description': 0} and raw.received == {'cell_description': 3}
     finally:
         raw.close()
-        node.destroy_node()
-        context.try_shutdown()
+        base.end(node, context)

@@ -7,6 +7,7 @@ environment.prepare()
 import rclpy  # noqa: E402
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus  # noqa: E402
 
+from stepdiag_ros.nodes import base  # noqa: E402
 from stepdiag_ros.nodes.observer import Observer  # noqa: E402
 
 
@@ -26,5 +27,4 @@ def test_a_sequencer_that_has_not_spoken_is_known_to_be_silent(ros_domain, event
             eventually(spoken)
             assert [machine.name for machine in observer.overview().machines] == ['/mute']
     finally:
-        node.destroy_node()
-        context.try_shutdown()
+        base.end(node, context)

@@ -23,6 +23,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue  # n
 from std_msgs.msg import String  # noqa: E402
 
 from stepdiag_msgs.msg import DisplacementMean, ErrorCurve, GeometricErrors, RecorderStatus, Step  # noqa: E402
+from stepdiag_ros.nodes import base  # noqa: E402
 from stepdiag_ros.nodes.base import reliable  # noqa: E402
 from stepdiag_ros.nodes.patience import Patience  # noqa: E402
 
@@ -78,8 +79,7 @@ class Machine:
         self.errors.publish(errors)
 
     def close(self) -> None:
-        self.node.destroy_node()
-        self._context.try_shutdown()
+        base.end(self.node, self._context)
 
 
 @pytest.fixture
