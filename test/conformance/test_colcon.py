@@ -51,7 +51,7 @@ def laid_out(workspace: Path, *options: str) -> Path:
     return workspace / 'src'
 
 
-@pytest.fixture(scope='module', params=some(later=['two base paths', 'a workspace']))
+@pytest.fixture(scope='module', params=some('a workspace', later=['two base paths']))
 def install(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The install tree of `colcon build --base-paths . msg_defs`, and that of `colcon build` in a workspace."""
     place = tmp_path_factory.mktemp('colcon')

@@ -1,4 +1,4 @@
-"""A hall with real processes: machines share one laser, one dies in the middle, the other finishes."""
+"""A hall with real processes: machines share one laser, one dies in the middle, the others finish."""
 
 import json
 import os
@@ -14,7 +14,7 @@ from stepdiag_ros.bag.reader import read_log
 from stepdiag_ros.nodes.hall import MACHINE_NODES, Hall
 from stepdiag_ros.nodes.patience import Patience
 
-NAMES = ('a', 'b')
+NAMES = ('a', 'b', 'c')
 NODES = tuple(name for name in MACHINE_NODES if name != 'gap_monitor')
 LEASE_S = 10.0    # of the light; a client's is longer still: other tests keep the computer busy
 
@@ -37,9 +37,8 @@ def values(hall: Hall) -> dict[str, str]:
     return {} if health is None else {v.key: v.value for v in health.values}
 
 
-def test_a_machine_dies_in_the_middle_and_the_other_finishes(hall, tmp_path, eventually):
-    command = subprocess.Popen([sys.executable, '-m', 'stepdiag_ros.cli.main', 'calibrate', '--all', '--json',
-                                '--setups', 'lin_x'],
+def test_one_machine_dies_in_the_middle_and_the_others_finish(hall, tmp_path, eventually):
+    command = subprocess.Popen([sys.executable, '-m', 'stepdiag_ros.cli.main', 'calibrate', '--all', '--json'],
                                stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path)
     ended = threading.Event()
     answer: list[str] = []
@@ -60,11 +59,13 @@ def test_a_machine_dies_in_the_middle_and_the_other_finishes(hall, tmp_path, eve
         time.sleep(0.1)
     assert ended.is_set(), values(hall)
     results = json.loads(answer[0])
-    assert results['/b']['outcome'] == 'succeeded', answer
+    assert {name: results[f'/{name}']['outcome'] for name in 'bc'} == {'b': 'succeeded', 'c': 'succeeded'}, answer
     assert results['/a']['outcome'] != 'succeeded' and command.returncode == 1
     assert 'a' in hall.lost and any('given up, the others go on' in text for text in hall.said)
     # The diagnostics come once a second; the lease itself is looked at fifty times a second.
     assert back_s < LEASE_S + 5.0
-    log = read_log(results['/b']['bag'])
-    assert len(set(log.steps.run)) >= 2 and log.namespace == '/b'
-    assert not [w for w in log.warnings if 'dwells began' in w or 'dwells hold no' in w]
+    for name in 'bc':
+        log = read_log(results[f'/{name}']['bag'])
+        assert len(set(log.steps.run)) >= 4 and log.namespace == f'/{name}'
+        # A sample that was answered late has no quality.
+        assert not [w for w in log.warnings if 'dwell' in w and 'signal quality' not in w]

@@ -12,8 +12,7 @@ from stepdiag_ros.estimate.reduce import reduce_log
 from stepdiag_ros.model.regulation import sight
 from stepdiag_ros.nodes.replaying import assemble
 
-pytestmark = pytest.mark.long
-STATION = '{station: [-0.1, -0.1, -0.16], from: [0, 0, 0], to: [0.06, 0.05, 0], moves: around, feed: 0.015'
+STATION = '{station: [-0.1, -0.1, -0.16], from: [0, 0, 0], to: [0.10, 0.08, 0], moves: around, feed: 0.015'
 SETUPS = f"""setups:
   held: {STATION}, regulated: true}}
   followed: {STATION.replace(', feed: 0.015', '')}}}
