@@ -41,8 +41,10 @@ class Readings:
     def moved(self) -> tuple[CellReadings, ...]:
         """The readings with one variate of one cause at one standard uncertainty, a variate after the other."""
         readings = self.evaluation.setting.readings
+        sights = {name: setup.sight for name, setup in self.measured.setups.items()}
         return tuple(readings_of_stops(self.evaluation.setting.description,
-                                       filled(self.evaluation.metres.table, readings + column.reshape(readings.shape)))
+                                       filled(self.evaluation.metres.table, readings + column.reshape(readings.shape))
+                                       ).along(sights)
                      for cause in self.evaluation.uncertainty.causes for column in _columns(cause, self.evaluation))
 
     @property

@@ -146,7 +146,7 @@ def faces(cell: CellReadings) -> CellReadings:
         label = ''.join('xyz'[axis] for axis in axes) + ('_p' if corner[axes[0]] == 0.0 else '_n')
         whole = np.allclose(start, corner, atol=SAME_M) and np.allclose(end, far, atol=SAME_M)
         if whole and len(setup.sight.positions) == 2 * cell.steps + 1 and label not in found:
-            found[label] = replace(setup, sight=replace(setup.sight, name=label))
+            found[label] = replace(setup, sight=setup.sight.called(label))
     return replace(cell, setups=found)
 
 
@@ -177,7 +177,7 @@ def short_names(cell: CellReadings, straight: bool = False) -> dict[str, str]:
 def by_short_names(cell: CellReadings, straight: bool = False) -> CellReadings:
     """The setups of :func:`short_names` under these, for methods that look for no others."""
     found = short_names(cell, straight)
-    return replace(cell, setups={short: replace(cell.setups[name], sight=replace(cell.setups[name].sight, name=short))
+    return replace(cell, setups={short: replace(cell.setups[name], sight=cell.setups[name].sight.called(short))
                                  for short, name in found.items()})
 
 

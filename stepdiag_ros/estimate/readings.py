@@ -6,6 +6,7 @@ All setups come from a log (:func:`readings_of_stops`) or from the closed-form s
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -20,9 +21,9 @@ from stepdiag_ros.model.sensor import Misalignment, distance, spot, turned
 ALIGNED = Misalignment()
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Sight:
-    """A line of sight and its stops; nothing measured yet.
+    """A line of sight and its stops; nothing measured yet.  Two are the same only if they are one.
 
     ``direction`` (3,) unit vector away from the source; ``positions`` (n, 3) [m] commanded,
     ``axis`` (n,) number of the axis that moved to reach a stop (255 at the first);
@@ -42,9 +43,13 @@ class Sight:
     station: tuple[float, ...] | None = None
     tool: tuple[float, ...] | None = None
 
-    @property
+    @cached_property
     def triad(self) -> np.ndarray:
         return local_triad(self.direction)
+
+    def called(self, name: str) -> 'Sight':
+        """The same under another name."""
+        return self if name == self.name else replace(self, name=name)
 
     def origin(self, tool: np.ndarray) -> np.ndarray:
         return self.positions[0] + np.asarray(tool) - self.standoff * self.direction
@@ -98,6 +103,10 @@ class CellReadings:
 
     def without(self, *names: str) -> 'CellReadings':
         return replace(self, setups={n: s for n, s in self.setups.items() if n not in names})
+
+    def along(self, sights: Mapping[str, Sight]) -> 'CellReadings':
+        """The same along ``sights``, of the same stops: what depends on those alone is computed once."""
+        return replace(self, setups={n: replace(s, sight=sights.get(n, s.sight)) for n, s in self.setups.items()})
 
 
 def sight_of(description: Description, name: str) -> Sight:

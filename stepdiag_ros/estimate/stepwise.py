@@ -13,6 +13,7 @@ what they take for ``g``.
 """
 
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 
 import numpy as np
 
@@ -98,15 +99,18 @@ def solution(method: str, positions: Mapping[str, np.ndarray], curves: Mapping[s
                     misalignments=misalignments or {}, **more)
 
 
+@lru_cache(maxsize=64)
 def angle_effect(sight: Sight, machine: Machine) -> np.ndarray:
-    """Distance of beam 0 by each of the nine angles of the axes (EAX … ECZ) at each stop, (n, 9) [m/rad]."""
+    """Distance of beam 0 by each of the nine angles of the axes (EAX … ECZ) at each stop, (n, 9) [m/rad], to read."""
     small, effect = 1e-5, []
     for axis in range(3):
         for name in rotation_names(axis):
             sides = [observe(sight, machine, GeometricErrors(
                 {name: Curve(np.zeros(1), np.full(1, turn))}, {}))[0][:, 0] for turn in (small, -small)]
             effect.append((sides[0] - sides[1]) / (2.0 * small))
-    return np.stack(effect, axis=1)
+    table = np.stack(effect, axis=1)
+    table.flags.writeable = False
+    return table
 
 
 def at_stops(sight: Sight, machine: Machine, curves: np.ndarray) -> np.ndarray:
