@@ -25,8 +25,9 @@ from stepdiag_ros.gap.constants import (
     LARGE_RESIDUAL,
     LEAST_LEFT,
     SCATTER_ALARM,
+    SUSPICION,
 )
-from stepdiag_ros.gap.diagnosis import AXIS_LIKE, STAMPS, Diagnosis, Found
+from stepdiag_ros.gap.diagnosis import AXIS_LIKE, COUNTS, STAMPS, Diagnosis, Found
 from stepdiag_ros.gap.experiment_design.advice import advise
 from stepdiag_ros.gap.experiment_design.competing_models import competing_models, confused, separations
 from stepdiag_ros.gap.inference.candidates import Candidate
@@ -40,6 +41,7 @@ from stepdiag_ros.gap.noise.disturbances import disturbed
 from stepdiag_ros.gap.noise.far_arrivals import FarArrivals
 from stepdiag_ros.gap.noise.incoherent_lines import Vibration
 from stepdiag_ros.gap.noise.scatter import excess_scatter
+from stepdiag_ros.gap.noise.slips_at_rest import SlipAtRest, place_of, stays
 from stepdiag_ros.gap.noise.slips_at_rest import words as slip_words
 from stepdiag_ros.gap.noise.stated import noisier, stated
 from stepdiag_ros.gap.noise.two_states import two_states
@@ -83,6 +85,7 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
     if untimed:
         names = {**{n: p for n, p in names.items() if n not in untimed}, UNKNOWN: max(names[n] for n in untimed)}
     beside = [*([_late(late)] if late else []),
+              *([] if COUNTS in best.key else _slipped(effects, disturbances.slips, joint)),
               *([_shaking(effects, disturbances.dwell_spectrum.displacement)] if shakes else [])]
     outside = {f.name: f.probability for f in beside}
     found = sorted([*found, *beside], key=lambda f: -f.probability)
@@ -205,12 +208,33 @@ def _late(late: Mapping[str, Late]) -> Found:
                  1.0, 'Let all computers take their time from one source (PTP or NTP).')
 
 
+def _slipped(effects: Mapping[str, Effect], slips: Iterable[SlipAtRest], joint: Joint) -> list[Found]:
+    """Counts lost in dwells that the stops miss from there on, whatever law the errors of arrivals follow."""
+    if COUNTS not in effects:
+        return []
+    table, rest = joint.observation.table, left(joint)
+    stayed = [(stays(slip, joint.parity.projection, rest), slip) for slip in slips]
+    stayed = [(evidence, slip) for evidence, slip in stayed if evidence > SUSPICION]
+    if not stayed:
+        return []
+    labels = ['jump' if k == 0 else f'jump ({k + 1})' for k in range(len(stayed))]
+    return [Found(COUNTS, effects[COUNTS].title, _probability(max(evidence for evidence, _ in stayed)),
+                  {label: slip.jump for label, (_, slip) in zip(labels, stayed, strict=True)},
+                  {label: slip.sigma for label, (_, slip) in zip(labels, stayed, strict=True)}, 'm',
+                  'seen in the dwell of ' + ' and '.join(place_of(table, slip) for _, slip in stayed), 1.0,
+                  effects[COUNTS].remedy)]
+
+
+def _probability(log_bayes: float) -> float:
+    """Of what is seen beside the search, at even odds before."""
+    return float(1.0 / (1.0 + np.exp(-min(log_bayes, 30.0))))
+
+
 def _shaking(effects: Mapping[str, Effect], seen: Vibration) -> Found:
     effect = effects.get('vibration', Effect())
-    probability = float(1.0 / (1.0 + np.exp(-min(seen.log_bayes, 30.0))))
     line = 'a line in the spectrum of the dwells' + (', of one phase through many' if seen.coherent else '')
     alike = ' and '.join(f'{hertz:.3g} Hz' for hertz in seen.aliases)
-    return Found('vibration', effect.title, probability,
+    return Found('vibration', effect.title, _probability(seen.log_bayes),
                  {'frequency_Hz': seen.frequency, 'amplitude_m': seen.amplitude},
                  {'amplitude_m': seen.sigma}, 'm', line, seen.share,
                  f'{effect.remedy} Sampled at {seen.rate:.3g} Hz, {alike} look the same.'.lstrip())

@@ -34,6 +34,8 @@ AXIS_LIKE = 3
 ALONG = tuple(f'E{axis}{axis}' for axis in AXES)
 STAMPS = 'clock_skew'
 """The effect that is seen while axes move, and only then."""
+COUNTS = 'count_slip'
+"""The effect that is seen within a dwell too, to nanometres."""
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,8 @@
 A slip in motion lies between two stops.  One in a dwell leaves a part of itself in the dwell's mean, so that there are
 two steps from stop to stop, neither a whole number of counts: it looks as if an axis had lost a step.  In the samples
 it is seen by itself, to nanometres.  So the dwell counts as if it had lasted without the slip, which begins with the
-next stop.
+next stop.  Where errors of arrivals have tails the stops alone may not tell a slip from one arrival that is far off, of
+any size; that it stays by as much as was seen in the dwell does.
 
 What settles, swings or hops between two units of length does so in many dwells; what steps in more than a few is no
 slip.
@@ -16,6 +17,8 @@ import numpy as np
 from stepdiag_ros.effects.count_slip import whole_fringes
 from stepdiag_ros.estimate.reduce import StopTable
 from stepdiag_ros.gap.constants import SUSPICION
+from stepdiag_ros.gap.inference.projection import Projection
+from stepdiag_ros.gap.noise.arrival_law import as_it_is, log_evidence, made_tidy
 from stepdiag_ros.gap.noise.mode_hops import steps
 from stepdiag_ros.model.log import Samples
 
@@ -55,9 +58,29 @@ def without(table: StopTable, slips: tuple[SlipAtRest, ...]) -> StopTable:
     return replace(table, displacement=displacement)
 
 
+def stays(slip: SlipAtRest, space: Projection, rest: StopTable) -> float:
+    """Log evidence that all lengths are off by the slip from its dwell to the end of its run, against that none is;
+    ``rest``: the stops freed of all effects."""
+    space = made_tidy(space)
+    after = (rest.run == rest.run[slip.row]) & (rest.time_s > rest.time_s[slip.row])
+    displacement = rest.displacement.copy()
+    displacement[after, slip.beam] -= slip.jump
+    return _evidence(space, replace(rest, displacement=displacement)) - _evidence(space, rest)
+
+
+def _evidence(space: Projection, rest: StopTable) -> float:
+    """Log evidence of the noise whose laws explain best what is left."""
+    return log_evidence(space, rest) + as_it_is(space, rest)[1]
+
+
+def place_of(table: StopTable, slip: SlipAtRest) -> str:
+    """The dwell of a slip, in words."""
+    return f'{table.run_ids[table.run[slip.row]]} stop {table.index[slip.row]}'
+
+
 def words(table: StopTable, slip: SlipAtRest) -> str:
     """What was found, for the page."""
     return (f'displacement: the laser lost count by {slip.jump * 1e6:.3f} µm while the axes stood, in the dwell of '
-            f'{table.run_ids[table.run[slip.row]]} stop {table.index[slip.row]}'
+            + place_of(table, slip)
             + (f', beam {slip.beam}' if table.displacement.shape[1] > 1 else '')
             + '; that dwell counts without it')

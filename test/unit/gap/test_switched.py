@@ -1,5 +1,5 @@
-"""What changes at once, or to and fro, keeps the name of where it acts: a lamp that is switched, a beam that is knocked,
-scales in a hall whose temperature swings."""
+"""What changes at once, or to and fro, keeps the name of where it acts: a lamp that is switched, a beam that is
+knocked, scales in a hall whose temperature swings."""
 
 import numpy as np
 import pytest
