@@ -5,8 +5,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from stepdiag_ros.effects import all_effects
 from stepdiag_ros.effects.base import Effect
 from stepdiag_ros.effects.count_slip import QUARTER, whole_fringes
+from stepdiag_ros.gap.diagnose import diagnose
 from stepdiag_ros.gap.noise.slips_at_rest import slips_at_rest
 
 COUNT, SIZE, NOISE = 200, 20, 4e-9
@@ -57,3 +59,21 @@ def test_a_slip_in_a_dwell_keeps_its_name_and_size(case):
     effect = found.effects[0]
     assert effect.parameters['jump'] == pytest.approx(2.0 * JUMP, abs=4.0 * effect.sigma['jump'])
     assert any('lost count by 3.06' in line for line in found.warnings)
+
+
+class SlipsInAnEarlyDwell(Effect):
+    """The counter loses 52 counts in the third dwell of a log: until Z moves again an error of its first arrival, 331
+    times as large as others, would leave the same stops."""
+
+    def after_light(self, moment):
+        after = (moment.arrival > 4) | ((moment.arrival == 4) & (moment.since_arrival > 0.25))
+        moment.length = moment.length + 13.0 * JUMP * after[:, None]
+
+
+def test_a_slip_that_was_seen_in_a_dwell_is_no_tail(case):
+    found = diagnose(case.untidy('{position: {dof: 3}}', SlipsInAnEarlyDwell()),
+                     [kind() for kind in all_effects().values()])
+    assert found.verdict == 'explained'
+    assert [(e.name, e.form) for e in found.effects] == [('count_slip', 'seen in the dwell of ppp/0/+ stop 2')]
+    effect = found.effects[0]
+    assert effect.parameters['jump'] == pytest.approx(13.0 * JUMP, abs=4.0 * effect.sigma['jump'])
