@@ -67,7 +67,7 @@ class ScaleThermalExpansion(Effect):
         size = 1e-5 * np.concatenate([np.ones(3), travel / np.sqrt(12.0)])
         forms += [drift_form(view, profile, both, named, size, 'held elsewhere than at zero', '1, m', begun=True)
                   for profile in pace
-                  if profile.label in ('linear', *ROUGHNESS) or 'period_s' in profile.shape
+                  if profile.label in ('linear', *ROUGHNESS)
                   or profile.shape.get('tau_s', 0.0) > 0.2 * np.ptp(view.time)]
         # One axis that warms: the place where its scale is held does not change while it does.
         moved = np.ptp(view.commanded, axis=0) > 0.0
