@@ -41,7 +41,7 @@ from stepdiag_ros.gap.noise.disturbances import disturbed
 from stepdiag_ros.gap.noise.far_arrivals import FarArrivals
 from stepdiag_ros.gap.noise.incoherent_lines import Vibration
 from stepdiag_ros.gap.noise.scatter import excess_scatter
-from stepdiag_ros.gap.noise.slips_at_rest import SlipAtRest, place_of, stays
+from stepdiag_ros.gap.noise.slips_at_rest import SlipAtRest, place_of, staying
 from stepdiag_ros.gap.noise.slips_at_rest import words as slip_words
 from stepdiag_ros.gap.noise.stated import noisier, stated
 from stepdiag_ros.gap.noise.two_states import two_states
@@ -208,17 +208,17 @@ def _late(late: Mapping[str, Late]) -> Found:
                  1.0, 'Let all computers take their time from one source (PTP or NTP).')
 
 
-def _slipped(effects: Mapping[str, Effect], slips: Iterable[SlipAtRest], joint: Joint) -> list[Found]:
+def _slipped(effects: Mapping[str, Effect], slips: tuple[SlipAtRest, ...], joint: Joint) -> list[Found]:
     """Counts lost in dwells that the stops miss from there on, whatever law the errors of arrivals follow."""
-    if COUNTS not in effects:
+    if not slips or COUNTS not in effects:
         return []
-    table, rest = joint.observation.table, left(joint)
-    stayed = [(stays(slip, joint.parity.projection, rest), slip) for slip in slips]
-    stayed = [(evidence, slip) for evidence, slip in stayed if evidence > SUSPICION]
+    table = joint.observation.table
+    evidence = staying(slips, joint.parity.projection, left(joint))
+    stayed = [(one, slip) for one, slip in zip(evidence, slips, strict=True) if one > SUSPICION]
     if not stayed:
         return []
     labels = ['jump' if k == 0 else f'jump ({k + 1})' for k in range(len(stayed))]
-    return [Found(COUNTS, effects[COUNTS].title, _probability(max(evidence for evidence, _ in stayed)),
+    return [Found(COUNTS, effects[COUNTS].title, _probability(max(one for one, _ in stayed)),
                   {label: slip.jump for label, (_, slip) in zip(labels, stayed, strict=True)},
                   {label: slip.sigma for label, (_, slip) in zip(labels, stayed, strict=True)}, 'm',
                   'seen in the dwell of ' + ' and '.join(place_of(table, slip) for _, slip in stayed), 1.0,

@@ -25,7 +25,7 @@ from stepdiag_ros.gap.inference.joint import Active, Joint, fit_jointly, freed, 
 from stepdiag_ros.gap.inference.parity import slopes_of
 from stepdiag_ros.gap.inference.search import EffectSet, log_prior, ranked
 from stepdiag_ros.gap.inference.select_effects import noise_of, settle
-from stepdiag_ros.gap.noise.arrival_law import as_it_is, log_evidence, suspicion
+from stepdiag_ros.gap.noise.arrival_law import as_it_is, evidence_of_best_law, log_evidence, suspicion
 from stepdiag_ros.gap.preprocess.observe import Observation, sane_fit
 
 ONE_ARRIVAL = 'no more than one arrival is off, and errors of arrivals have tails or go with those before them'
@@ -152,9 +152,7 @@ def total_evidence(joint: Joint, sets: list[EffectSet], screen: Screen) -> float
     space = joint.parity
     beside = Likeliest.of(joint)
     table = left(joint, beside)
-    stops = log_evidence(space.projection, table)
-    if joint.noise.tidy:
-        stops += as_it_is(space.projection, table)[1]
+    stops = (evidence_of_best_law if joint.noise.tidy else log_evidence)(space.projection, table)
     inside = (unexplained(space, joint.active) - beside.white)[space.stops:]
     loud = float(np.sum(np.log(space.bin_scale[space.channel[space.stops:]])))
     slopes = slopes_of([a.form for a in joint.active], lambda number: joint.active[number].coefficients)

@@ -116,6 +116,11 @@ def log_evidence(space: Projection, table: StopTable) -> float:
     return _held(space, readings_of(table)).evidence
 
 
+def evidence_of_best_law(space: Projection, table: StopTable) -> float:
+    """The same of the noise whose laws explain best what is in ``table``, for a projection in tidy noise."""
+    return log_evidence(space, table) + as_it_is(space, table)[1]
+
+
 def _settled(space: Projection, noise: NoiseModel, readings: np.ndarray, largest: NoiseModel) -> _Held:
     """The noise with sizes and spread settled under its laws, at the fit of a projection."""
     held, moved = _held(space if space.noise is noise else space.in_noise(noise), readings), np.inf

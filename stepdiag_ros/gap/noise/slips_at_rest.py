@@ -18,7 +18,7 @@ from stepdiag_ros.effects.count_slip import whole_fringes
 from stepdiag_ros.estimate.reduce import StopTable
 from stepdiag_ros.gap.constants import SUSPICION
 from stepdiag_ros.gap.inference.projection import Projection
-from stepdiag_ros.gap.noise.arrival_law import as_it_is, log_evidence, made_tidy
+from stepdiag_ros.gap.noise.arrival_law import evidence_of_best_law, made_tidy
 from stepdiag_ros.gap.noise.mode_hops import steps
 from stepdiag_ros.model.log import Samples
 
@@ -58,19 +58,18 @@ def without(table: StopTable, slips: tuple[SlipAtRest, ...]) -> StopTable:
     return replace(table, displacement=displacement)
 
 
-def stays(slip: SlipAtRest, space: Projection, rest: StopTable) -> float:
-    """Log evidence that all lengths are off by the slip from its dwell to the end of its run, against that none is;
-    ``rest``: the stops freed of all effects."""
+def staying(slips: tuple[SlipAtRest, ...], space: Projection, rest: StopTable) -> tuple[float, ...]:
+    """Of each slip the log evidence that all lengths are off by it from its dwell to the end of its run, against that
+    none is; ``rest``: the stops freed of all effects."""
     space = made_tidy(space)
-    after = (rest.run == rest.run[slip.row]) & (rest.time_s > rest.time_s[slip.row])
-    displacement = rest.displacement.copy()
-    displacement[after, slip.beam] -= slip.jump
-    return _evidence(space, replace(rest, displacement=displacement)) - _evidence(space, rest)
+    without_any = evidence_of_best_law(space, rest)
 
-
-def _evidence(space: Projection, rest: StopTable) -> float:
-    """Log evidence of the noise whose laws explain best what is left."""
-    return log_evidence(space, rest) + as_it_is(space, rest)[1]
+    def off_by(slip: SlipAtRest) -> StopTable:
+        after = (rest.run == rest.run[slip.row]) & (rest.time_s > rest.time_s[slip.row])
+        displacement = rest.displacement.copy()
+        displacement[after, slip.beam] -= slip.jump
+        return replace(rest, displacement=displacement)
+    return tuple(evidence_of_best_law(space, off_by(slip)) - without_any for slip in slips)
 
 
 def place_of(table: StopTable, slip: SlipAtRest) -> str:
