@@ -22,10 +22,10 @@ from stepdiag_ros.estimate.on_centre import on_centre
 from stepdiag_ros.estimate.samples import clean
 from stepdiag_ros.gap.alternatives.unmodelled import NAME as UNKNOWN
 from stepdiag_ros.gap.constants import (
+    ALARM,
     LARGE_RESIDUAL,
     LEAST_LEFT,
     SCATTER_ALARM,
-    SUSPICION,
 )
 from stepdiag_ros.gap.diagnosis import AXIS_LIKE, COUNTS, STAMPS, Diagnosis, Found
 from stepdiag_ros.gap.experiment_design.advice import advise
@@ -214,7 +214,7 @@ def _slipped(effects: Mapping[str, Effect], slips: tuple[SlipAtRest, ...], joint
         return []
     table = joint.observation.table
     evidence = staying(slips, joint.parity.projection, left(joint))
-    stayed = [(one, slip) for one, slip in zip(evidence, slips, strict=True) if one > SUSPICION]
+    stayed = [(one, slip) for one, slip in zip(evidence, slips, strict=True) if one > ALARM]
     if not stayed:
         return []
     labels = ['jump' if k == 0 else f'jump ({k + 1})' for k in range(len(stayed))]
