@@ -90,6 +90,7 @@ class Ids3010:
         self._index_method = 'com.attocube.ecu.getRefractiveIndexForCompensation'
         self._grid = Grid()
         self._blocks: deque[_Block] = deque()
+        self._before_ns = 0          # when the last sample that was handed out was taken
         self._health_s = 0.0         # monotonic time of the next question for quality and index
         self._contrast, self._air = 0.0, 1.0
 
@@ -158,6 +159,7 @@ class Ids3010:
             self._take(self._link.receive())
         self._blocks.clear()
         self._grid.forget()
+        self._before_ns = 0
 
     def read_block(self, samples: int, period_s: float) -> DisplacementBlock:
         if self._blocks and HOST.now() - self._blocks[-1].asked[-1] > PAUSE_S:
@@ -166,7 +168,9 @@ class Ids3010:
         while not (self._blocks and self._blocks[0].complete):
             self._poll(samples, period_s)
         block = self._blocks.popleft()
-        stamp_ns, spacing_s, accuracy = times_of_polls(block.asked, block.answered, period_s, block.missed)
+        stamp_ns, spacing_s, accuracy = times_of_polls(block.asked, block.answered, period_s, block.missed,
+                                                        self._before_ns)
+        self._before_ns = stamp_ns + int(accuracy.taken_ns[-1])
         table = self._table([self._row(answer) for answer in block.answers])
         known = np.array(block.answered) - np.array(block.asked) <= STALE_S
         quality = np.where((table[:, 0] == 0.0) & known, np.clip(round(self._contrast / 10.0), 0, 100), 0)

@@ -67,6 +67,7 @@ class ModbusPsd:
         self._period_s = 0.0          # of the running stream; 0: none runs
         self._next_s: float | None = None
         self._grid = Grid()
+        self._before_ns = 0          # when the last polled sample that was handed out was taken
         self._clock: ClockMatch | None = None
         self._origin_s = 0.0          # host's time of the stream's first scan, roughly
 
@@ -125,6 +126,7 @@ class ModbusPsd:
         if self._next_s is not None:
             self._next_s += step_s
         self._origin_s += step_s
+        self._before_ns = 0
         if self._clock is not None:
             self._clock.shift(step_s)
 
@@ -144,7 +146,8 @@ class ModbusPsd:
             answered.append(HOST.now())
         if not np.all(np.isfinite(volts)):
             raise self._fail('answers voltages that are not finite; restart it')
-        stamp_ns, spacing_s, accuracy = times_of_polls(asked, answered, period_s, missed)
+        stamp_ns, spacing_s, accuracy = times_of_polls(asked, answered, period_s, missed, self._before_ns)
+        self._before_ns = stamp_ns + int(accuracy.taken_ns[-1])
         return stamp_ns, spacing_s, np.array(volts), accuracy
 
     # -- by the box's own clock

@@ -71,12 +71,13 @@ class Grid:
         return min(passed, most), max(passed - most, 0)
 
 
-def times_of_polls(asked_s: list[float], answered_s: list[float], period_s: float, missed: int
+def times_of_polls(asked_s: list[float], answered_s: list[float], period_s: float, missed: int, before_ns: int
                    ) -> tuple[int, float, Accuracy]:
     """Stamp [ns], sample period [s] and accuracy of a block whose polls were sent and answered at such times (n,).
 
     Stamp and period describe evenly spaced samples, none of which is later than it was taken: a reader that knows
-    nothing else finds no sample in a dwell that was taken before it.
+    nothing else finds no sample in a dwell that was taken before it.  None is earlier than ``before_ns``, when the
+    last sample of the block before was taken (0: there is none), however long a single answer was on its way.
     """
     asked, answered = np.array(asked_s), np.maximum(answered_s, asked_s)
     origin = int(asked[0] * 1e9)
@@ -88,6 +89,10 @@ def times_of_polls(asked_s: list[float], answered_s: list[float], period_s: floa
     if mean_ns < 1e3:
         mean_ns = period_s * 1e9
     shift = int(np.floor(np.min(taken - np.arange(count) * mean_ns)))
+    earliest = min(before_ns + 1 - origin, int(taken[0]))
+    if before_ns and shift < earliest:
+        shift = earliest
+        mean_ns = min(mean_ns, *((taken[1:] - shift) / np.arange(1, count)))
     half = (high - low + 1) // 2 + np.abs(taken - (low + high) // 2)
     return origin + shift, mean_ns * 1e-9, Accuracy(taken - shift, half, missed)
 
