@@ -65,7 +65,10 @@ def diagnose(log: CalibrationLog, effect_files: Iterable[str | Path] = ()) -> Di
     """Where log and rigid-body model disagree, which effect explains it, and how far the gap closes.
 
     ``effect_files``: Python files with effects of your own.  They are run: name only files that you trust.
+    :class:`StepdiagError` where the log shows a mistake of commissioning.
     """
     from stepdiag_ros.effects import all_effects
+    from stepdiag_ros.estimate.sanity_fit import must_be_sane
     from stepdiag_ros.gap.diagnose import diagnose as find
+    must_be_sane(log)
     return find(log, [kind() for kind in all_effects([str(path) for path in effect_files]).values()])

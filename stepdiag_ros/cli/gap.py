@@ -197,11 +197,10 @@ def _insane(job: Job, log) -> Outcome | None:
     """What there is to say of a log that shows a mistake of commissioning, in place of a diagnosis; None of others."""
     from html import escape
 
-    from stepdiag_ros.estimate.metres import in_metres
-    from stepdiag_ros.estimate.sanity_fit import check
+    from stepdiag_ros.estimate.sanity_fit import mistakes
     from stepdiag_ros.report.page import page
 
-    found = check(log.description, in_metres(log).table)
+    found = mistakes(log)
     if not found:
         return None
     document = {'verdict': 'unexplained', 'gap': None, 'where': [], 'effects': [], 'indistinguishable': [],

@@ -390,7 +390,9 @@ def _contrasts(table: StopTable, readings: np.ndarray):
                                                  & (table.direction == direction)]):
                 rows = np.flatnonzero((table.run == run) & (table.direction == direction)
                                       & (table.repeat == repeat) & (table.axis != STOOD))
-                groups.setdefault((int(table.setup[rows[0]]), int(direction)), []).append(rows)
+                # Whatever a run's direction is called: only stops that came in the same order repeat each other.
+                order = int(np.sign(int(table.index[rows[-1]]) - int(table.index[rows[0]])))
+                groups.setdefault((int(table.setup[rows[0]]), int(direction), order), []).append(rows)
     for runs in groups.values():
         common = set.intersection(*(set(table.index[rows].tolist()) for rows in runs))
         runs = [rows[np.isin(table.index[rows], list(common))] for rows in runs]

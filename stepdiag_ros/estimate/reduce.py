@@ -132,12 +132,18 @@ def reduce_log(log: CalibrationLog, cut: bool = False) -> StopTable:
         expected = looks[events.setup[first]] if samples is log.spot else np.ones(len(visits), bool)
         empty = int(np.sum((part.count == 0) & expected))
         if empty and len(samples):
+            why = _why_empty(samples, dwell_ns[part.count == 0], done_ns[part.count == 0],
+                             [names[k] for k in events.setup[first][part.count == 0]])
             warnings.append(f'{log.source}: {topic}: {empty} of {len(visits)} dwells hold no usable '
-                            'sample; those stops are left out of this channel')
+                            f'sample{why}; those stops are left out of this channel')
     axis, mended = _moved_axis(events.run[first], events.index[first], events.axis[first], events.commanded[first])
     if mended:
         warnings.append(f'{log.source}: sequencer/step: {mended} of {len(axis)} stops name another axis than the one '
                         'that their commanded positions moved; the positions count')
+    turned = _turned(events.run[first], events.index[first], events.direction[first])
+    if turned:
+        warnings.append(f'{log.source}: sequencer/step: the stops of {len(turned)} run(s) come against their '
+                        f'direction, e.g. of {events.run_ids[turned[0]]}; +1 is along the path, -1 back')
     measured, setup = np.unique(events.setup[first], return_inverse=True)
     table = StopTable(
         events.run_ids, tuple(names[k] for k in measured), events.run[first], setup, events.repeat[first],
@@ -170,6 +176,21 @@ def _index_everywhere(lengths: '_Averages', run: np.ndarray) -> np.ndarray:
     return index
 
 
+def _why_empty(samples: Samples, dwell_ns: np.ndarray, done_ns: np.ndarray, setups: list[str]) -> str:
+    """Why dwells (k,) hold none of ``samples``, as far as stamps and frames say; '' where they do not."""
+    begin, end = np.searchsorted(samples.time_ns, dwell_ns), np.searchsorted(samples.time_ns, done_ns)
+    if np.all(begin == end):
+        apart = samples.time_ns[0] > done_ns[-1] or samples.time_ns[-1] < dwell_ns[0]
+        late_s = (samples.time_ns[0] - dwell_ns[0]) * 1e-9
+        return f': they begin {abs(late_s):.4g} s {"after" if late_s > 0.0 else "before"} these, set the clocks' \
+            if apart else ''
+    for row in np.flatnonzero(end > begin):
+        other = samples.setup_names[samples.setup[begin[row]]]
+        if other != setups[row]:
+            return f': e.g. in a dwell of setup {setups[row]} they bear the frame_id {other!r}'
+    return ''
+
+
 def dwell_means(samples: Samples, table: StopTable, setup: str) -> np.ndarray:
     """Means (n, k) of ``samples`` of ``setup`` over the dwells of ``table``, NaN where there are none."""
     names = tuple(name if name == setup else '' for name in table.setup_names)
@@ -185,6 +206,16 @@ def _moved_axis(run: np.ndarray, index: np.ndarray, axis: np.ndarray,
     mended = axis.copy()
     mended[wrong] = change[wrong - 1].argmax(axis=1)
     return mended, len(wrong)
+
+
+def _turned(run: np.ndarray, index: np.ndarray, direction: np.ndarray) -> list[int]:
+    """Runs of more than two visits (k,) whose stops come one after another against the one direction that they name."""
+    found = []
+    for number in np.unique(run):
+        way, own = np.diff(index[run == number].astype(int)), direction[run == number]
+        if len(way) > 1 and np.all(own == own[0]) and (np.all(way * own[0] < 0)):
+            found.append(int(number))
+    return found
 
 
 def _pieces(length_ns: np.ndarray) -> np.ndarray:

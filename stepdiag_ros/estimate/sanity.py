@@ -13,7 +13,7 @@ What only shows as a bad fit (a detector mounted mirrored, a wrong tool) is look
 :mod:`stepdiag_ros.estimate.sanity_fit`.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import permutations
 
@@ -37,6 +37,8 @@ STILL = 0.01
 """Size of the gradient below which the readings do not follow the machine."""
 LARGEST_SPOT_M = 0.1
 """No detector is as large."""
+LONGEST_TOOL_M, WIDEST_OFFSET_M, FARTHEST_M = 5.0, 1.0, 100.0
+"""No tool with a mirror is as long, no base unit as wide, no laser interferometer of machine tools measures as far."""
 PLACE_M = 1e-4
 """A stop is the plan's if it is commanded to it within this."""
 FACTORS = ((0.5, 'half', 'the instrument counts the wrong fraction of a wavelength'),
@@ -49,7 +51,7 @@ FACTORS = ((0.5, 'half', 'the instrument counts the wrong fraction of a waveleng
 
 def check_readings(description: Description, table: StopTable) -> list[Finding]:
     """Mistakes that stops and readings alone show; empty for a sane log.  Needs no fit."""
-    found: list[Finding] = []
+    found = list(_described(description))
     for number, setup in enumerate(table.setup_names):
         rows = np.flatnonzero(table.setup == number)
         if not len(rows):
@@ -62,6 +64,30 @@ def check_readings(description: Description, table: StopTable) -> list[Finding]:
     return _merged(found, len(np.unique(table.setup)))
 
 
+# ---- lengths of the cell ----------------------------------------------------------------------
+
+def _described(description: Description) -> Iterator[Finding]:
+    """Lengths of the description that nothing on a machine tool has: they were given in mm."""
+    given = [('machine.tool', description.machine.tool, LONGEST_TOOL_M)]
+    for name, setup in description.setups.items():
+        given += [(f'setups.{name}.standoff', (setup.standoff,), FARTHEST_M),
+                  (f'setups.{name}.psd_offset', setup.psd_offset, WIDEST_OFFSET_M),
+                  (f'setups.{name}.tool', setup.tool or (), LONGEST_TOOL_M)]
+        given += [(f'setups.{name}.beams', beam, WIDEST_OFFSET_M) for beam in setup.beams]
+    wrong = {where: value for where, value, most in given if len(value) and np.linalg.norm(value) > most}
+    if wrong:
+        where, value = next(iter(wrong.items()))
+        more = f', and {len(wrong) - 1} more such' if len(wrong) > 1 else ''
+        yield Finding('unit of the cell', f'{where} is {_metres(value)} m{more}; nothing at a machine tool is as long',
+                      f'lengths of a cell are in metres: if these are millimetres, {where} is '
+                      f'{_metres(np.array(value) / 1e3)}')
+
+
+def _metres(value: Sequence[float]) -> str:
+    numbers = ', '.join(f'{v:.6g}' for v in value)
+    return numbers if len(value) == 1 else f'[{numbers}]'
+
+
 # ---- commanded places -------------------------------------------------------------------------
 
 def _places(description: Description, table: StopTable, setup: str, rows: np.ndarray) -> Iterator[Finding]:
@@ -71,12 +97,18 @@ def _places(description: Description, table: StopTable, setup: str, rows: np.nda
     index, commanded = table.index[rows].astype(int), table.commanded[rows]
     volume = np.array(description.machine.volume)
 
-    def fits(other: Description, name: str) -> bool:
+    def shift_to(other: Description, name: str) -> np.ndarray:
+        """What is constant (3,) [m] between the path of a setup and where it was commanded to; NaN: not all is."""
         try:
             path = stops(other, name).positions
         except StepdiagError:
-            return False
-        return index.max() < len(path) and bool(np.all(np.abs(commanded - path[index]) < PLACE_M))
+            return np.full(3, np.nan)
+        apart = commanded - path[index] if index.max() < len(path) else np.full((1, 3), np.nan)
+        shift = np.median(apart, axis=0)
+        return shift if np.all(np.abs(apart - shift) < PLACE_M) else np.full(3, np.nan)
+
+    def fits(other: Description, name: str) -> bool:
+        return bool(np.all(np.abs(shift_to(other, name)) < PLACE_M))
 
     if fits(description, setup) or len(rows) < 4:
         return
@@ -91,6 +123,12 @@ def _places(description: Description, table: StopTable, setup: str, rows: np.nda
             yield Finding('order', f'setup {setup}: the axes moved in the order {order}, plan.order says '
                           f'{description.plan.order}', f'set plan.order: {order}')
             return
+    shift = shift_to(description, setup)
+    if np.all(np.isfinite(shift)):
+        yield Finding('origin', f'setup {setup}: the commanded positions are the plan\'s and {_vector(1e3 * shift)} mm',
+                      'give positions from the lower corner of machine.volume: take off a work offset, or '
+                      'machine.origin, before they are published')
+        return
     span = np.ptp(commanded, axis=0)
     if index.max() == 3 * description.plan.steps and np.all(span > 0.0):
         measured = replace(description, machine=replace(description.machine, volume=tuple(span)))

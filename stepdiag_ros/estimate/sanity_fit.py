@@ -2,12 +2,13 @@
 
 A fit with residuals larger than noise (:mod:`stepdiag_ros.estimate.status`) is made again with what each mistake
 would have done to the readings or to the description taken back.  One inverted, or two exchanged coordinates of the
-spot contradict each other from diagonal to diagonal, and a wrong standoff shows as tilts that grow with the distance.
+spot contradict each other from diagonal to diagonal, and so do spots that are many times too large; a wrong standoff,
+of one setup or of all alike, shows as tilts that grow with the distance.
 A mistake is recognised where taking it back turns the bad fit into one that noise explains: a healthy log has no bad
 fit, and an effect of the machine is not undone by mirroring a detector.
 
-What no log contradicts is not looked for.  Both coordinates of the spot inverted or scaled are other angles of the
-axes, which positioning and straightness take up (χ² changes by a third at most); the same holds for the tool, whose
+What no log contradicts cannot be found.  Both coordinates of the spot inverted, or scaled by no more than two, are
+mostly other angles of the axes, which positioning and straightness take up; the same holds for the tool, whose
 arm turns with an axis's angles as a curve of that axis, and for the offset of the PSD's beam.
 """
 
@@ -19,11 +20,13 @@ from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate.enhanced import Fit, fit
 from stepdiag_ros.estimate.finding import Finding
 from stepdiag_ros.estimate.forward import ForwardModel
+from stepdiag_ros.estimate.metres import in_metres
 from stepdiag_ros.estimate.noise import NoiseModel
 from stepdiag_ros.estimate.reduce import StopTable
 from stepdiag_ros.estimate.sanity import check_readings
 from stepdiag_ros.estimate.status import chi2_limit
 from stepdiag_ros.model.description import Description
+from stepdiag_ros.model.log import CalibrationLog
 
 ENOUGH, SHARE = 10.0, 1e-3
 """Fall of χ² [1], or in shares of it, below which a fit is not worth a further step: what is looked for makes it fall
@@ -36,11 +39,16 @@ LEAST_M, MOST_M = 0.01, 2.0
 """What a standoff may be off by to be recognised …"""
 CERTAIN = 20.0
 """… and how many standard deviations that must be at least."""
+LEAST_SCALE, LARGEST_SCALE = 1.0, 5.0
+"""Logarithm of the scale of the spots from which it is recognised, and up to which."""
 STEP_M = 1e-4
 SWEEPS = 6
+SETTLED = 0.03
+"""Change of that logarithm that is worth no further step."""
 SPOTS = (
     ('psd x', ((-1, 0), (0, 1)), 'x is inverted', 'turn the sign of spot x'),
     ('psd y', ((1, 0), (0, -1)), 'y is inverted', 'turn the sign of spot y'),
+    ('psd both', ((-1, 0), (0, -1)), 'x and y are inverted', 'turn the signs of both'),
     ('psd swapped', ((0, 1), (1, 0)), 'x and y are exchanged', 'exchange the detector\'s x and y'),
     ('psd turned', ((0, -1), (1, 0)), 'the detector is turned by a quarter', 'exchange x and y and turn the sign of '
      'one, so that x lies along u and y along v'))
@@ -50,8 +58,7 @@ SPOTS = (
 def check(description: Description, table: StopTable, result: Fit | None = None) -> list[Finding]:
     """All recognised mistakes of a log; empty for a sane one.
 
-    ``result`` is the enhanced method's fit of ``table``; it is made where it is not given.  The one function to ask
-    before any diagnosis.
+    ``result`` is the enhanced method's fit of ``table``; it is made where it is not given.
     """
     found = check_readings(description, table)
     if found:
@@ -62,6 +69,18 @@ def check(description: Description, table: StopTable, result: Fit | None = None)
         except StepdiagError:
             return []   # nothing to solve: whoever goes on will say so
     return check_fit(description, table, result)
+
+
+def mistakes(log: CalibrationLog) -> list[Finding]:
+    """All recognised mistakes of a log; the one function to ask before any diagnosis."""
+    return check(log.description, in_metres(log).table)
+
+
+def must_be_sane(log: CalibrationLog) -> None:
+    """:class:`StepdiagError` where a log shows a mistake of commissioning: a diagnosis would blame the machine."""
+    if found := mistakes(log):
+        raise StepdiagError(f'{log.source}: the log is not sane; nothing is diagnosed before this is put right: '
+                            f'{"; ".join(map(str, found))}')
 
 
 def check_fit(description: Description, table: StopTable, result: Fit) -> list[Finding]:
@@ -79,6 +98,7 @@ def check_fit(description: Description, table: StopTable, result: Fit) -> list[F
             reduced = _reduced(_fitted(description, replace(part, spot=part.spot @ np.array(back, float).T), noise))
             if np.isfinite(reduced):
                 tried.append((reduced, Finding(name, _sentence('psd/spot', words, bad, reduced), change)))
+        tried += _scales(description, part, begin)
     tried += _standoffs(description, part, begin)
     tried.sort(key=lambda entry: entry[0])
     if not tried or tried[0][0] > min(limit, bad / FALLS):
@@ -116,46 +136,86 @@ def _reduced(result: Fit | None) -> float:
 
 
 def _standoffs(description: Description, table: StopTable, result: Fit) -> list[tuple[float, Finding]]:
-    """Reduced χ² with the one standoff put right that makes it fall most, and its finding; empty without any.
+    """Reduced χ² with the one standoff put right that makes it fall most, or all of them by the same, and its finding;
+    empty without any.
 
     ``result``: the fit before.
     """
-    best, bad = None, _reduced(result)
-    for setup in result.parameters.setups:
-        if description.setups[setup].follows:
-            continue
-        shift, sigma, fall = _shift(description, table, result, setup)
-        if best is None or fall > best[0]:
-            best = fall, setup, shift
-    if best is None:
+    bad = _reduced(result)
+    setups = [name for name in result.parameters.setups if not description.setups[name].follows]
+    groups = [(name,) for name in setups] + ([tuple(setups)] if len(setups) > 1 else [])
+    if not groups:
         return []
-    name = best[1]
-    changed, known = description, description.setups[name].standoff
+    names = max(groups, key=lambda group: _by_standoffs(description, table, result, group)[2])
+    least, total = min(description.setups[name].standoff for name in names), 0.0
     for sweep in range(SWEEPS):
-        shift, sigma, _ = _shift(changed, table, result, name)
+        changed = _moved(description, names, total)
+        shift, sigma, _ = _by_standoffs(changed, table, result, names)
         # Misalignments have taken part of it up, which makes the first steps about twice as long as needed.
-        value = changed.setups[name].standoff + (0.5 if sweep < 2 else 1.0) * shift
-        if not 0.0 < value < known + MOST_M:
+        total += (0.5 if sweep < 2 else 1.0) * shift
+        if not -least < total < MOST_M:
             return []
-        changed = replace(description, setups={**description.setups,
-                                               name: replace(description.setups[name], standoff=value)})
-        result = fit(changed, table, result.noise, theta=result.theta, settled=ENOUGH, share=SHARE)
-    if abs(value - known) < max(LEAST_M, CERTAIN * sigma) or result.dof < 1:
+        result = fit(_moved(description, names, total), table, result.noise, theta=result.theta, settled=ENOUGH,
+                     share=SHARE)
+    if abs(total) < max(LEAST_M, CERTAIN * sigma) or result.dof < 1:
         return []
     reduced = _reduced(result)
+    if len(names) > 1:
+        return [(reduced, Finding('standoff', _sentence('the readings contradict the standoffs of all setups alike',
+                                                        f'they fit those of the cell and {total:+.3f} ± '
+                                                        f'{2.0 * sigma:.2g} m (k = 2)', bad, reduced),
+                                  'measure them again, from the base unit to the mirror\'s reference point at stop 0, '
+                                  'and set setups.*.standoff'))]
+    [name], known = names, least
     what = f'the readings contradict setups.{name}.standoff'
-    words = f'they fit {value:.3f} ± {2.0 * sigma:.2g} m (k = 2), the cell says {known:g} m'
+    words = f'they fit {known + total:.3f} ± {2.0 * sigma:.2g} m (k = 2), the cell says {known:g} m'
     return [(reduced, Finding('standoff', _sentence(what, words, bad, reduced),
                               f'measure it again and set setups.{name}.standoff'))]
 
 
-def _shift(description: Description, table: StopTable, result: Fit, setup: str) -> tuple[float, float, float]:
-    """Change of one standoff [m] that the residuals ask for, its σ [m] and by how much χ² falls, to first order."""
-    own = description.setups[setup]
-    moved = replace(description, setups={**description.setups, setup: replace(own, standoff=own.standoff + STEP_M)})
-    after = ForwardModel(moved, table, result.parameters).predict(result.theta)
+def _moved(description: Description, names: tuple[str, ...], by_m: float) -> Description:
+    return replace(description, setups={name: replace(setup, standoff=setup.standoff + by_m) if name in names else setup
+                                        for name, setup in description.setups.items()})
+
+
+def _by_standoffs(description: Description, table: StopTable, result: Fit,
+                  names: tuple[str, ...]) -> tuple[float, float, float]:
+    """Change of standoffs [m], σ [m] and fall of χ² of :func:`_asked`."""
+    after = ForwardModel(_moved(description, names, STEP_M), table, result.parameters).predict(result.theta)
     before = ForwardModel(description, table, result.parameters).predict(result.theta)
-    change = np.where(result.present, (after - before) / STEP_M, 0.0).ravel()
+    return _asked(result, (after - before) / STEP_M)
+
+
+def _scales(description: Description, table: StopTable, result: Fit) -> list[tuple[float, Finding]]:
+    """Reduced χ² with the spots taken as readings of another scale, and the finding; empty where that is near 1."""
+    bad, logarithm, noise = _reduced(result), 0.0, result.noise
+    for _ in range(2 * SWEEPS):
+        spots = ForwardModel(description, table, result.parameters).predict(result.theta)
+        spots[:, :-2] = 0.0
+        step, *_ = _asked(result, spots)
+        if abs(step) < SETTLED:
+            break
+        logarithm += float(np.clip(step, -1.0, 1.0))
+        if not LEAST_SCALE / 2.0 < abs(logarithm) < LARGEST_SCALE:
+            return []   # by far too little for the first step, which is at most one, or too much
+        scale = float(np.exp(logarithm))
+        # Their noise was read from them: left as it is, spots that are shrunk to nothing would explain everything.
+        sensor = noise.sensor / np.r_[np.ones(noise.sensor.shape[1] - 2), scale, scale]
+        result = fit(description, replace(table, spot=table.spot / scale),
+                     replace(noise, sensor=sensor, angle=noise.angle / scale), theta=result.theta, settled=ENOUGH,
+                     share=SHARE)
+    if abs(logarithm) < LEAST_SCALE or result.dof < 1:
+        return []
+    reduced = _reduced(result)
+    words = f'the spots are some {scale:.2g} times as large as the tilts make them'
+    return [(reduced, Finding('psd scale', _sentence('psd/spot', words, bad, reduced),
+                              'check the unit of the spots, the length of the detector and the direction of its beam'))]
+
+
+def _asked(result: Fit, change: np.ndarray) -> tuple[float, float, float]:
+    """How much of a ``change`` of the readings (n, c) the residuals ask for, its σ and by how much χ² falls, to first
+    order."""
+    change = np.where(result.present, change, 0.0).ravel()
     rest = np.where(result.present, result.residual, 0.0).ravel()
     # Orthogonal to what the fit's own unknowns can do, their priors as further readings: normal equations would
     # lose it, since mirror and laser take nearly all of it up.

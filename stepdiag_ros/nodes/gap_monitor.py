@@ -1,9 +1,9 @@
 """The gap monitor's node: does the rigid-body model explain what is being measured?
 
 After each traverse it fits what has been measured so far, and publishes the errors of it.  When the residuals leave
-the noise floor, which the log itself gives, it warns on ``/diagnostics`` and says where.  When
-a calibration has ended, or on the service ``diagnose``, it runs the whole diagnosis and
-publishes ``gap_report``.
+the noise floor, which the log itself gives, it warns on ``/diagnostics`` and says where; a mistake of commissioning it
+names there as soon as readings show it.  When a calibration has ended, or on the service ``diagnose``, it runs the
+whole diagnosis and publishes ``gap_report``; not of a log with such a mistake.
 """
 
 import argparse
@@ -24,6 +24,7 @@ from stepdiag_ros.bag.shown import ERRORS_SO_FAR, GAP
 from stepdiag_ros.effects import all_effects
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate import Solution, evaluate
+from stepdiag_ros.estimate.sanity_fit import must_be_sane
 from stepdiag_ros.gap.diagnose import diagnose
 from stepdiag_ros.guard.jsontext import to_json
 from stepdiag_ros.nodes.answers import errors_message, report_message
@@ -79,6 +80,7 @@ class GapMonitor(ListenerNode):
         # Of the present log: what still computes for an earlier one finds its own set.
         self._stop = threading.Event()
         self._leaving: Leaving | None = None
+        self._mistakes = ''
         self._verdict = ''
         self._fault_of_work = ''
 
@@ -87,7 +89,7 @@ class GapMonitor(ListenerNode):
 
     def activate(self) -> None:
         super().activate()
-        self._leaving, self._verdict, self._fault_of_work = None, '', ''
+        self._leaving, self._mistakes, self._verdict, self._fault_of_work = None, '', '', ''
         self._stop = threading.Event()
         threading.Thread(target=self._watch, args=(self._stop,), name='watch', daemon=True).start()
 
@@ -113,7 +115,7 @@ class GapMonitor(ListenerNode):
                     solution = evaluate(log)
                     if stop.is_set():
                         return
-                    self._leaving = leaving(solution)
+                    self._leaving, self._mistakes = leaving(solution), '; '.join(map(str, solution.sanity))
                     self._so_far.publish(errors_message(solution, int(log.steps.time_ns[-1]), complete=False))
                 except StepdiagError:
                     continue   # not enough has been measured yet
@@ -137,7 +139,9 @@ class GapMonitor(ListenerNode):
             return Diagnose.Response(success=False, message=f'{self.get_name()} is not active')
         with self.working():
             try:
-                diagnosis = diagnose(self.whole_log(), self._effects)
+                log = self.whole_log()
+                must_be_sane(log)
+                diagnosis = diagnose(log, self._effects)
                 if stop.is_set():
                     return Diagnose.Response(success=False, message='another log was begun meanwhile; stepdiag gap '
                                                                     'diagnoses the bag of this one')
@@ -169,6 +173,8 @@ class GapMonitor(ListenerNode):
             return replace(listening, values=values)
         if self._fault_of_work:
             return Health(ERROR, self._fault_of_work, values)
+        if self._mistakes:
+            return Health(WARN, f'the log is not sane: {self._mistakes}', values)
         if state is not None and state.sigmas > self.value('alarm'):
             return Health(WARN, f'residuals leave the noise floor: reduced chi2 {state.reduced_chi2:.2f}, '
                                 f'most in setup {state.worst_setup}', values)

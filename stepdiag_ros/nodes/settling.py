@@ -12,9 +12,7 @@ from typing import Any
 
 from stepdiag_ros.bag.reader import read_log
 from stepdiag_ros.effects.base import Effect
-from stepdiag_ros.errors import StepdiagError
-from stepdiag_ros.estimate.metres import in_metres
-from stepdiag_ros.estimate.sanity_fit import check
+from stepdiag_ros.estimate.sanity_fit import must_be_sane
 from stepdiag_ros.gap.diagnose import diagnose
 from stepdiag_ros.gap.diagnosis import Diagnosis
 from stepdiag_ros.gap.experiment_design.without_hands import Able, left_open, run_without_hands
@@ -76,8 +74,7 @@ def settle(operator: Operator, bag: Path, effects: Sequence[Effect], *, time_s: 
     """
     end, codes = time.monotonic() + time_s, operator.setups_by_code()
     log, rounds = read_log(bag), []
-    if insane := check(log.description, in_metres(log).table):
-        raise StepdiagError(f'{bag}: the log is not sane: {insane[0]}; put this right before anything is settled')
+    must_be_sane(log)
     while True:
         diagnosis = diagnose(log, effects)
         what = left_open(diagnosis)

@@ -5,6 +5,7 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -172,6 +173,34 @@ def test_a_new_log_waits_for_no_diagnosis_of_the_last_one(ros_domain, monkeypatc
             (False, 'another log was begun meanwhile; stepdiag gap diagnoses the bag of this one')]
     finally:
         found.set()
+        node.cleanup()
+        node.destroy_node()
+        rclpy.try_shutdown()
+
+
+def test_a_log_that_is_not_sane_is_not_diagnosed(ros_domain, monkeypatch, cell_file, eventually):
+    """Whatever effect would be found in it is the mistake's; it is named as soon as readings show it."""
+    import rclpy
+
+    from stepdiag_ros.nodes.gap_monitor import GapMonitor
+    from stepdiag_ros.virtual.cell import load_cell
+    from stepdiag_ros.virtual.offline import simulate_log
+    healthy = simulate_log(load_cell(cell_file))
+    insane = replace(healthy, displacement=replace(healthy.displacement, values=-healthy.displacement.values))
+    rclpy.init()
+    node = GapMonitor()
+    monkeypatch.setattr(node, 'whole_log', lambda: insane)
+    monkeypatch.setattr(node, 'log_so_far', lambda: insane)
+    monkeypatch.setattr(node, 'steps_received', lambda: 1)
+    try:
+        node.configure()
+        node.activate()
+        node.state = 'active'
+        eventually(lambda: 'not sane' in node.health().message, why=node.health)
+        answer = node._diagnose()
+        assert not answer.success and 'turn the sign of the displacement' in answer.message
+        assert not answer.report.verdict
+    finally:
         node.cleanup()
         node.destroy_node()
         rclpy.try_shutdown()

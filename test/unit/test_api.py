@@ -4,6 +4,7 @@ import inspect
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -54,3 +55,10 @@ def test_the_blocks_of_the_page_run_one_after_the_other(tmp_path, monkeypatch, c
     assert 'EXX at 0.200 m' in said and 'no_such_bag: does not exist' in said
     assert space['solution'].dof > 100 and space['found'].deviation_m.shape == (2, 3)
     assert space['diagnosis'].verdict in ('no_gap', 'explained', 'partly_explained', 'unexplained')
+
+
+def test_a_log_with_a_mistake_of_commissioning_is_not_diagnosed():
+    log = api.simulate(ROOT / 'cells' / 'demo.yaml', setups=['ppp', 'npp'], rate_hz=100.0)
+    halved = replace(log, displacement=replace(log.displacement, values=log.displacement.values / 2.0))
+    with pytest.raises(api.StepdiagError, match='not sane; nothing is diagnosed before this is put right: .*half'):
+        api.diagnose(halved)

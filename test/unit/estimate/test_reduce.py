@@ -92,6 +92,20 @@ def test_samples_of_another_setup_do_not_count(log):
                       setup=np.where(np.arange(30) < 15, 0, 1))
     table = reduce_log(replace(log, displacement=samples))
     assert table.displacement_count.tolist() == [5, 0, 0]
+    assert any("2 of 3 dwells hold no usable sample: e.g. in a dwell of setup ppp they bear the frame_id 'npp'" in w
+               for w in table.warnings)
+
+
+def test_stamps_by_another_clock_are_told(log):
+    late = replace(log.displacement, time_ns=log.displacement.time_ns + 3600 * SECOND)
+    [warning] = reduce_log(replace(log, displacement=late)).warnings
+    assert '3 of 3 dwells hold no usable sample: they begin 3600 s after these, set the clocks' in warning
+
+
+def test_stops_against_their_direction_are_told(log):
+    turned = replace(log.steps, direction=-log.steps.direction)
+    [warning] = reduce_log(replace(log, steps=turned)).warnings
+    assert 'the stops of 1 run(s) come against their direction' in warning
 
 
 def test_unfinished_dwells_and_second_visits(log):

@@ -163,6 +163,13 @@ def test_a_detector_mounted_wrongly_is_named(healthy, name, turned):
     assert finding.name == name and 'reduced χ² falls from' in finding.found
 
 
+def test_spots_many_times_too_large_are_named(healthy):
+    description, table = healthy()
+    [finding] = check(description, with_rows(table, 'spot', None, lambda v: 10.0 * v))
+    assert finding.name == 'psd scale'
+    assert float(finding.found.split('some ')[1].split(' ')[0]) == pytest.approx(10.0, rel=0.4)
+
+
 def test_a_detector_with_both_signs_turned_is_another_machine(healthy):
     """No log contradicts it: other angles, taken up by positioning and straightness."""
     description, table = healthy()
@@ -177,6 +184,43 @@ def test_a_wrong_standoff_is_named(healthy):
     [finding] = check(wrong, table)
     assert finding.name == 'standoff' and 'setups.npp.standoff' in finding.change
     assert float(finding.found.split('they fit ')[1].split(' ')[0]) == pytest.approx(0.35, abs=2e-3)
+
+
+def test_standoffs_that_were_all_measured_from_elsewhere_are_named(healthy):
+    description, table = healthy()
+    wrong = replace(description, setups={name: replace(setup, standoff=setup.standoff - 0.05)
+                                         for name, setup in description.setups.items()})
+    [finding] = check(wrong, table)
+    assert finding.name == 'standoff' and 'setups.*.standoff' in finding.change
+    assert float(finding.found.split('and ')[1].split(' ')[0]) == pytest.approx(0.05, abs=2e-3)
+
+
+@pytest.mark.parametrize(('where', 'wrong'), [
+    ('machine.tool', lambda d: replace(d, machine=replace(d.machine, tool=(0.0, 0.0, -150.0)))),
+    ('setups.npp.standoff', lambda d: with_setup(d, 'npp', standoff=350.0)),
+    ('setups.npp.psd_offset', lambda d: with_setup(d, 'npp', psd_offset=(20.0, 0.0)))])
+def test_lengths_of_the_cell_in_millimetres_are_named(healthy, where, wrong):
+    description, table = healthy()
+    [finding] = check_readings(wrong(description), table)
+    assert finding.name == 'unit of the cell' and finding.found.startswith(where) and 'metres' in finding.change
+
+
+def with_setup(description, name, **changed):
+    return replace(description, setups={**description.setups, name: replace(description.setups[name], **changed)})
+
+
+def test_positions_with_a_work_offset_are_named(healthy):
+    description, table = healthy()
+    [finding] = check_readings(description, with_rows(table, 'commanded', None, lambda v: v + [0.2, 0.0, -0.3]))
+    assert finding.name == 'origin' and '(200.000, 0.000, -300.000) mm' in finding.found
+
+
+def test_runs_under_one_direction_repeat_only_those_of_their_own_order(healthy):
+    """Called +1 alike, runs forward and backward were taken for repeats: half the volume for noise, and all was ok."""
+    description, table = healthy()
+    known = fit(description, table)
+    named = fit(description, with_rows(table, 'direction', None, np.ones_like))
+    assert named.noise.position == pytest.approx(known.noise.position, rel=0.1)
 
 
 def test_a_solution_of_a_healthy_log_is_ok(healthy):
