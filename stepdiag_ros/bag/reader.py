@@ -322,10 +322,10 @@ def _scalars(relative: str, table: TopicTable) -> tuple[dict[str, ScalarSeries],
     variance = np.where(variance >= 0.0, np.minimum(variance, 1.0e12), 0.0)
     if not good.all():
         warnings.append(f'{table.topic}: left out {int((~good).sum())} value(s) that are NaN, infinite or beyond '
-                        f'{low:g} to {high:g}')
+                        f'{low:g} to {high:g}; check the unit (°C, Pa, 0 to 1)')
     if relative != SCALE:
         key = relative.split('/')[-1]
-        return {key: ScalarSeries(stamp[good], value[good], variance[good])}, warnings
+        return ({key: ScalarSeries(stamp[good], value[good], variance[good])} if good.any() else {}), warnings
     names, inverse = text(_stack(table, 'header.frame_id')[order])
     series = {}
     warnings += [f'{table.topic}: left out {int(rows.sum())} value(s) of frame_id {which}; it must be x, y or z, or '

@@ -124,9 +124,10 @@ def in_metres(log: CalibrationLog, table: StopTable | None = None) -> Metres:
     """The stops of ``log`` with the index of air and the expansion of the scales taken out."""
     table = stops_of(log) if table is None else table
     corrected, conditions, air, index, remarks = _air(log, table)
-    corrected, conditions, measured = _referred(log, corrected, conditions)
-    part, _ = _recorded(log.environment.get(WORKPIECE), log, (table.dwell_ns + table.done_ns) // 2,
+    corrected, conditions, measured, of_scales = _referred(log, corrected, conditions)
+    part, of_part = _recorded(log.environment.get(WORKPIECE), log, (table.dwell_ns + table.done_ns) // 2,
                         LIMITS['temperature'])
+    remarks += of_scales + ([f'environment/{WORKPIECE}: {of_part}'] if of_part else [])
     return Metres(corrected, conditions, air, index, measured, tuple(remarks), log.description.workpiece,
                   None if part is None else float(part.mean()))
 
@@ -219,6 +220,8 @@ def _recorded(series: ScalarSeries | None, log: CalibrationLog, middle: np.ndarr
     if not limits[0] <= typical <= limits[1]:
         return None, (f'reads about {typical:g}, outside {limits[0]:g} to {limits[1]:g}; it is left out, '
                       'check its unit (°C, Pa, 0 to 1)')
+    if good.sum() > 1 and not series.value[good].any():
+        return None, f'reads 0 each of {good.sum()} times; it is left out, check that its sensor is connected'
     time = series.time_ns[good]
     after = np.clip(np.searchsorted(time, middle), 1, max(len(time) - 1, 1))
     away = np.minimum(np.abs(middle - time[np.minimum(after, len(time) - 1)]), np.abs(middle - time[after - 1]))
@@ -306,15 +309,19 @@ def _sights(description: Description, table: StopTable) -> tuple[np.ndarray, np.
 
 
 def _referred(log: CalibrationLog, table: StopTable,
-              conditions: Conditions) -> tuple[StopTable, Conditions, dict[str, float]]:
-    """The stops with the scales' expansion taken off where it is known; mean scale temperatures by axis."""
+              conditions: Conditions) -> tuple[StopTable, Conditions, dict[str, float], list[str]]:
+    """The stops with the scales' expansion taken off where it is known; mean scale temperatures by axis; remarks."""
     description, middle = log.description, (table.dwell_ns + table.done_ns) // 2
     _, directions = _sights(description, table)
     excess, referred = np.zeros(len(table)), [False] * 3
     scales, measured, stated = list(conditions.scales), {}, [0.0] * 3
     expansion, sigma, away = list(conditions.expansion), list(conditions.expansion_sigma), [np.nan] * 3
+    remarks = []
     for axis, letter in enumerate('xyz'):
-        recorded, _ = _recorded(log.environment.get(f'scale_temperature/{letter}'), log, middle, LIMITS['temperature'])
+        topic = f'scale_temperature/{letter}'
+        recorded, why = _recorded(log.environment.get(topic), log, middle, LIMITS['temperature'])
+        if why:
+            remarks.append(f'environment/{topic}: {why}')
         material = description.scales.get(letter)
         if recorded is None and material is not None and material.temperature is not None:
             recorded, stated[axis] = np.full(len(table), material.temperature), material.temperature_sigma
@@ -330,12 +337,12 @@ def _referred(log: CalibrationLog, table: StopTable,
     conditions = replace(conditions, scales=tuple(scales), expansion=tuple(expansion), expansion_sigma=tuple(sigma),
                          referred=tuple(referred), away=tuple(away), scale_sigma=tuple(stated))
     if not any(referred):
-        return table, conditions, measured
+        return table, conditions, measured, remarks
     lengths = table.displacement.copy()
     for run in np.unique(table.run):
         rows = np.flatnonzero(table.run == run)
         reset = rows[np.argmin(table.dwell_ns[rows])]
         lengths[rows] -= (excess[rows] - excess[reset])[:, None]
-    return replace(table, displacement=lengths), conditions, measured
+    return replace(table, displacement=lengths), conditions, measured, remarks
 
 

@@ -19,6 +19,7 @@ from stepdiag_ros.model.air import refractive_index
 from stepdiag_ros.model.description import Description
 from stepdiag_ros.model.log import CalibrationLog, ScalarSeries
 from stepdiag_ros.model.path import setup_direction
+from stepdiag_ros.model.surroundings import LIMITS
 
 BINS = 5
 """Parts of a dwell in which it is looked for what goes on there."""
@@ -155,19 +156,19 @@ def _interpolate(series: ScalarSeries, table: StopTable) -> np.ndarray:
 def _air(log: CalibrationLog, table: StopTable) -> tuple[np.ndarray | None, float | None]:
     """Index of air at the stops and when the log began, from temperature, pressure and humidity; None
     without the first two."""
-    environment = log.environment
-    if 'air_temperature' not in environment or 'air_pressure' not in environment:
+    told = [_told(log, topic, quantity) for topic, quantity in (
+        ('air_temperature', 'temperature'), ('air_pressure', 'pressure'), ('humidity', 'humidity'))]
+    if told[0] is None or told[1] is None:
         return None, None
-    quantities = [np.append(_interpolate(environment[name], table), _first(environment[name]))
-                  if name in environment else np.full(len(table) + 1, 0.45)
-                  for name in ('air_temperature', 'air_pressure', 'humidity')]
+    quantities = [np.full(len(table) + 1, 0.45) if series is None else
+                  np.append(_interpolate(series, table), _first(series)) for series in told]
     index = refractive_index(*quantities)
     return index[:-1], float(index[-1])
 
 
 def _scales(log: CalibrationLog, table: StopTable) -> tuple[np.ndarray | None, np.ndarray | None]:
     """Temperatures of the scales at the stops (n, 3) and when the log began (3,); None without sensors."""
-    found = [log.environment.get(f'scale_temperature/{axis}') for axis in 'xyz']
+    found = [_told(log, f'scale_temperature/{axis}', 'temperature') for axis in 'xyz']
     if all(series is None for series in found):
         return None, None
     return (np.stack([np.full(len(table), np.nan) if series is None else _interpolate(series, table)
@@ -175,9 +176,17 @@ def _scales(log: CalibrationLog, table: StopTable) -> tuple[np.ndarray | None, n
             np.array([np.nan if series is None else _first(series) for series in found]))
 
 
+def _told(log: CalibrationLog, topic: str, quantity: str) -> ScalarSeries | None:
+    """The readings of a topic that can be such a quantity in its unit; None where there are none."""
+    series, (low, high) = log.environment.get(topic), LIMITS[quantity]
+    if series is None or not np.isfinite(series.value).any():
+        return None
+    return series if low <= float(np.nanmedian(series.value)) <= high else None
+
+
 def _first(series: ScalarSeries) -> float:
     """A quantity when the log began, from its first few readings."""
-    return float(np.mean(series.value[:FIRST]))
+    return float(np.mean(series.value[np.isfinite(series.value)][:FIRST]))
 
 
 def _lead(log: CalibrationLog, table: StopTable) -> float:

@@ -515,6 +515,15 @@ def test_nan_in_environment(tmp_path, small_log):
     assert warned(log, 'environment/humidity: left out 1 value(s)')
 
 
+def test_a_topic_of_which_nothing_is_left_is_none(tmp_path, small_log):
+    """Pressure in hPa: whoever asks for it must not find a series without a reading."""
+    messages = [(topic, encode_scalar(t, 'air', 1013.25, 1.0), t, number) if topic == 'environment/air_pressure'
+                else (topic, data, t, number) for topic, data, t, number in messages_of(small_log)]
+    log = read_log(raw_bag(tmp_path / 'bag', messages))
+    assert 'air_pressure' not in log.environment and 'air_temperature' in log.environment
+    assert warned(log, 'environment/air_pressure: left out', 'check the unit')
+
+
 def test_the_air_after_the_last_stop_changes_nothing(tmp_path, small_log, differs):
     """An evaluation at the end of a calibration and one of the bag, which went on, are the same."""
     end, messages = int(small_log.steps.time_ns[-1]), messages_of(small_log)

@@ -139,6 +139,18 @@ def test_a_topic_in_hectopascal_is_left_out_and_said(vacuum):
     assert solution.traceability.index == pytest.approx(1.000267, abs=1e-6)
 
 
+@pytest.mark.parametrize(('reads', 'words'), [(293.0, 'reads about 293, outside -20 to 60; it is left out'),
+                                              (0.0, 'times; it is left out, check that its sensor is connected')])
+def test_a_scale_in_kelvin_or_without_a_sensor_is_left_out_and_said(vacuum, reads, words):
+    _, log = vacuum
+    told = log.environment['scale_temperature/x']
+    wrong = log.environment | {'scale_temperature/x': replace(told, value=np.full_like(told.value, reads))}
+    metres = in_metres(replace(log, environment=wrong))
+    assert any(remark.startswith('environment/scale_temperature/x: reads') and words in remark
+               for remark in metres.remarks)
+    assert 'x' not in metres.measured_at and 'y' in metres.measured_at
+
+
 def test_readings_beyond_the_steps_change_nothing(vacuum):
     """A live log ends where its bag goes on: both must give the same bits."""
     _, log = vacuum

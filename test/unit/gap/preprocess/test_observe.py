@@ -3,9 +3,23 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from stepdiag_ros.estimate.reduce import reduce_log
 from stepdiag_ros.gap.preprocess.observe import observe
+from stepdiag_ros.model.log import ScalarSeries
+
+
+@pytest.mark.parametrize('reads', [np.nan, 1013.25])
+def test_an_environment_in_another_unit_is_none(case, reads):
+    log = case.log()
+    time = log.steps.time_ns[::10]
+    series = {topic: ScalarSeries(time, np.full(len(time), value), np.zeros(len(time)))
+              for topic, value in (('air_temperature', 20.0), ('air_pressure', reads), ('scale_temperature/x', reads))}
+    view = observe(replace(log, environment=series)).view
+    assert view.air_index is None and view.scale_temperature is None
+    whole = series | {'air_pressure': replace(series['air_pressure'], value=np.full(len(time), 101325.0))}
+    assert observe(replace(log, environment=whole)).view.air_index is not None
 
 
 def test_readings_in_steps_do_not_hide_their_noise(case):
