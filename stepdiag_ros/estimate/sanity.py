@@ -35,6 +35,9 @@ ELSEWHERE = 0.3
 """Share of the distances to a station by which they may differ from those to where it is said to stand."""
 STILL = 0.01
 """Size of the gradient below which the readings do not follow the machine."""
+MOVING, MOVING_SHARE = 3e-4, 0.5
+"""Contrast between a dwell's samples, in shares of all that a setup's readings change by, above which no axis stood;
+share of such dwells above which the stamps are at fault."""
 LARGEST_SPOT_M = 0.1
 """No detector is as large."""
 LONGEST_TOOL_M, WIDEST_OFFSET_M, FARTHEST_M = 5.0, 1.0, 100.0
@@ -60,8 +63,9 @@ def check_readings(description: Description, table: StopTable) -> list[Finding]:
         found += places
         if not places:
             found += (_to_station if description.setups[setup].follows else _distances)(description, table, setup, rows)
-    found += _spots(table)
-    return _merged(found, len(np.unique(table.setup)))
+    # Of a log whose stamps are at fault no distance says anything.
+    found = [finding for finding in found if finding.name == 'clock'] or found
+    return _merged(found + _spots(table), len(np.unique(table.setup)))
 
 
 # ---- lengths of the cell ----------------------------------------------------------------------
@@ -168,6 +172,28 @@ def gradient(table: StopTable, rows: np.ndarray) -> np.ndarray | None:
 
 def _distances(description: Description, table: StopTable, setup: str, rows: np.ndarray) -> list[Finding]:
     """What a setup's gradient says about the instrument's sign, unit and place."""
+    found = _of_gradient(description, table, setup, rows)
+    if not found or found[0].name == 'still':
+        return found
+    # By another clock's stamps a dwell holds the way to it, or of the distance before the reset: what is left of the
+    # setup says what it says without.
+    moving = _moving(table, rows)
+    if moving.mean() > MOVING_SHARE:
+        return [Finding('clock', f'setup {setup}: in {moving.sum()} of {len(moving)} dwells the readings still move',
+                        'set the clocks of interferometer and sequencer, whose stamps are apart by more than a part of '
+                        'a dwell; or let the control say in position when the axes stand')]
+    return _of_gradient(description, table, setup, rows[~moving])
+
+
+def _moving(table: StopTable, rows: np.ndarray) -> np.ndarray:
+    """In which of some stops the readings go on moving as those of no axis at rest do (k,)."""
+    if table.displacement_parts is None:
+        return np.zeros(len(rows), bool)
+    way = np.ptp(table.displacement[rows, 0][np.isfinite(table.displacement[rows, 0])])
+    return np.nan_to_num(np.abs(table.displacement_parts[rows, 0])).max(axis=1) > MOVING * way
+
+
+def _of_gradient(description: Description, table: StopTable, setup: str, rows: np.ndarray) -> list[Finding]:
     seen = gradient(table, rows)
     if seen is None:
         return []

@@ -1,6 +1,7 @@
 """Mistakes of commissioning: each is made in a healthy log and must be named; healthy logs show none."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,9 +11,12 @@ from stepdiag_ros.estimate.evaluate import solution_of
 from stepdiag_ros.estimate.noise import arrivals
 from stepdiag_ros.estimate.planned import filled, observe, planned_table
 from stepdiag_ros.estimate.sanity import ACROSS, SCALE, check_readings, gradient
-from stepdiag_ros.estimate.sanity_fit import check
+from stepdiag_ros.estimate.sanity_fit import check, mistakes
 from stepdiag_ros.model.path import setup_direction
+from stepdiag_ros.virtual.cell import load_cell
+from stepdiag_ros.virtual.offline import simulate_log
 
+ROOT = Path(__file__).resolve().parents[3]
 STEPS = 3
 
 
@@ -213,6 +217,15 @@ def test_positions_with_a_work_offset_are_named(healthy):
     description, table = healthy()
     [finding] = check_readings(description, with_rows(table, 'commanded', None, lambda v: v + [0.2, 0.0, -0.3]))
     assert finding.name == 'origin' and '(200.000, 0.000, -300.000) mm' in finding.found
+
+
+@pytest.mark.parametrize(('late_s', 'named'), [(0.01, False), (0.04, True), (-0.04, True), (0.4, True)])
+def test_stamps_that_are_off_by_more_than_a_part_of_a_dwell_are_named(late_s, named):
+    """They made scales of 0.9 to 1.8 and diagonals of other directions; a clock that is less off is diagnosed."""
+    log = simulate_log(load_cell(ROOT / 'cells' / 'demo.yaml'), setups=('ppp', 'lin_x'), rate=500.0)
+    late = replace(log.displacement, time_ns=log.displacement.time_ns + round(late_s * 1e9))
+    found = mistakes(replace(log, displacement=late))
+    assert [finding.name for finding in found] == (['clock'] if named else [])
 
 
 def test_runs_under_one_direction_repeat_only_those_of_their_own_order(healthy):
