@@ -12,6 +12,7 @@ from stepdiag_ros.estimate.gauge import GAUGE, reporting_matrix
 from stepdiag_ros.estimate.held import with_open_held
 from stepdiag_ros.estimate.held_beam import held_beams
 from stepdiag_ros.estimate.identifiability import unidentifiable
+from stepdiag_ros.estimate.index_once import divided_otherwise
 from stepdiag_ros.estimate.metres import Metres, in_metres
 from stepdiag_ros.estimate.parameters import STATION
 from stepdiag_ros.estimate.propagate import Setting, Uncertainty, index_sigma, propagate, with_budget
@@ -20,6 +21,7 @@ from stepdiag_ros.estimate.sanity import check_readings
 from stepdiag_ros.estimate.sanity_fit import check_fit
 from stepdiag_ros.estimate.solution import Residuals, Solution
 from stepdiag_ros.estimate.status import reasons, status_of
+from stepdiag_ros.estimate.traceability import NOBODY
 from stepdiag_ros.model.budget import MEASURED, Budget
 from stepdiag_ros.model.description import Description
 from stepdiag_ros.model.log import CalibrationLog
@@ -103,7 +105,8 @@ def tied(solution: Solution, source: str, metres: Metres, budget: Budget, whose:
                  default=UNSTATED_TEMPERATURE)
     traceability = metres.traceability(solution, index_sigma(budget, metres.conditions), whose, sensor)
     status = traceability.status if solution.status == 'ok' else solution.status
-    remarks = (f'{source}: {remark}' for remark in traceability.remarks)
+    once = divided_otherwise(solution, metres.index) if metres.air != NOBODY else ''
+    remarks = (f'{source}: {remark}' for remark in (*traceability.remarks, *filter(None, [once])))
     return replace(solution, traceability=traceability, status=status, warnings=(*solution.warnings, *remarks))
 
 

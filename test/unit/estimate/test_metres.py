@@ -17,6 +17,7 @@ from stepdiag_ros.model.path import setup_direction, start_corner
 from .vacuum import cell, describing, log_of, without_topics
 
 DRIFT = ('drift: {temperature: 0.2', 'drift: {temperature: 20.0')
+GOOD = ('positioning: 8.0e-6', 'positioning: 1.0e-6')
 CONSTANT = ('effects: {}', 'effects: {air_refraction_drift: {dT: 3.0, dP: 300.0, tau: 100.0}}')
 
 
@@ -149,6 +150,22 @@ def test_a_scale_in_kelvin_or_without_a_sensor_is_left_out_and_said(vacuum, read
     assert any(remark.startswith('environment/scale_temperature/x: reads') and words in remark
                for remark in metres.remarks)
     assert 'x' not in metres.measured_at and 'y' in metres.measured_at
+
+
+@pytest.mark.parametrize(('says', 'how'), [(1.0, 'divided out twice'), (None, '')])
+def test_an_index_that_was_divided_out_twice_is_said(says, how):
+    log = log_of(cell(('compensated: false', 'compensated: true'), GOOD))
+    index = log.displacement.refractive_index
+    told = replace(log.displacement, refractive_index=np.full_like(index, says) if says else index)
+    said = [w for w in evaluate(replace(log, displacement=told)).warnings if 'along all axes alike' in w]
+    assert [how in w for w in said] == ([True] if how else [])
+
+
+def test_an_index_that_was_never_divided_out_is_said():
+    log = log_of(cell(GOOD))
+    told = replace(log.displacement, refractive_index=np.full_like(log.displacement.refractive_index, 1.000268))
+    [said] = [w for w in evaluate(replace(log, displacement=told)).warnings if 'along all axes alike' in w]
+    assert 'not divided out' in said
 
 
 def test_readings_beyond_the_steps_change_nothing(vacuum):
