@@ -63,8 +63,8 @@ def check_readings(description: Description, table: StopTable) -> list[Finding]:
         found += places
         if not places:
             found += (_to_station if description.setups[setup].follows else _distances)(description, table, setup, rows)
-    # Of a log whose stamps are at fault no distance says anything.
-    found = [finding for finding in found if finding.name == 'clock'] or found
+    # Of a log whose stamps are at fault no distance says anything, and axes that run backwards do so in every setup.
+    found = [finding for finding in found if finding.name == 'clock'] or _backwards(description, table) or found
     return _merged(found + _spots(table), len(np.unique(table.setup)))
 
 
@@ -224,6 +224,28 @@ def _of_gradient(description: Description, table: StopTable, setup: str, rows: n
     return [Finding('direction', f'setup {setup}: the reading changes by {_vector(seen)} m per metre of '
                     f'{_letters(moved)}, expected is {_vector(expected)}', 'no single mistake explains this; check '
                     'machine.volume, the setup\'s name and where the base unit stands')]
+
+
+def _backwards(description: Description, table: StopTable) -> list[Finding]:
+    """Axes whose commanded positions run against the machine: the same in all diagonals, of which one may bear
+    another's name and two may be exchanged for each other."""
+    turned, diagonals = set(), 0
+    for number, name in enumerate(table.setup_names):
+        seen = gradient(table, np.flatnonzero(table.setup == number)) if path_of(name) in DIAGONALS else None
+        if seen is None or not np.all(np.isfinite(seen)):
+            continue
+        nominal = setup_direction(description.machine, name)
+        if np.linalg.norm(np.abs(seen) - np.abs(nominal)) > ACROSS:
+            return []
+        diagonals += 1
+        turned.add(''.join(letter for letter, against in zip(AXES, seen * nominal < 0.0, strict=True) if against))
+    axes = turned.pop() if len(turned) == 1 else ''
+    if not 1 <= len(axes) <= 2 or diagonals < 1 + len(axes):
+        return []
+    named = ' and '.join(axes)
+    return [Finding('axis backwards', f'in all {diagonals} diagonals the readings change as if {named} moved the other '
+                    f'way', f'turn the sign of the commanded {named}: positions count from the lower corner of '
+                    'machine.volume, in the directions in which the diagonals are named')]
 
 
 def _to_station(description: Description, table: StopTable, setup: str, rows: np.ndarray) -> list[Finding]:

@@ -99,6 +99,7 @@ def check_fit(description: Description, table: StopTable, result: Fit) -> list[F
             if np.isfinite(reduced):
                 tried.append((reduced, Finding(name, _sentence('psd/spot', words, bad, reduced), change)))
         tried += _scales(description, part, begin)
+        tried += _of_one_setup(description, part, begin, limit)
     tried += _standoffs(description, part, begin)
     tried.sort(key=lambda entry: entry[0])
     if not tried or tried[0][0] > min(limit, bad / FALLS):
@@ -133,6 +134,37 @@ def _fitted(description: Description, table: StopTable, noise: NoiseModel) -> Fi
 def _reduced(result: Fit | None) -> float:
     """Reduced χ² of a fit; infinite where there is none."""
     return result.chi2 / result.dof if result and result.dof > 0 and np.isfinite(result.chi2) else np.inf
+
+
+def _of_one_setup(description: Description, table: StopTable, result: Fit, limit: float) -> list[tuple[float, Finding]]:
+    """Reduced χ² with the detector of the worst setup mounted otherwise, and its finding.
+
+    What the other setups say of the machine predicts its spots, up to the mirror's tilt; the linear map from there to
+    the spots that were read says how.  Empty where the other setups do not fit either.
+    """
+    bad, noise = _reduced(result), result.noise
+    square = np.nansum(np.where(result.present, result.residual, 0.0)[:, -2:]**2, axis=1)
+    worst = int(np.argmax(np.bincount(table.setup, square)))
+    rows, setup = np.flatnonzero(table.setup == worst), table.setup_names[worst]
+    without = table.spot.copy()
+    without[rows] = np.nan
+    others = _fitted(description, replace(table, spot=without), noise)
+    if len(table.setup_names) < 2 or _reduced(others) > limit:
+        return []
+    expected = ForwardModel(description, table, others.parameters).predict(others.theta)[rows, -2:]
+    design = np.column_stack([expected, np.ones(len(rows)), table.displacement[rows, 0]])
+    good = np.isfinite(table.spot[rows]).all(axis=1) & np.isfinite(design).all(axis=1)
+    if good.sum() < 8:
+        return []
+    seen = np.linalg.lstsq(design[good], table.spot[rows][good], rcond=None)[0][:2].T
+    name, back, words, change = min(SPOTS, key=lambda spot: np.linalg.norm(seen - np.linalg.inv(spot[1])))
+    if np.linalg.norm(seen - np.linalg.inv(back)) > np.linalg.norm(seen - np.eye(2)):
+        return []
+    spot = table.spot.copy()
+    spot[rows] = spot[rows] @ np.array(back, float).T
+    reduced = _reduced(_fitted(description, replace(table, spot=spot), noise))
+    return [(reduced, Finding(name, _sentence(f'psd/spot of setup {setup}', words, bad, reduced),
+                              f'in setup {setup} {change}'))]
 
 
 def _standoffs(description: Description, table: StopTable, result: Fit) -> list[tuple[float, Finding]]:

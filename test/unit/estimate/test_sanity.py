@@ -122,6 +122,14 @@ def test_another_order_than_was_recorded_is_named(healthy, draw_errors):
     assert finding.name == 'order' and 'ZYX' in str(finding)
 
 
+@pytest.mark.parametrize('axes', ['Y', 'Z', 'XY'])
+def test_axes_that_run_backwards_are_named(healthy, axes):
+    description, table = healthy()
+    sign = np.where([letter in axes for letter in 'XYZ'], -1.0, 1.0)
+    [finding] = check_readings(description, with_rows(table, 'commanded', None, lambda v: v * sign))
+    assert finding.name == 'axis backwards' and f'commanded {" and ".join(axes)}:' in finding.change
+
+
 def test_exchanged_axes_are_named(healthy):
     description, table = healthy()
     d = setup_direction(description.machine, 'ppp')[[1, 0, 2]]
@@ -179,6 +187,13 @@ def test_a_detector_with_both_signs_turned_is_another_machine(healthy):
     description, table = healthy()
     wrong = with_rows(table, 'spot', None, lambda v: -v)
     assert fit(description, wrong).chi2 < 2.0 * fit(description, table).chi2
+
+
+@pytest.mark.parametrize(('name', 'turned'), [('psd y', ((1, 0), (0, -1))), ('psd swapped', ((0, 1), (1, 0)))])
+def test_a_detector_mounted_wrongly_in_one_setup_is_named(healthy, name, turned):
+    description, table = healthy()
+    [finding] = check(description, with_rows(table, 'spot', 'pnp', lambda v: v @ np.array(turned, float).T))
+    assert finding.name == name and finding.found.startswith('psd/spot of setup pnp')
 
 
 def test_a_wrong_standoff_is_named(healthy):
