@@ -127,6 +127,12 @@ def _places(description: Description, table: StopTable, setup: str, rows: np.nda
             yield Finding('order', f'setup {setup}: the axes moved in the order {order}, plan.order says '
                           f'{description.plan.order}', f'set plan.order: {order}')
             return
+    taken = int(index.max()) // 3
+    if taken != description.plan.steps and index.max() == 3 * taken and fits(
+            replace(description, plan=replace(description.plan, steps=taken)), setup):
+        yield Finding('steps', f'setup {setup}: the stops are those of {taken} steps an axis, plan.steps says '
+                      f'{description.plan.steps}', f'set plan.steps: {taken}')
+        return
     shift = shift_to(description, setup)
     if np.all(np.isfinite(shift)):
         yield Finding('origin', f'setup {setup}: the commanded positions are the plan\'s and {_vector(1e3 * shift)} mm',
@@ -182,7 +188,13 @@ def _distances(description: Description, table: StopTable, setup: str, rows: np.
         return [Finding('clock', f'setup {setup}: in {moving.sum()} of {len(moving)} dwells the readings still move',
                         'set the clocks of interferometer and sequencer, whose stamps are apart by more than a part of '
                         'a dwell; or let the control say in position when the axes stand')]
-    return _of_gradient(description, table, setup, rows[~moving])
+    rows = rows[~moving]
+    by_run = {run: _of_gradient(description, table, setup, rows[table.run[rows] == run])
+              for run in np.unique(table.run[rows])}
+    if all(by_run.values()):
+        return _of_gradient(description, table, setup, rows)
+    return [replace(finding, found=finding.found.replace(f'setup {setup}:', f'run {table.run_ids[run]}:'))
+            for run, of_run in by_run.items() for finding in of_run]
 
 
 def _moving(table: StopTable, rows: np.ndarray) -> np.ndarray:

@@ -41,6 +41,8 @@ CERTAIN = 20.0
 """… and how many standard deviations that must be at least."""
 LEAST_SCALE, LARGEST_SCALE = 1.0, 5.0
 """Logarithm of the scale of the spots from which it is recognised, and up to which."""
+LEAST_SCALE_OF_ONE = 0.4
+"""The same of one setup against the others; light from elsewhere or a bent scale change it by a tenth."""
 STEP_M = 1e-4
 SWEEPS = 6
 SETTLED = 0.03
@@ -158,8 +160,13 @@ def _of_one_setup(description: Description, table: StopTable, result: Fit, limit
         return []
     seen = np.linalg.lstsq(design[good], table.spot[rows][good], rcond=None)[0][:2].T
     name, back, words, change = min(SPOTS, key=lambda spot: np.linalg.norm(seen - np.linalg.inv(spot[1])))
-    if np.linalg.norm(seen - np.linalg.inv(back)) > np.linalg.norm(seen - np.eye(2)):
-        return []
+    scale = float(np.trace(seen)) / 2.0
+    if np.linalg.norm(seen - np.linalg.inv(back)) > np.linalg.norm(seen - scale * np.eye(2)):
+        if scale <= 0.0 or abs(np.log(scale)) < LEAST_SCALE_OF_ONE:
+            return []
+        name, back, words, change = (
+            'psd scale', np.eye(2) / scale, f'the spots are some {scale:.2g} times as large as the other setups make '
+            'them', "check the unit of the spots and the detector's length")
     spot = table.spot.copy()
     spot[rows] = spot[rows] @ np.array(back, float).T
     reduced = _reduced(_fitted(description, replace(table, spot=spot), noise))

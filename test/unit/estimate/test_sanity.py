@@ -130,6 +130,21 @@ def test_axes_that_run_backwards_are_named(healthy, axes):
     assert finding.name == 'axis backwards' and f'commanded {" and ".join(axes)}:' in finding.change
 
 
+def test_a_single_run_that_reads_otherwise_is_named(healthy):
+    """Turned in one run of two, readings seemed to be half of what the machine moved."""
+    description, table = healthy()
+    run = int(table.run[np.flatnonzero(table.setup == table.setup_names.index('pnp'))[0]])
+    values = np.where((table.run == run)[:, None], -table.displacement, table.displacement)
+    [finding] = check_readings(description, replace(table, displacement=values))
+    assert finding.name == 'sign' and finding.found.startswith(f'run {table.run_ids[run]}: ')
+
+
+def test_another_number_of_steps_is_named(healthy):
+    description, table = healthy()
+    [finding] = check_readings(replace(description, plan=replace(description.plan, steps=STEPS + 1)), table)
+    assert finding.name == 'steps' and finding.change == f'set plan.steps: {STEPS}'
+
+
 def test_exchanged_axes_are_named(healthy):
     description, table = healthy()
     d = setup_direction(description.machine, 'ppp')[[1, 0, 2]]
@@ -194,6 +209,15 @@ def test_a_detector_mounted_wrongly_in_one_setup_is_named(healthy, name, turned)
     description, table = healthy()
     [finding] = check(description, with_rows(table, 'spot', 'pnp', lambda v: v @ np.array(turned, float).T))
     assert finding.name == name and finding.found.startswith('psd/spot of setup pnp')
+
+
+@pytest.mark.parametrize('scale', [2.0, 3.0])
+def test_spots_of_another_scale_in_one_setup_are_named(healthy, scale):
+    """A gain of 2 was `ambient_light`, at 1.0."""
+    description, table = healthy()
+    [finding] = check(description, with_rows(table, 'spot', 'pnp', lambda v: scale * v))
+    assert finding.name == 'psd scale' and finding.found.startswith('psd/spot of setup pnp')
+    assert float(finding.found.split('some ')[1].split(' ')[0]) == pytest.approx(scale, rel=0.2)
 
 
 def test_a_wrong_standoff_is_named(healthy):
