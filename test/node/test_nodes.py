@@ -1,5 +1,6 @@
 """Every node of a running cell: lifecycle, parameters, diagnostics."""
 
+import gc
 import re
 import subprocess
 import sys
@@ -373,6 +374,7 @@ def test_who_is_closed_is_gone(ros_domain):
     from stepdiag_ros.nodes.observer import Observer
     from stepdiag_ros.nodes.operator import Operator
     from stepdiag_ros.nodes.player import Player
+    gc.collect()   # nodes of tests before, which hold themselves
     before = participants()
     for make in (lambda: Operator('/tiny'), Observer, lambda: Player('/tiny')):
         with make():
