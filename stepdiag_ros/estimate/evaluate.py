@@ -105,8 +105,8 @@ def tied(solution: Solution, source: str, metres: Metres, budget: Budget, whose:
                  default=UNSTATED_TEMPERATURE)
     traceability = metres.traceability(solution, index_sigma(budget, metres.conditions), whose, sensor)
     status = traceability.status if solution.status == 'ok' else solution.status
-    once = divided_otherwise(solution, metres.index) if metres.air != NOBODY else ''
-    remarks = (f'{source}: {remark}' for remark in (*traceability.remarks, *filter(None, [once])))
+    once = divided_otherwise(solution, metres.index) if metres.air != NOBODY else []
+    remarks = (f'{source}: {remark}' for remark in (*traceability.remarks, *once))
     return replace(solution, traceability=traceability, status=status, warnings=(*solution.warnings, *remarks))
 
 

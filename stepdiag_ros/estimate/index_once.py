@@ -14,8 +14,8 @@ NEAR = 0.25
 """Share of n − 1 within which every axis must come to it: machines are right to some 50 µm/m."""
 
 
-def divided_otherwise(solution: Solution, index: float) -> str:
-    """A remark where the positioning errors of two or three axes all grow by about ±(``index`` − 1); '' elsewhere."""
+def divided_otherwise(solution: Solution, index: float) -> list[str]:
+    """A remark where the positioning errors of two or three axes all grow by about ±(``index`` − 1); none elsewhere."""
     excess, slopes = index - 1.0, []
     for letter in AXES:
         name = f'E{letter}{letter}'
@@ -24,14 +24,14 @@ def divided_otherwise(solution: Solution, index: float) -> str:
         place, value, sigma = solution.curve(name)
         way = place[-1] - place[0]
         if sigma[-1] > NEAR / 2.0 * excess * way:
-            return ''
+            return []
         slopes.append((value[-1] - value[0]) / way)
     if len(slopes) < 2 or excess <= 0.0:
-        return ''
+        return []
     mean = float(np.mean(slopes))
     if np.max(np.abs(np.array(slopes) - np.copysign(excess, mean))) > NEAR * excess:
-        return ''
+        return []
     how = 'not divided out' if mean > 0.0 else 'divided out twice'
-    return (f'positioning grows by {1e6 * mean:+.0f} µm/m along all axes alike, as it would were the index of air '
+    return [f'positioning grows by {1e6 * mean:+.0f} µm/m along all axes alike, as it would were the index of air '
             f'({1e6 * excess:.0f}e-6) {how}: check that refractive_index of interferometer/displacement is what the '
-            'instrument divides by (1.0: by nothing)')
+            'instrument divides by (1.0: by nothing)']

@@ -202,6 +202,20 @@ class _Known:
                    CO2 if cell.co2 is None else cell.co2, tuple(remarks))
 
 
+def unusable(series: ScalarSeries, limits: tuple[float, float]) -> str:
+    """Why a topic's readings cannot be its quantity in its unit, which lies within ``limits``; '' where they can."""
+    value = series.value[np.isfinite(series.value)]
+    if not len(value):
+        return 'holds no number; it is left out'
+    typical = float(np.median(value))
+    if not limits[0] <= typical <= limits[1]:
+        return (f'reads about {typical:g}, outside {limits[0]:g} to {limits[1]:g}; it is left out, '
+                'check its unit (°C, Pa, 0 to 1)')
+    if len(value) > 1 and not value.any():
+        return f'reads 0 each of {len(value)} times; it is left out, check that its sensor is connected'
+    return ''
+
+
 def _recorded(series: ScalarSeries | None, log: CalibrationLog, middle: np.ndarray,
           limits: tuple[float, float]) -> tuple[np.ndarray | None, str]:
     """A topic's quantity at the stops (n,), None where it does not tell; and what is wrong with it.
@@ -213,16 +227,9 @@ def _recorded(series: ScalarSeries | None, log: CalibrationLog, middle: np.ndarr
     inside = (series.time_ns >= log.steps.time_ns[0]) & (series.time_ns <= log.steps.time_ns[-1])
     if inside.any():
         series = ScalarSeries(series.time_ns[inside], series.value[inside], series.variance[inside])
-    good = np.isfinite(series.value)
-    if not good.any():
-        return None, 'holds no number; it is left out'
-    typical = float(np.median(series.value[good]))
-    if not limits[0] <= typical <= limits[1]:
-        return None, (f'reads about {typical:g}, outside {limits[0]:g} to {limits[1]:g}; it is left out, '
-                      'check its unit (°C, Pa, 0 to 1)')
-    if good.sum() > 1 and not series.value[good].any():
-        return None, f'reads 0 each of {good.sum()} times; it is left out, check that its sensor is connected'
-    time = series.time_ns[good]
+    if why := unusable(series, limits):
+        return None, why
+    time = series.time_ns[np.isfinite(series.value)]
     after = np.clip(np.searchsorted(time, middle), 1, max(len(time) - 1, 1))
     away = np.minimum(np.abs(middle - time[np.minimum(after, len(time) - 1)]), np.abs(middle - time[after - 1]))
     if np.max(away) > SILENT_NS:

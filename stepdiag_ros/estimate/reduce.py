@@ -130,11 +130,10 @@ def reduce_log(log: CalibrationLog, cut: bool = False) -> StopTable:
             warnings.append(f'{log.source}: {topic}: {part.left_out} dwell samples without signal '
                             'or not a number were left out')
         expected = looks[events.setup[first]] if samples is log.spot else np.ones(len(visits), bool)
-        empty = int(np.sum((part.count == 0) & expected))
-        if empty and len(samples):
-            why = _why_empty(samples, dwell_ns[part.count == 0], done_ns[part.count == 0],
-                             [names[k] for k in events.setup[first][part.count == 0]])
-            warnings.append(f'{log.source}: {topic}: {empty} of {len(visits)} dwells hold no usable '
+        empty = (part.count == 0) & expected
+        if empty.any() and len(samples):
+            why = _why_empty(samples, dwell_ns[empty], done_ns[empty], [names[k] for k in events.setup[first][empty]])
+            warnings.append(f'{log.source}: {topic}: {empty.sum()} of {len(visits)} dwells hold no usable '
                             f'sample{why}; those stops are left out of this channel')
     axis, mended = _moved_axis(events.run[first], events.index[first], events.axis[first], events.commanded[first])
     if mended:
@@ -213,7 +212,7 @@ def _turned(run: np.ndarray, index: np.ndarray, direction: np.ndarray) -> list[i
     found = []
     for number in np.unique(run):
         way, own = np.diff(index[run == number].astype(int)), direction[run == number]
-        if len(way) > 1 and np.all(own == own[0]) and (np.all(way * own[0] < 0)):
+        if len(way) > 1 and np.all(own == own[0]) and np.all(way * own[0] < 0):
             found.append(int(number))
     return found
 

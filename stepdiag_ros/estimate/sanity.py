@@ -54,7 +54,7 @@ FACTORS = ((0.5, 'half', 'the instrument counts the wrong fraction of a waveleng
 
 def check_readings(description: Description, table: StopTable) -> list[Finding]:
     """Mistakes that stops and readings alone show; empty for a sane log.  Needs no fit."""
-    found = list(_described(description))
+    found: list[Finding] = []
     for number, setup in enumerate(table.setup_names):
         rows = np.flatnonzero(table.setup == number)
         if not len(rows):
@@ -63,9 +63,10 @@ def check_readings(description: Description, table: StopTable) -> list[Finding]:
         found += places
         if not places:
             found += (_to_station if description.setups[setup].follows else _distances)(description, table, setup, rows)
-    # Of a log whose stamps are at fault no distance says anything, and axes that run backwards do so in every setup.
-    found = [finding for finding in found if finding.name == 'clock'] or _backwards(description, table) or found
-    return _merged(found + _spots(table), len(np.unique(table.setup)))
+    if found:
+        # Of a log whose stamps are at fault no distance says anything; axes that run backwards do so in every setup.
+        found = [finding for finding in found if finding.name == 'clock'] or _backwards(description, table) or found
+    return _merged([*_described(description), *found, *_spots(table)], len(np.unique(table.setup)))
 
 
 # ---- lengths of the cell ----------------------------------------------------------------------
@@ -256,7 +257,7 @@ def _backwards(description: Description, table: StopTable) -> list[Finding]:
         return []
     named = ' and '.join(axes)
     return [Finding('axis backwards', f'in all {diagonals} diagonals the readings change as if {named} moved the other '
-                    f'way', f'turn the sign of the commanded {named}: positions count from the lower corner of '
+                    'way', f'turn the sign of the commanded {named}: positions count from the lower corner of '
                     'machine.volume, in the directions in which the diagonals are named')]
 
 

@@ -125,10 +125,11 @@ def _part(table: StopTable, noise: NoiseModel) -> tuple[StopTable, NoiseModel]:
     return table.select(rows), replace(noise, sensor=noise.sensor[rows])
 
 
-def _fitted(description: Description, table: StopTable, noise: NoiseModel) -> Fit | None:
-    """A fit, near enough for a decision; None where there is none."""
+def _fitted(description: Description, table: StopTable, noise: NoiseModel,
+            theta: np.ndarray | None = None) -> Fit | None:
+    """A fit, begun at ``theta``, near enough for a decision; None where there is none."""
     try:
-        return fit(description, table, noise, settled=ENOUGH, share=SHARE)
+        return fit(description, table, noise, theta=theta, settled=ENOUGH, share=SHARE)
     except (StepdiagError, ValueError, FloatingPointError, np.linalg.LinAlgError):
         return None
 
@@ -185,17 +186,19 @@ def _standoffs(description: Description, table: StopTable, result: Fit) -> list[
     groups = [(name,) for name in setups] + ([tuple(setups)] if len(setups) > 1 else [])
     if not groups:
         return []
-    names = max(groups, key=lambda group: _by_standoffs(description, table, result, group)[2])
-    least, total = min(description.setups[name].standoff for name in names), 0.0
+    falls = [fall for *_, fall in _by_standoffs(description, table, result, groups)]
+    names = groups[int(np.argmax(falls))]
+    least, total, changed = min(description.setups[name].standoff for name in names), 0.0, description
     for sweep in range(SWEEPS):
-        changed = _moved(description, names, total)
-        shift, sigma, _ = _by_standoffs(changed, table, result, names)
+        [(shift, sigma, _)] = _by_standoffs(changed, table, result, [names])
         # Misalignments have taken part of it up, which makes the first steps about twice as long as needed.
         total += (0.5 if sweep < 2 else 1.0) * shift
         if not -least < total < MOST_M:
             return []
-        result = fit(_moved(description, names, total), table, result.noise, theta=result.theta, settled=ENOUGH,
-                     share=SHARE)
+        changed = _moved(description, names, total)
+        result = _fitted(changed, table, result.noise, result.theta)
+        if result is None:
+            return []
     if abs(total) < max(LEAST_M, CERTAIN * sigma) or result.dof < 1:
         return []
     reduced = _reduced(result)
@@ -218,11 +221,12 @@ def _moved(description: Description, names: tuple[str, ...], by_m: float) -> Des
 
 
 def _by_standoffs(description: Description, table: StopTable, result: Fit,
-                  names: tuple[str, ...]) -> tuple[float, float, float]:
-    """Change of standoffs [m], σ [m] and fall of χ² of :func:`_asked`."""
-    after = ForwardModel(_moved(description, names, STEP_M), table, result.parameters).predict(result.theta)
-    before = ForwardModel(description, table, result.parameters).predict(result.theta)
-    return _asked(result, (after - before) / STEP_M)
+                  groups: list[tuple[str, ...]]) -> list[tuple[float, float, float]]:
+    """Change of the standoffs of each group of setups alike [m], σ [m] and fall of χ², of :func:`_asked`."""
+    def predicted(of: Description) -> np.ndarray:
+        return ForwardModel(of, table, result.parameters).predict(result.theta)
+    before = predicted(description)
+    return _asked(result, [(predicted(_moved(description, names, STEP_M)) - before) / STEP_M for names in groups])
 
 
 def _scales(description: Description, table: StopTable, result: Fit) -> list[tuple[float, Finding]]:
@@ -231,7 +235,7 @@ def _scales(description: Description, table: StopTable, result: Fit) -> list[tup
     for _ in range(2 * SWEEPS):
         spots = ForwardModel(description, table, result.parameters).predict(result.theta)
         spots[:, :-2] = 0.0
-        step, *_ = _asked(result, spots)
+        [(step, *_)] = _asked(result, [spots])
         if abs(step) < SETTLED:
             break
         logarithm += float(np.clip(step, -1.0, 1.0))
@@ -240,9 +244,10 @@ def _scales(description: Description, table: StopTable, result: Fit) -> list[tup
         scale = float(np.exp(logarithm))
         # Their noise was read from them: left as it is, spots that are shrunk to nothing would explain everything.
         sensor = noise.sensor / np.r_[np.ones(noise.sensor.shape[1] - 2), scale, scale]
-        result = fit(description, replace(table, spot=table.spot / scale),
-                     replace(noise, sensor=sensor, angle=noise.angle / scale), theta=result.theta, settled=ENOUGH,
-                     share=SHARE)
+        result = _fitted(description, replace(table, spot=table.spot / scale),
+                         replace(noise, sensor=sensor, angle=noise.angle / scale), result.theta)
+        if result is None:
+            return []
     if abs(logarithm) < LEAST_SCALE or result.dof < 1:
         return []
     reduced = _reduced(result)
@@ -251,19 +256,23 @@ def _scales(description: Description, table: StopTable, result: Fit) -> list[tup
                               'check the unit of the spots, the length of the detector and the direction of its beam'))]
 
 
-def _asked(result: Fit, change: np.ndarray) -> tuple[float, float, float]:
-    """How much of a ``change`` of the readings (n, c) the residuals ask for, its σ and by how much χ² falls, to first
-    order."""
-    change = np.where(result.present, change, 0.0).ravel()
-    rest = np.where(result.present, result.residual, 0.0).ravel()
+def _asked(result: Fit, changes: list[np.ndarray]) -> list[tuple[float, float, float]]:
+    """How much of each change of the readings (n, c) the residuals ask for by itself, its σ and by how much χ² falls,
+    to first order."""
     # Orthogonal to what the fit's own unknowns can do, their priors as further readings: normal equations would
     # lose it, since mirror and laser take nearly all of it up.
     held = np.linalg.cholesky(result.precision).T
     jacobian = result.jacobian.toarray()
     design = np.concatenate([*(w(jacobian) for w in result.whiteners), held])
     basis, _ = np.linalg.qr(design / np.linalg.norm(design, axis=0))
-    along = np.concatenate([*(w(change) for w in result.whiteners), np.zeros(len(held))])
-    left = np.concatenate([*(w(rest) for w in result.whiteners), -held @ result.theta])
-    free = along - basis @ (basis.T @ along)
-    square, pull = float(free @ free), float(free @ left)
-    return pull / square, square**-0.5, pull**2 / square
+
+    def white(readings: np.ndarray) -> list[np.ndarray]:
+        flat = np.where(result.present, readings, 0.0).ravel()
+        return [w(flat) for w in result.whiteners]
+    left, asked = np.concatenate([*white(result.residual), -held @ result.theta]), []
+    for change in changes:
+        along = np.concatenate([*white(change), np.zeros(len(held))])
+        free = along - basis @ (basis.T @ along)
+        square, pull = float(free @ free), float(free @ left)
+        asked.append((pull / square, square**-0.5, pull**2 / square))
+    return asked

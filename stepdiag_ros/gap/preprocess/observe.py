@@ -12,7 +12,7 @@ import numpy as np
 
 from stepdiag_ros.effects.base import StopView
 from stepdiag_ros.estimate.enhanced import Fit, fit, readings_of
-from stepdiag_ros.estimate.metres import with_one_index
+from stepdiag_ros.estimate.metres import unusable, with_one_index
 from stepdiag_ros.estimate.noise import NoiseModel
 from stepdiag_ros.estimate.reduce import StopTable, reduce_log
 from stepdiag_ros.model.air import refractive_index
@@ -178,10 +178,8 @@ def _scales(log: CalibrationLog, table: StopTable) -> tuple[np.ndarray | None, n
 
 def _told(log: CalibrationLog, topic: str, quantity: str) -> ScalarSeries | None:
     """The readings of a topic that can be such a quantity in its unit; None where there are none."""
-    series, (low, high) = log.environment.get(topic), LIMITS[quantity]
-    if series is None or not np.isfinite(series.value).any():
-        return None
-    return series if low <= float(np.nanmedian(series.value)) <= high else None
+    series = log.environment.get(topic)
+    return None if series is None or unusable(series, LIMITS[quantity]) else series
 
 
 def _first(series: ScalarSeries) -> float:

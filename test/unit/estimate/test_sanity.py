@@ -48,6 +48,10 @@ def with_rows(table, column, setup, change):
     return replace(table, **{column: values})
 
 
+def with_setup(description, name, **changed):
+    return replace(description, setups={**description.setups, name: replace(description.setups[name], **changed)})
+
+
 def exchanged(table, one, other):
     """The table with the names of two setups exchanged."""
     names = {one: other, other: one}
@@ -222,8 +226,7 @@ def test_spots_of_another_scale_in_one_setup_are_named(healthy, scale):
 
 def test_a_wrong_standoff_is_named(healthy):
     description, table = healthy()
-    wrong = replace(description, setups={**description.setups,
-                                         'npp': replace(description.setups['npp'], standoff=0.65)})
+    wrong = with_setup(description, 'npp', standoff=0.65)
     [finding] = check(wrong, table)
     assert finding.name == 'standoff' and 'setups.npp.standoff' in finding.change
     assert float(finding.found.split('they fit ')[1].split(' ')[0]) == pytest.approx(0.35, abs=2e-3)
@@ -246,10 +249,6 @@ def test_lengths_of_the_cell_in_millimetres_are_named(healthy, where, wrong):
     description, table = healthy()
     [finding] = check_readings(wrong(description), table)
     assert finding.name == 'unit of the cell' and finding.found.startswith(where) and 'metres' in finding.change
-
-
-def with_setup(description, name, **changed):
-    return replace(description, setups={**description.setups, name: replace(description.setups[name], **changed)})
 
 
 def test_positions_with_a_work_offset_are_named(healthy):
