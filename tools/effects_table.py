@@ -50,6 +50,11 @@ def _section(kind) -> str:
     for p in kind.parameters:
         size = f' ({p.size})' if p.size > 1 else ''
         lines.append(f'| `{p.name}`{size} | {p.unit} | {p.low:g} … {p.high:g} | {p.meaning or kind.title} |')
+    if kind.course_of:
+        replaced = [p.name for p in kind.parameters if p.name not in kind.course_keeps]
+        lines.append(f'\nOr with a [`course`](../reference/cell_file.md#effects-in-the-course-of-time) of '
+                     f'{" and ".join(f"`{n}`" for n in kind.course_of)} in place of '
+                     f'{", ".join(f"`{n}`" for n in replaced)}.')
     lines += [f'\n**Signature.** {kind.signature}', f'\n**Neighbours.** {kind.neighbours}',
               f'\n**Remedy.** {kind.remedy}', f'\n*Sources:* {"; ".join(kind.sources)}.\n']
     return '\n'.join(lines)

@@ -27,6 +27,8 @@ class AmbientLight(Effect):
     parameters = (Parameter('level', '1', 0.0, 0.2, meaning='background at the start, as a share of the beam'),
                   Parameter('swing', '1', 0.0, 0.2, meaning='most that comes and goes on top of it'),
                   Parameter('period', 's', 300.0, 7200.0, meaning='of coming and going'))
+    course_of = ('level',)
+    course_begins = False
     sources = ('Andersson 2008, Position sensitive detectors: background light',)
     remedy = 'Shade the detector, use an interference filter, or modulate the beam and detect in phase.'
     signature = 'The spot shrinks towards the centre by a share that follows the clock; the sum signal rises.'
@@ -39,7 +41,8 @@ class AmbientLight(Effect):
                 'period': float(np.exp(rng.uniform(np.log(400.0), np.log(7200.0))))}
 
     def after_light(self, moment: Moment) -> None:
-        background = self.level + self.swing * np.sin(np.pi * moment.seconds / self.period) ** 2
+        comes = self.level + self.swing * np.sin(np.pi * moment.seconds / self.period) ** 2
+        background = self.now(moment.seconds, comes[:, None])[:, 0]
         moment.spot = moment.spot / (1.0 + background)[:, None]
         moment.intensity = moment.intensity * (1.0 + background)
 

@@ -9,12 +9,14 @@ against the other.
 """
 
 from collections.abc import Callable, Mapping
+from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from stepdiag_ros.effects.course import Course, parse_course
 from stepdiag_ros.model.description import Description
 from stepdiag_ros.model.log import STOOD
 from stepdiag_ros.model.mirror_form import MirrorForm
@@ -25,7 +27,8 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Parameter:
-    """A physical parameter: name, unit, plausible range, size (1: a scalar), what it is."""
+    """A physical parameter: name, unit, plausible range, size (1: a scalar), what it is; a ``detail`` is adopted only
+    where the guess (:meth:`Effect.guess`) finds some of it."""
 
     name: str
     unit: str
@@ -33,6 +36,7 @@ class Parameter:
     high: float
     size: int = 1
     meaning: str = ''
+    detail: bool = False
 
 
 # ---- how it acts ------------------------------------------------------------------------------
@@ -246,9 +250,19 @@ class Effect:
     """Why no cell file can hold what a log shows of it, in words; empty: it can."""
     repeatable: bool = False
     """Whether it may act more than once in a log, each time in a form of its own."""
+    course_of: tuple[str, ...] = ()
+    """Parameters whose amounts a ``course`` may give in place of the formula (:meth:`now`); empty: it has no course."""
+    course_keeps: tuple[str, ...] = ()
+    """Parameters that a course does not replace."""
+    course_begins: bool = True
+    """Whether a course counts from the log's beginning, so that it is nothing there."""
 
-    def __init__(self, **values: object):
+    def __init__(self, course: object = None, **values: object):
         known = {p.name: p for p in self.parameters}
+        if course is not None and not self.course_of:
+            raise ValueError(f'{self.name}: has no course')
+        self.course: Course | None = course if course is None or isinstance(course, Course) else parse_course(
+            course, sum(known[name].size for name in self.course_of))
         unknown = sorted(set(values) - set(known))
         if unknown:
             raise ValueError(f'{self.name}: unknown parameter {", ".join(unknown)}; '
@@ -268,6 +282,16 @@ class Effect:
         return drawn
 
     # Physical face, in the order in which the simulator asks.
+
+    def now(self, seconds: np.ndarray, formula: np.ndarray) -> np.ndarray:
+        """Its amounts (n, k) ``seconds`` (n,) after the log began: those of its course, or else ``formula`` (n, k)."""
+        return formula if self.course is None else self.course.at(seconds)
+
+    def following(self, course: Course) -> 'Effect':
+        """The same effect with amounts that follow ``course``."""
+        other = copy(self)
+        other.course = course
+        return other
 
     def before_pose(self, moment: Moment) -> None:
         """Change ``position``, ``shift``, ``turn``."""

@@ -21,6 +21,7 @@ class BeamPointingDrift(Effect):
     title = 'The laser beam slowly changes its direction.'
     parameters = (Parameter('amp', 'rad', -1e-4, 1e-4, 2, 'turn about u, v reached in the end'),
                   Parameter('tau', 's', 100.0, 5000.0, meaning='time constant'))
+    course_of = ('amp',)
     sources = ('Dahlem et al. 2018, section 4 (laser misalignment)',)
     remedy = 'Switch the laser on hours before, fix the base unit on a stiff stand, keep warm air away.'
     signature = 'Spot and length move as if the laser had been turned, more and more with time.'
@@ -33,7 +34,7 @@ class BeamPointingDrift(Effect):
                 'tau': float(np.exp(rng.uniform(np.log(200.0), np.log(4000.0))))}
 
     def before_light(self, moment: Moment) -> None:
-        moment.laser = moment.laser + saturating(moment.seconds, self.tau)[:, None] * self.amp
+        moment.laser = moment.laser + self.now(moment.seconds, saturating(moment.seconds, self.tau)[:, None] * self.amp)
 
     def appearance(self, view: StopView) -> list[Form]:
         return at_once(view, view.by_laser, ('u', 'v'), 1e-5, 'rad') \

@@ -27,7 +27,12 @@ class MirrorCurvature(Effect):
     title = 'The mirror is not flat.'
     parameters = (Parameter('radius', 'm', 500.0, 20000.0, meaning='of curvature; hollow: positive, 0: flat'),
                   Parameter('astigmatism', '1', -1.0, 1.0,
-                            meaning='curvature along u more, along v less, as a share of 1/radius'))
+                            meaning='curvature along u more, along v less, as a share of 1/radius'),
+                  Parameter('astigmatism_45', '1', -1.0, 1.0, meaning='the same along the diagonals of u and v',
+                            detail=True),
+                  Parameter('cubic', '1', -3.0, 3.0, 4,
+                            'change of its curvatures within 0.1 m, as a share of 1/radius: uuu, uuv, uvv, vvv',
+                            detail=True))
     sources = ('Dahlem et al. 2018, mirror flatness', 'Sphere and astigmatism: Born & Wolf, ch. 4')
     remedy = ('Use a flatter or smaller mirror, mount it free of strain, or measure its shape and enter it.')
     signature = 'A fixed shape over the strike point, in length as height and in the spot as slope.'
@@ -43,7 +48,8 @@ class MirrorCurvature(Effect):
     def before_light(self, moment: Moment) -> None:
         if self.radius:
             bent = 1.0 / self.radius
-            moment.form = quadratic_form(bent, self.astigmatism * bent)
+            moment.form = quadratic_form(bent, self.astigmatism * bent, self.astigmatism_45 * bent,
+                                         tuple(self.cubic * bent / REACH))
 
     def appearance(self, view: StopView) -> list[Form]:
         u, v = view.strike[..., 0], view.strike[..., 1]
@@ -52,11 +58,8 @@ class MirrorCurvature(Effect):
         def shapes(*terms: tuple[np.ndarray, np.ndarray, np.ndarray]) -> np.ndarray:
             return np.stack([self._column(view, *term) for term in terms])
 
-        sphere = (0.5 * (u * u + v * v), u, v)
-        quadratic = ((0.5 * u * u, u, zero), (u * v, v, u), (0.5 * v * v, zero, v))
-        cubic = tuple(tuple(part / REACH for part in term) for term in (
-            (u**3 / 6.0, 0.5 * u * u, zero), (0.5 * u * u * v, u * v, 0.5 * u * u),
-            (0.5 * u * v * v, 0.5 * v * v, u * v), (v**3 / 6.0, zero, 0.5 * v * v)))
+        sphere, _, slanted, *cubic = self._terms(view)
+        quadratic = ((0.5 * u * u, u, zero), slanted, (0.5 * v * v, zero, v))
         two, three = ('uu', 'uv', 'vv'), ('uuu', 'uuv', 'uvv', 'vvv')
         forms = [self._form('sphere', shapes(sphere), ('curvature',)),
                  self._form('quadratic', shapes(*quadratic), two),
@@ -86,11 +89,24 @@ class MirrorCurvature(Effect):
 
     def guess(self, fitted: Fitted) -> Mapping[str, object]:
         view = fitted.view
-        u, v = view.strike[..., 0], view.strike[..., 1]
-        columns = np.stack([self._column(view, 0.5 * (u * u + v * v), u, v),
-                            self._column(view, 0.5 * (u * u - v * v), u, -v)])
+        columns = np.stack([self._column(view, *term) for term in self._terms(view)])
         if fitted.forms[0].names == ('curvature',):
             columns = columns[:1]
-        sizes = fitted.solve(columns)[0]
-        mean, apart = sizes[0], sizes[1] if len(sizes) > 1 else 0.0
-        return {'radius': float(1.0 / mean), 'astigmatism': float(apart / mean)} if mean else {}
+        elif all('cubic' not in form.label for form in fitted.forms):
+            columns = columns[:3]
+        mean, *others = fitted.solve(columns)[0].tolist()
+        if not mean:
+            return {}
+        shares = [other / mean for other in others]
+        bent = {'radius': 1.0 / mean, 'astigmatism': shares[0] if shares else 0.0}
+        return bent | ({'astigmatism_45': shares[1]} if shares else {}) | ({'cubic': shares[2:]} if shares[2:] else {})
+
+    @staticmethod
+    def _terms(view: StopView) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        """Height and slopes (n, beams + 1) of each term of the physical face at the strikes, per 1/m."""
+        u, v = view.strike[..., 0], view.strike[..., 1]
+        zero = np.zeros_like(u)
+        return [(0.5 * (u * u + v * v), u, v), (0.5 * (u * u - v * v), u, -v), (u * v, v, u),
+                *(tuple(part / REACH for part in term) for term in (
+                    (u**3 / 6.0, 0.5 * u * u, zero), (0.5 * u * u * v, u * v, 0.5 * u * u),
+                    (0.5 * u * v * v, 0.5 * v * v, u * v), (v**3 / 6.0, zero, 0.5 * v * v)))]

@@ -42,6 +42,7 @@ class MirrorMountCreep(Effect):
                   Parameter('tau', 's', FASTEST_S, 2000.0, meaning='time constant'),
                   Parameter('spread', '1', 0.0, 1.0,
                             meaning='standard deviation of the amount from mounting to mounting'))
+    course_of = ('amp',)
     sources = ('Yoder, Mounting Optics in Optical Instruments, 2nd ed., ch. on adhesives',)
     remedy = 'Wait after mounting, clamp harder on three points, do not glue.'
     signature = 'Spot grows as 2 L times a turn that relaxes from the start of each setup.'
@@ -56,8 +57,8 @@ class MirrorMountCreep(Effect):
 
     def before_light(self, moment: Moment) -> None:
         amount = 1.0 + self.spread * moment.rng.normals(f'mounting/{moment.setup}', 0, 1, 2)[0]
-        moment.mirror = moment.mirror + (saturating(moment.mount_seconds, self.tau)[:, None]
-                                         * self.amp * amount)
+        relaxed = saturating(moment.mount_seconds, self.tau)[:, None] * self.amp * amount
+        moment.mirror = moment.mirror + self.now(moment.seconds, relaxed)
 
     def appearance(self, view: StopView) -> list[Form]:
         profiles = [*relaxations(view.mount_time, FASTEST_S), power_law(view.mount_time, LETS_GO)]

@@ -26,6 +26,8 @@ class PsdGain(Effect):
     title = "The position sensor's scale is wrong."
     parameters = (Parameter('x', '1', -0.1, 0.1, meaning='gain error along u'),
                   Parameter('y', '1', -0.1, 0.1, meaning='gain error along v'))
+    course_of = ('x', 'y')
+    course_begins = False
     sources = ('Dahlem et al. 2018, section 4', 'Andersson 2008, Position sensitive detectors')
     remedy = 'Calibrate the detector on a stage with known shifts, or enter its gain.'
     signature = 'The spot is too large or too small by a fixed share, wherever it lies.'
@@ -38,7 +40,7 @@ class PsdGain(Effect):
         return {'x': x, 'y': x if rng.random() < 0.5 else drawn_size(rng, 0.003, 0.1)}
 
     def after_light(self, moment: Moment) -> None:
-        moment.spot = moment.spot * (1.0 + np.array([self.x, self.y]))
+        moment.spot = moment.spot * (1.0 + self.now(moment.seconds, np.array([[self.x, self.y]])))
 
     def appearance(self, view: StopView) -> list[Form]:
         spot, first = view.spot_model, view.beams

@@ -17,6 +17,8 @@ from stepdiag_ros.effects.patterns import Drawn, drawn_size
 REFERENCE = 1e-3
 """Distance from the centre [m] at which coefficients are sizes in metres."""
 SCALE = 3e-6
+ALIKE = 0.05
+"""Share of a bend, squared, up to which it is taken to be alike in x and y."""
 
 
 class PsdNonlinearity(Effect):
@@ -25,7 +27,9 @@ class PsdNonlinearity(Effect):
     title = 'The position sensor is not linear: it bends far from its centre.'
     parameters = (Parameter('k3', '1/m²', -3e4, 3e4, meaning='read is s (1 + k3 |s|²)'),
                   Parameter('cross', '1', -1.0, 1.0,
-                            meaning='share of k3 by which x takes y² and y takes x² less'))
+                            meaning='share of k3 by which x takes y² and y takes x² less'),
+                  Parameter('apart', '1/m²', -3e4, 3e4, 4,
+                            'besides, where x and y bend apart: x³ and x y² in x, y³ and y x² in y', detail=True))
     sources = ('Andersson 2008, Position sensitive detectors', 'Cui & Soh 2010, IEEE Trans. Electron Devices 57, 2310')
     remedy = ('Keep the spot near the centre by aligning better, use a duo-lateral detector, or calibrate '
               'it over its area.')
@@ -40,7 +44,9 @@ class PsdNonlinearity(Effect):
     def after_light(self, moment: Moment) -> None:
         square = moment.spot ** 2
         weighed = square + (1.0 - self.cross) * square[:, ::-1]
-        moment.spot = moment.spot * (1.0 + self.k3 * weighed)
+        own_and_other = self.apart.reshape(2, 2)
+        apart = own_and_other[:, 0] * square + own_and_other[:, 1] * square[:, ::-1]
+        moment.spot = moment.spot * (1.0 + self.k3 * weighed + apart)
 
     def appearance(self, view: StopView) -> list[Form]:
         x, y = view.spot_model.T / REFERENCE
@@ -92,5 +98,9 @@ class PsdNonlinearity(Effect):
         columns = view.zeros(2)
         columns[0, :, view.beams], columns[0, :, view.beams + 1] = x * (x * x + y * y), y * (x * x + y * y)
         columns[1, :, view.beams], columns[1, :, view.beams + 1] = -x * y * y, -y * x * x
-        k3, crossed = fitted.solve(columns)[0]
+        (k3, crossed), missed = fitted.solve(columns)
+        if missed > ALIKE:
+            apart = fitted.solve(np.stack([self._both(view, x**3, None), self._both(view, x * y * y, None),
+                                           self._both(view, None, y**3), self._both(view, None, y * x * x)]))[0]
+            return {'k3': 0.0, 'cross': 0.0, 'apart': apart.tolist()}
         return {'k3': float(k3), 'cross': float(crossed / k3) if k3 else 0.0}

@@ -24,6 +24,8 @@ class PsdRotation(Effect):
     short = 'Spot sensor is mounted turned'
     title = 'The position sensor is mounted turned about the beam.'
     parameters = (Parameter('angle', 'rad', -0.5, 0.5, meaning='turn of the read spot from u towards v'),)
+    course_of = ('angle',)
+    course_begins = False
     sources = ('Dahlem et al. 2018, section 4',)
     remedy = ("Turn the detector until a turn of the mirror about u moves the spot along v only, or enter "
               'the angle.')
@@ -36,8 +38,9 @@ class PsdRotation(Effect):
         return {'angle': drawn_size(rng, 0.002, 0.1)}
 
     def after_light(self, moment: Moment) -> None:
-        c, s = np.cos(self.angle), np.sin(self.angle)
-        moment.spot = moment.spot @ np.array([[c, s], [-s, c]])
+        angle = self.now(moment.seconds, np.full((1, 1), self.angle))[:, 0]
+        (x, y), c, s = moment.spot.T, np.cos(angle), np.sin(angle)
+        moment.spot = np.stack([c * x - s * y, s * x + c * y], axis=1)
 
     def appearance(self, view: StopView) -> list[Form]:
         forms = []

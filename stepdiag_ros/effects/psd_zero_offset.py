@@ -19,13 +19,15 @@ class PsdZeroOffset(Effect):
     title = "The position sensor's zero is not where the beam returns at zero angle."
     parameters = (Parameter('x', 'm', -2e-3, 2e-3, meaning='offset along u'),
                   Parameter('y', 'm', -2e-3, 2e-3, meaning='offset along v'))
+    course_of = ('x', 'y')
+    course_begins = False
     sources = ('Dahlem et al. 2018, section 4 and fig. 5 (3a, 3b)',)
     remedy = 'Set the detector to zero with a retro-reflector in the beam, or enter the offset.'
     signature = 'A constant added to the spot, in all setups, at all distances.'
     neighbours = 'a tilt of laser or mirror also shifts the spot, but more with growing distance.'
 
     def after_light(self, moment: Moment) -> None:
-        moment.spot = moment.spot + np.array([self.x, self.y])
+        moment.spot = moment.spot + self.now(moment.seconds, np.array([[self.x, self.y]]))
 
     def appearance(self, view: StopView) -> list[Form]:
         columns = view.zeros(2)

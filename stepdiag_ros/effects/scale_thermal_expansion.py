@@ -32,6 +32,7 @@ class ScaleThermalExpansion(Effect):
     parameters = (Parameter('alpha', '1/K', 0.0, 2e-5, 3, 'expansion coefficient of the scales of X, Y, Z'),
                   Parameter('dT', 'K', -3.0, 3.0, 3, 'rise of their temperature in the end'),
                   Parameter('tau', 's', 100.0, 5000.0, meaning='time constant'))
+    course_of, course_keeps = ('dT',), ('alpha',)
     sources = ('ISO 230-3', 'ISO 230-2:2014, annex on thermal correction of scales')
     remedy = ('Warm the axes up, measure the scales\' temperature and correct for it, let the scales rest '
               'between runs.')
@@ -45,13 +46,14 @@ class ScaleThermalExpansion(Effect):
                 'tau': float(np.exp(rng.uniform(np.log(200.0), np.log(4000.0))))}
 
     def environment(self, seconds: np.ndarray) -> dict[str, np.ndarray]:
-        grown = saturating(seconds, self.tau)
-        return {f'scale_temperature/{axis}': rise * grown
-                for axis, rise in zip('xyz', self.dT, strict=True)}
+        return {f'scale_temperature/{axis}': risen
+                for axis, risen in zip('xyz', self._risen(seconds).T, strict=True)}
+
+    def _risen(self, seconds: np.ndarray) -> np.ndarray:
+        return self.now(seconds, saturating(seconds, self.tau)[:, None] * self.dT)
 
     def before_pose(self, moment: Moment) -> None:
-        grown = saturating(moment.seconds, self.tau)[:, None] * self.dT
-        moment.position = moment.position + self.alpha * grown * moment.commanded
+        moment.position = moment.position + self.alpha * self._risen(moment.seconds) * moment.commanded
 
     def appearance(self, view: StopView) -> list[Form]:
         axes = ('X', 'Y', 'Z')

@@ -22,6 +22,7 @@ class SquarenessDrift(Effect):
     title = 'The angle between two axes changes while the log is taken.'
     parameters = (Parameter('amp', 'rad', -5e-5, 5e-5, 3, 'change of EC0Y, EB0Z, EA0Z reached in the end'),
                   Parameter('tau', 's', 100.0, 5000.0, meaning='time constant'))
+    course_of = ('amp',)
     sources = ('ISO 230-1:2012, 3.6 squareness', 'ISO 230-3')
     remedy = 'Warm the machine up, shield the column from sun and draught, measure faster.'
     signature = "Sideways shift that grows with an axis's position and with time."
@@ -34,10 +35,10 @@ class SquarenessDrift(Effect):
                 'tau': float(np.exp(rng.uniform(np.log(200.0), np.log(4000.0))))}
 
     def before_pose(self, moment: Moment) -> None:
-        grown = saturating(moment.seconds, self.tau)
-        for name, size in zip(SQUARENESS, self.amp, strict=True):
+        angles = self.now(moment.seconds, saturating(moment.seconds, self.tau)[:, None] * self.amp)
+        for name, angle in zip(SQUARENESS, angles.T, strict=True):
             axis, per_metre = SQUARENESS_SHIFT[name]
-            moment.shift = moment.shift + (size * grown * moment.commanded[:, axis])[:, None] * per_metre
+            moment.shift = moment.shift + (angle * moment.commanded[:, axis])[:, None] * per_metre
 
     def appearance(self, view: StopView) -> list[Form]:
         signature = np.stack([self._column(view, name) for name in SQUARENESS])

@@ -21,6 +21,7 @@ class StructuralThermalDrift(Effect):
     title = 'The tool point drifts against the workpiece as the machine structure changes temperature.'
     parameters = (Parameter('amp', 'm', -6e-5, 6e-5, 3, 'shift along X, Y, Z reached in the end'),
                   Parameter('tau', 's', 100.0, 5000.0, meaning='time constant'))
+    course_of = ('amp',)
     sources = ('ISO 230-3', 'Mayr et al. 2012, Thermal issues in machine tools')
     remedy = 'Warm the machine up before measuring, or measure in a shorter time.'
     signature = 'A shift of the tool that follows the clock, the same at all positions.'
@@ -29,7 +30,7 @@ class StructuralThermalDrift(Effect):
 
     def before_pose(self, moment: Moment) -> None:
         grown = 1.0 - np.exp(-moment.seconds / self.tau)
-        moment.shift = moment.shift + grown[:, None] * self.amp
+        moment.shift = moment.shift + self.now(moment.seconds, grown[:, None] * self.amp)
 
     def appearance(self, view: StopView) -> list[Form]:
         pace, axes = time_profiles(view.elapsed, view.watches), ('X', 'Y', 'Z')

@@ -49,14 +49,21 @@ class HeightForm:
         return HeightSurface(point, axes, self.height, self.gradient)
 
 
-def quadratic_form(curvature: float, astigmatism: float = 0.0, astigmatism_45: float = 0.0) -> HeightForm:
-    """``h = c (ξ²+η²)/2 + a (ξ²−η²)/2 + a45 ξη``, the three in 1/m; a sag of ``c r²/2`` at radius r."""
+def quadratic_form(curvature: float, astigmatism: float = 0.0, astigmatism_45: float = 0.0,
+                   cubic: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)) -> HeightForm:
+    """``h = c (ξ²+η²)/2 + a (ξ²−η²)/2 + a45 ξη``, the three in 1/m; a sag of ``c r²/2`` at radius r.
+
+    ``cubic`` [1/m²]: third derivatives ξξξ, ξξη, ξηη, ηηη of the height besides.
+    """
     xx, yy, xy = curvature + astigmatism, curvature - astigmatism, astigmatism_45
+    xxx, xxy, xyy, yyy = cubic
 
     def height(x: Component, y: Component) -> Component:
-        return 0.5 * (xx * x * x + yy * y * y) + xy * x * y
+        bent = 0.5 * (xx * x * x + yy * y * y) + xy * x * y
+        return bent + (xxx * x**3 + yyy * y**3) / 6.0 + 0.5 * (xxy * x + xyy * y) * x * y
 
     def gradient(x: Component, y: Component) -> tuple[Component, Component]:
-        return xx * x + xy * y, xy * x + yy * y
+        return (xx * x + xy * y + 0.5 * (xxx * x * x + xyy * y * y) + xxy * x * y,
+                xy * x + yy * y + 0.5 * (xxy * x * x + yyy * y * y) + xyy * x * y)
 
     return HeightForm(height, gradient)

@@ -7,7 +7,7 @@ what is lost is reported.
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -15,6 +15,7 @@ from scipy.optimize import least_squares
 from stepdiag_ros.effects.base import Effect, Parameter
 from stepdiag_ros.gap.diagnosis import STAMPS, Diagnosis, Found
 from stepdiag_ros.gap.inference.joint import Active, unexplained
+from stepdiag_ros.twin.by_course import by_course
 from stepdiag_ros.twin.guess import Values, guess
 from stepdiag_ros.twin.story import basis_of, started, unknown_starts
 from stepdiag_ros.twin.twin import Twin
@@ -25,8 +26,14 @@ LEAST_DONE = 0.1
 """… and share that must be kept for it to be adopted."""
 SIZE_UNITS = ('m', 'rad', 'K')
 """Units of parameters in which what an effect does is linear."""
+SHOWS = 5.0
+"""Standard deviations that a formula must leave for a course to be looked for."""
+BEYOND = 1e3
+"""Times by which an effect that leaves no reading at all misses more than none does."""
 TRIED = 5
-"""Values of a time tried, evenly in logarithm between its bounds, where a fit may begin."""
+"""Values of a time tried, evenly in logarithm between its bounds, where a fit may begin …"""
+BEST = 2
+"""… and of these, those that miss the least are refined."""
 TRIALS = 60
 """Most steps of one fit."""
 
@@ -34,12 +41,14 @@ TRIALS = 60
 @dataclass(frozen=True)
 class Physical:
     """Physical parameters of an effect (empty: not adopted), a note (empty: nothing is lost), what the simulator will
-    make of it at the log's stops (n, c) [m], and the effect with these parameters where it acts there."""
+    make of it at the log's stops (n, c) [m], the effect with these parameters where it acts there, and those of its
+    formula, where another fit may begin."""
 
     values: Values
     note: str
     contribution: np.ndarray
     effect: Effect | None = None
+    formula: Values = field(default_factory=dict)
 
 
 def physical(diagnosis: Diagnosis, found: Found, twin: Twin, near: Physical | None = None) -> Physical:
@@ -72,48 +81,70 @@ def _fitted(diagnosis: Diagnosis, active: list[Active], twin: Twin, near: Physic
     target = rest + own
     target = target - basis @ (basis.T @ target)
 
-    def missed(values: Values) -> np.ndarray:
-        made = twin.projected(twin.adds(effect(**values)))
+    def missed(fitted: Effect) -> np.ndarray:
+        with np.errstate(all='ignore'):    # what is tried may be far beyond what light and air are
+            made = twin.projected(twin.adds(fitted)[None])[:, 0]
+        if not np.isfinite(made).all():
+            return BEYOND * target
         return target - (made - basis @ (basis.T @ made))
 
-    starts = [{p.name: near.values[p.name] for p in effect.parameters}] if near is not None and near.values else \
-        _starts(diagnosis, active, effect, target, missed)
-    best, left = min((_refined(effect.parameters, start, missed) for start in starts), key=lambda pair: pair[1])
+    def by_values(values: Values) -> np.ndarray:
+        return missed(effect(**values))
+
+    starts = [near.formula] if near is not None and near.formula else sorted(
+        _starts(diagnosis, active, effect, target, by_values), key=lambda start: np.sum(by_values(start)**2))[:BEST]
+    formula, left = min((_refined(effect.parameters, start, by_values) for start in starts), key=lambda pair: pair[1])
     # Noise is left in any case; what counts is how much more than the forms leave.
     noise, nothing = (v - basis @ (basis.T @ v) for v in (rest, target))
-    done = (nothing @ nothing - left) / max(float(nothing @ nothing - noise @ noise), 1e-300)
+    power = max(float(nothing @ nothing - noise @ noise), 1e-300)
+    details = {p.name for p in effect.parameters if p.detail and not np.any(formula[p.name])}
+    best, fitted = {name: value for name, value in formula.items() if name not in details}, effect(**formula)
+    if effect.course_of and left - noise @ noise > SHOWS**2:
+        kept = {name: _first(diagnosis, active)[name] for name in effect.course_keeps}
+        following = by_course(diagnosis.joint.observation, effect(**kept), twin, own - basis @ (basis.T @ own), basis)
+        missing = missed(following)
+        if missing @ missing < left:
+            best, fitted, left = kept | {'course': following.course.to_mapping()}, following, float(missing @ missing)
+    done = (nothing @ nothing - left) / power
     if done < LEAST_DONE:
         return Physical({}, f'its physical face can do {100 * max(done, 0.0):.0f} % of what was fitted; not adopted',
                         sum(a.contribution for a in active))
     notes = [f'the simulator knows a simpler form of it; {100 * (1 - done):.0f} % of what was fitted is lost'] \
         if done < 1.0 - LOSS else []
-    fitted = effect(**best)
+    if fitted.course is not None:
+        notes.append('it follows no formula; its course in time is taken over as a table')
     added = twin.adds(fitted)
     # Where it is the story that differs, the machine must not be made to imitate it.
     apart = sum(a.contribution for a in active) - added.mean(axis=1)
     before = started(story, space, apart)
-    seen = basis.T @ (rest + own - twin.projected(added))
+    seen = basis.T @ (rest + own - twin.projected(added[None])[:, 0])
     if seen @ seen > LOSS * float(nothing @ nothing):
         notes.append('how the axes came to the first stop of a setup is the log\'s own story: until each has moved '
                      'the simulator differs')
     notes += [f'{p.name} of {", ".join(f"{v:.3g}" for v in np.atleast_1d(best[p.name]))} {p.unit} is beyond what is '
-              f'plausible ({p.low:g} … {p.high:g})' for p in effect.parameters if not _plausible(p, best[p.name])]
+              f'plausible ({p.low:g} … {p.high:g})'
+              for p in effect.parameters if p.name in best and not _plausible(p, best[p.name])]
     return Physical({'file': effect.file, **best} if effect.file else best, '; '.join(notes),
-                    added.mean(axis=1) + before, fitted)
+                    added.mean(axis=1) + before, fitted, formula)
 
 
 def _starts(diagnosis: Diagnosis, active: list[Active], effect: type[Effect], target: np.ndarray,
             missed: Callable[[Values], np.ndarray]) -> Iterator[Values]:
     """Where fits begin: the guess, and beside it each time of the effect between its bounds, with the sizes that do the
     most there."""
-    middle = {p.name: np.full(p.size, 0.5 * (p.low + p.high)) if p.size > 1 else 0.5 * (p.low + p.high)
-              for p in effect.parameters}
-    first = {**middle, **guess(diagnosis, active)}
+    first = _first(diagnosis, active)
     yield first
     for p in effect.parameters:
         if _is_time(p) and p.size == 1:
             yield from (_scaled(effect.parameters, {**first, p.name: float(value)}, target, missed)
                         for value in np.geomspace(p.low, p.high, TRIED))
+
+
+def _first(diagnosis: Diagnosis, active: list[Active]) -> Values:
+    """The guess, and the middle of their bounds for parameters of which it says nothing."""
+    middle = {p.name: [0.5 * (p.low + p.high)] * p.size if p.size > 1 else 0.5 * (p.low + p.high)
+              for p in active[0].effect.parameters}
+    return {**middle, **guess(diagnosis, active)}
 
 
 def _scaled(parameters: tuple[Parameter, ...], start: Values, target: np.ndarray,
@@ -132,8 +163,9 @@ def _scaled(parameters: tuple[Parameter, ...], start: Values, target: np.ndarray
 def _refined(parameters: tuple[Parameter, ...], start: Values,
              missed: Callable[[Values], np.ndarray]) -> tuple[Values, float]:
     """Parameters near ``start`` that miss the least, and the square that is missed; names and numbers of choices stay
-    as they are."""
-    free = [p for p in parameters if p.high > p.low and not isinstance(start[p.name], str)]
+    as they are, and details that the start has not."""
+    free = [p for p in parameters if p.high > p.low and not isinstance(start[p.name], str)
+            and not (p.detail and not np.any(start[p.name]))]
     sizes = [p.size for p in free]
     scale = np.concatenate([np.full(p.size, p.high - p.low) for p in free])
     low = np.concatenate([np.full(p.size, 0.2 * p.low if _is_time(p) else 0.0 if p.low == 0.0 else -np.inf)
@@ -147,9 +179,9 @@ def _refined(parameters: tuple[Parameter, ...], start: Values,
 
     x0 = np.concatenate([np.broadcast_to(np.asarray(start[p.name], float), (p.size,)) for p in free]) / scale
     x0 = np.clip(x0, low / scale + 1e-9, high / scale - 1e-9)
-    # What the log does not tell apart, warmth and pressure of air, stays as small as it may: 1 is the plausible range.
-    result = least_squares(lambda x: np.concatenate([missed(values(x)), x]), x0, bounds=(low / scale, high / scale),
-                           x_scale='jac', diff_step=1e-4, max_nfev=TRIALS)
+    # What the log does not tell apart, warmth and pressure of air, stays where it began: 1 is the plausible range.
+    result = least_squares(lambda x: np.concatenate([missed(values(x)), x - x0]), x0,
+                           bounds=(low / scale, high / scale), x_scale='jac', diff_step=1e-4, max_nfev=TRIALS)
     return values(result.x), 2.0 * float(result.cost)
 
 
@@ -162,4 +194,6 @@ def _plausible(parameter: Parameter, value: object) -> bool:
     if isinstance(value, str):
         return True
     size = np.abs(np.asarray(value, float))
+    if parameter.unit == 'm' and parameter.low > 0.0:    # a radius: the larger, the less is there
+        return bool(np.all(1.5 * size >= parameter.low))
     return bool(np.all(size <= 1.5 * max(abs(parameter.low), abs(parameter.high))))

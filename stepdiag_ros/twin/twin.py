@@ -6,6 +6,7 @@ from functools import cached_property
 import numpy as np
 
 from stepdiag_ros.effects.base import Effect, Form
+from stepdiag_ros.effects.course import Course
 from stepdiag_ros.gap.diagnosis import Diagnosis
 from stepdiag_ros.twin.story import unknown_starts
 from stepdiag_ros.virtual.cell import Cell
@@ -25,9 +26,12 @@ class Twin:
         self._replay = Replay(cell, steps, began(cell, diagnosis.log))
         middle = diagnosis.joint.observation.view.bin_time
         width = np.mean(np.diff(middle, axis=1), axis=1) if middle.shape[1] > 1 else 2.0 * middle[:, 0]
-        time = middle[:, :, None] + 0.5 * width[:, None, None] * NODES
+        # A bin of which samples are missing has its middle elsewhere and may reach beyond its dwell, into a move.
+        stood = np.where(table.done_ns > table.dwell_ns, (table.done_ns - table.dwell_ns) * 1e-9, np.inf)
+        time = np.clip(middle[:, :, None] + 0.5 * width[:, None, None] * NODES, 0.0, stood[:, None, None])
         self._shape = time.shape
         self._time = (table.dwell_ns[:, None, None] + np.rint(1e9 * time).astype(np.int64)).ravel()
+        self.seconds = (self._time - self._replay.began_ns) * 1e-9
         run = np.array([steps.run_ids.index(name) for name in table.run_ids])[table.run]
         self._run = np.repeat(run, time[0].size)
 
@@ -43,14 +47,15 @@ class Twin:
     def left(self, effects: Sequence[Effect]) -> tuple[np.ndarray, float]:
         """The log's stops less the cell's with ``effects`` (n, c) [m], and their reduced χ² in the log's noise.
 
-        Free are the reset of each run, as for the laser, and how the axes came to the first stops.
+        Free are the reset of each beam in each run, as for the laser, and how the axes came to the first stops.
         """
         joint = self._diagnosis.joint
         space, view = joint.parity, joint.observation.view
         difference = view.reading - self._seen(self._replay.world(effects)).mean(axis=1)
-        resets = view.zeros(len(view.run_ids))
-        for run in range(len(view.run_ids)):
-            resets[run, view.run == run, :view.beams] = 1.0
+        resets = view.zeros(len(view.run_ids) * view.beams)
+        for number, one in enumerate(resets):
+            run, beam = divmod(number, view.beams)
+            one[view.run == run, beam] = 1.0
         free = np.concatenate([resets, unknown_starts(view)])
         z, columns = joint.whitened(difference.ravel()), joint.whitened(free.reshape(len(free), -1).T)
         sizes, _, rank, _ = np.linalg.lstsq(columns, z, rcond=1e-9)
@@ -60,14 +65,26 @@ class Twin:
         return (difference - np.tensordot(sizes, free, axes=1),
                 float(white_left @ white_left / (space.dof[0] - unknown)))
 
+    def by_amounts(self, effect: Effect, course: Course, sizes: np.ndarray) -> np.ndarray:
+        """Derivatives (k, t, c) [m per unit] of the readings at ``seconds`` (t,), not counted from a reset, by each of
+        an effect's amounts there, about those of ``course``; by differences of ``sizes`` (k,)."""
+        about, *moved = (self._read(self._replay.world([effect.following(c)]), counted=False)
+                         for c in (course, *(course.plus(step) for step in np.diag(sizes))))
+        return np.array([(one - about) / size for one, size in zip(moved, sizes, strict=True)])
+
+    def _read(self, world: World, counted: bool = True) -> np.ndarray:
+        length, spot = (self._replay.seen if counted else self._replay.read)(world, self._time, self._run)
+        return np.concatenate([length[:, :self._diagnosis.joint.fit.model.beams], spot], axis=1)
+
     def _seen(self, world: World) -> np.ndarray:
-        length, spot = self._replay.seen(world, self._time, self._run)
-        beams = self._diagnosis.joint.fit.model.beams
-        readings = np.concatenate([length[:, :beams], spot], axis=1).reshape(*self._shape, -1)
-        return 0.5 * np.einsum('nbkc,k->nbc', readings, WEIGHTS)
+        return self.in_bins(self._read(world))
+
+    def in_bins(self, readings: np.ndarray) -> np.ndarray:
+        """Means (..., n, b, c) in the dwells' bins of readings (..., t, c) at ``seconds``."""
+        return 0.5 * np.einsum('...nbkc,k->...nbc', readings.reshape(*readings.shape[:-2], *self._shape, -1), WEIGHTS)
 
     def projected(self, readings: np.ndarray) -> np.ndarray:
-        """Readings (n, b, c) in parity space (N,)."""
-        mean = readings.mean(axis=1)
-        form = Form('', mean[None], ('',), np.ones(1), inside=(readings - mean[:, None])[None])
-        return self._diagnosis.joint.parity.project(form)[:, 0]
+        """Readings (k, n, b, c) in parity space (N, k)."""
+        mean = readings.mean(axis=2)
+        form = Form('', mean, ('',) * len(mean), np.ones(len(mean)), inside=readings - mean[:, :, None])
+        return self._diagnosis.joint.parity.project(form)

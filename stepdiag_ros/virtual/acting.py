@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -72,6 +73,10 @@ def _create(cell: Cell, name: str, values: dict) -> Effect:
         raise StepdiagError(f'{where}: {error}') from None
     for parameter in effect.parameters:
         _check_size(where, parameter, getattr(effect, parameter.name))
+    if effect.course is not None:
+        amounts = [p for name in effect.course_of for p in effect.parameters if p.name == name for _ in range(p.size)]
+        for parameter, column in zip(amounts, effect.course.values.T, strict=True):
+            _check_size(f'{where}: course', replace(parameter, size=1), column)
     return effect
 
 

@@ -50,17 +50,20 @@ class Replay:
     def seen(self, world: World, time_ns: np.ndarray, run: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Lengths (n, beams) counted from the reset of their run and spots (n, 2) [m] at true times (n,) of runs (n,),
         numbers in the log's ``run_ids``."""
+        runs, mine = np.unique(run, return_inverse=True)
+        resets = np.array([self._reset_ns[r] for r in runs])
+        length, spot = self.read(world, np.concatenate([resets, time_ns]), np.concatenate([runs, run]))
+        return length[len(runs):] - length[:len(runs)][mine], spot[len(runs):]
+
+    def read(self, world: World, time_ns: np.ndarray, run: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """As :meth:`seen`, lengths not counted from any reset."""
         names, beams = self._cell.setup_names, max(len(s.beams) for s in self._cell.description.setups.values())
         length, spot = np.full((len(time_ns), beams), np.nan), np.full((len(time_ns), 2), np.nan)
         setup = np.array([self._setup_of[r] for r in np.unique(run)])[np.unique(run, return_inverse=True)[1]]
         for number in np.unique(setup):
             mine = np.flatnonzero(setup == number)
-            runs = np.unique(run[mine])
-            resets = np.array([self._reset_ns[r] for r in runs])
-            reading = world.read(np.concatenate([resets, time_ns[mine]]), names[number])
-            zero = reading.length[:len(runs)][np.searchsorted(runs, run[mine])]
-            length[mine, :reading.length.shape[1]] = reading.length[len(runs):] - zero
-            spot[mine] = reading.spot[len(runs):]
+            reading = world.read(time_ns[mine], names[number])
+            length[mine, :reading.length.shape[1]], spot[mine] = reading.length, reading.spot
         return length, spot
 
 

@@ -1,0 +1,100 @@
+"""The amounts of an effect in the course of a log, for a simulator: where its formula is not what happened.
+
+A scale that warms with a hall, a mount that gives way anew after each mounting, a detector's zero that is another in
+each setup: what follows no time constant is taken over as a table of time that does, along the log's own moves, what
+the forms did that the log was fitted with.  In parity space readings are linear in the amounts at the table's times;
+what says nothing there, a course that the machine's errors do as well, stays as even as it may.
+"""
+
+import numpy as np
+from scipy.linalg import lstsq
+
+from stepdiag_ros.effects.base import Effect, Parameter
+from stepdiag_ros.effects.course import Course
+from stepdiag_ros.gap.preprocess.observe import Observation
+from stepdiag_ros.twin.twin import Twin
+
+TIMES = 96
+"""Spans of time into which a log is cut evenly: runs that last longer than one have times of their own inside."""
+EARLY = (1 / 64, 1 / 16, 1 / 4)
+"""Shares of a setup's first run at which it has times besides: what begins with a mounting is fast at first."""
+FREE = 10.0
+"""How far an amount may walk in a log, or jump as a run begins, in its plausible range: more than any does, so that
+only what says nothing is held."""
+TURNS = 3
+"""Times that derivatives are taken anew: what a detector's turn does is not linear in it."""
+STEP = 1e-4
+"""Difference by which derivatives are taken, in an amount's plausible range."""
+AT_ONCE = 2e7
+"""Numbers of columns that are held at a time."""
+
+
+def by_course(observation: Observation, effect: Effect, twin: Twin, did: np.ndarray, basis: np.ndarray) -> Effect:
+    """``effect`` with the course with which it does what its forms ``did`` (N,) in parity space, but along ``basis``
+    (N, r), which says nothing of it."""
+    times, begins = _times(observation, twin)
+    sizes, hats = _ranges(effect), _hats(times, twin.seconds)
+    course = Course(times, np.zeros((len(times), len(sizes))))
+    prior = np.kron(_unevenness(times, begins, effect.course_begins), np.eye(len(sizes)))
+    for _ in range(TURNS):
+        columns = _columns(twin, effect, course, sizes, hats)
+        columns -= basis @ (basis.T @ columns)
+        made = twin.projected(twin.adds(effect.following(course))[None])[:, 0]
+        wanted = did - (made - basis @ (basis.T @ made)) + columns @ (course.values / sizes).ravel()
+        design, data = np.concatenate([columns, prior]), np.concatenate([wanted, np.zeros(len(prior))])
+        found = lstsq(design, data, lapack_driver='gelsy')[0].reshape(course.values.shape) * sizes
+        steady = np.abs(found - course.values).max() <= 0.01 * np.abs(found).max()
+        course = Course(times, found)
+        if steady:
+            break
+    return effect.following(course)
+
+
+def _ranges(effect: Effect) -> np.ndarray:
+    """The plausible range (k,) of each amount of a course."""
+    def of(p: Parameter) -> np.ndarray:
+        return np.full(p.size, max(abs(p.low), abs(p.high)))
+    known = {p.name: p for p in effect.parameters}
+    return np.concatenate([of(known[name]) for name in effect.course_of])
+
+
+def _times(observation: Observation, twin: Twin) -> tuple[np.ndarray, np.ndarray]:
+    """Begin and end of each run and times between (m,) [s], and at which a run begins (m,)."""
+    view, seconds = observation.view, twin.seconds.reshape(len(observation.view.run), -1)
+    span = max(float(np.ptp(seconds)), 1e-9) / TIMES
+    at, begins, before = [], [], -1
+    for number in view.run[np.sort(np.unique(view.run, return_index=True)[1])]:
+        rows = view.run == number
+        first, last = float(seconds[rows].min()), float(seconds[rows].max())
+        own = set(np.linspace(first, last, 2 + int((last - first) / span)).tolist())
+        if view.setup[rows][0] != before:
+            own |= {first + share * (last - first) for share in EARLY}
+        before = view.setup[rows][0]
+        at += sorted(own)
+        begins += [True] + [False] * (len(own) - 1)
+    return np.array(at), np.array(begins)
+
+
+def _unevenness(times: np.ndarray, begins: np.ndarray, from_nothing: bool) -> np.ndarray:
+    """Rows (m, m) of how far a course walks and jumps, in standard deviations, where it begins ``from_nothing`` too."""
+    took = np.diff(times, prepend=times[0]) / max(float(np.ptp(times)), 1e-9)
+    most = FREE * np.sqrt(took + begins)
+    if from_nothing:
+        most[0] = 1e-6
+    return (np.eye(len(times)) - np.eye(len(times), k=-1)) / most[:, None]
+
+
+def _hats(times: np.ndarray, seconds: np.ndarray) -> np.ndarray:
+    """Weights (m, t) of the amounts at ``times`` (m,) in those at ``seconds`` (t,), straight between."""
+    return np.array([np.interp(seconds, times, row) for row in np.eye(len(times))])
+
+
+def _columns(twin: Twin, effect: Effect, course: Course, sizes: np.ndarray, hats: np.ndarray) -> np.ndarray:
+    """What each amount of a course does in parity space (N, m·k), per plausible range."""
+    by_amount = twin.by_amounts(effect, course, STEP * sizes) * sizes[:, None, None]
+    at_once = max(1, int(AT_ONCE / by_amount.size))
+    parts = []
+    for first in range(0, len(hats), at_once):
+        some = hats[first:first + at_once, None, :, None] * by_amount
+        parts.append(twin.projected(twin.in_bins(some.reshape(-1, *by_amount.shape[1:]))))
+    return np.concatenate(parts, axis=1)
