@@ -27,10 +27,12 @@ test-long: setup-tests
 
 # With the oldest libraries that work (requirements/floor.txt), in an environment of its own: what computes, reads,
 # writes and talks to instruments, and one calibration through the running nodes.  Not what takes long and computes
-# nothing that others do not: comparisons of one evaluation with another, faults of mounting, ways beside the plan.
+# nothing that others do not: comparisons of one evaluation with another, faults of mounting, ways beside the plan,
+# and what is told of an evaluation besides the errors.
 FLOOR ?= build/floor
 FLOOR_TESTS ?= test/unit/estimate test/unit/bag test/unit/devices test/unit/report/test_figures.py \
-	$(addprefix --ignore=test/unit/estimate/test_,knowing_less.py sanity.py overrun_and_targets.py stations.py three_face.py) \
+	$(addprefix --ignore=test/unit/estimate/test_,knowing_less.py sanity.py overrun_and_targets.py stations.py three_face.py \
+	closure.py metres.py of_ways.py shared.py workpiece.py) \
 	$(addprefix test/unit/virtual/,test_modbus.py test_live_is_offline.py test_sampled.py test_noise.py test_world.py) \
 	test/node/test_calibration.py::test_live_replayed_and_read_have_the_same_bits
 test-floor:

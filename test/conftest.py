@@ -22,6 +22,7 @@ from standstill import Standstills  # noqa: E402
 
 from stepdiag_ros.nodes.environment import LOOPBACK_PROFILE  # noqa: E402
 
+LEFT_S = 10.0    # for which processes and participants that a module leaves behind may still be about to end
 DOMAINS = range(1, 101)  # above, Fast DDS's ports run into those that the kernel hands out
 LOCKS = Path('/tmp') / f'stepdiag-ros-domains-{os.getuid()}'
 
@@ -123,7 +124,7 @@ def no_process_left() -> Iterator[None]:
     theirs in this process was closed and its DDS participant goes on to discover those of later tests."""
     yield
     left = marked_processes()
-    deadline = time.monotonic() + 10
+    deadline = time.monotonic() + LEFT_S
     if participants():
         gc.collect()    # nodes lie in circles of references
     while (left or participants()) and time.monotonic() < deadline:

@@ -1,6 +1,8 @@
 """Small virtual cells with one effect each, and what the diagnosis makes of them."""
 
-from collections.abc import Callable
+import pickle
+import sys
+from collections.abc import Callable, Iterator
 from functools import lru_cache
 from pathlib import Path
 
@@ -8,8 +10,10 @@ import pytest
 import yaml
 
 from stepdiag_ros.effects import effect_class
+from stepdiag_ros.effects.base import Effect
 from stepdiag_ros.gap.diagnose import diagnose
 from stepdiag_ros.gap.diagnosis import Diagnosis
+from stepdiag_ros.model.log import CalibrationLog
 from stepdiag_ros.virtual.cell import Cell, parse_cell
 from stepdiag_ros.virtual.offline import simulate_log
 
@@ -39,3 +43,20 @@ def diagnosed() -> Callable[..., Diagnosis]:
         looked_for = looked_for or ((name,) if name else ('backlash',))
         return _diagnosed(name, yaml.safe_dump(values or {}), looked_for, dwell)
     return run
+
+
+@pytest.fixture(scope='module')
+def diagnosed_once() -> Iterator[None]:
+    """What the commands diagnose more than once in a module, against the same effects, is computed once: the answer
+    follows from log and effects alone."""
+    found: dict[bytes, Diagnosis] = {}
+
+    def once(log: CalibrationLog, effects: list[Effect]) -> Diagnosis:
+        key = pickle.dumps((log, [(type(effect).__module__, type(effect).__qualname__, vars(effect))
+                                  for effect in effects]))
+        if key not in found:
+            found[key] = diagnose(log, effects)
+        return found[key]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys.modules[diagnose.__module__], 'diagnose', once)
+        yield

@@ -34,7 +34,7 @@ def test_time_profiles_start_at_zero_and_reach_one(seed: int) -> None:
     assert np.ptp(values) == pytest.approx(1.0, abs=1e-9)
 
 
-@pytest.mark.parametrize('name', some(*ALL[::8], later=ALL))
+@pytest.mark.parametrize('name', some(*ALL[::12], later=ALL))
 def test_every_effect_can_be_seen_and_leaves_a_whole_log(name: str) -> None:
     category = 'single' if name in NAMES else 'outside'
     made = make(Order('develop', 7, 1, category, (name,), 'field', small=True))

@@ -13,10 +13,12 @@ ROOT = Path(__file__).parents[3]
 
 @pytest.fixture(scope='module')
 def simulated(tmp_path_factory):
-    """A bag of the demo cell and its truth."""
+    """A bag of the demo cell in two steps, and its truth."""
     place = tmp_path_factory.mktemp('compare')
-    bag, truth = place / 'demo', place / 'truth.json'
-    assert main(['simulate', str(ROOT / 'cells' / 'demo.yaml'), '--out', str(bag), '--truth', str(truth),
+    bag, truth, cell = place / 'demo', place / 'truth.json', place / 'demo.yaml'
+    cell.write_text((ROOT / 'cells' / 'demo.yaml').read_text(encoding='utf-8').replace('steps: 4', 'steps: 2'),
+                    encoding='utf-8')
+    assert main(['simulate', str(cell), '--out', str(bag), '--truth', str(truth),
                  '--dwell-only', '--rate', '200']) == 0
     return bag, truth
 

@@ -6,6 +6,8 @@ from pathlib import Path
 import pytest
 
 from stepdiag_ros.cli.main import main
+from stepdiag_ros.twin import effect_check
+from test.some import some
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -18,7 +20,10 @@ def example(tmp_path):
     return path
 
 
-def test_the_example_passes_and_says_with_what_it_is_confounded(example, capsys):
+@pytest.mark.parametrize('steps', some(2, later=[4]))
+def test_the_example_passes_and_says_with_what_it_is_confounded(example, capsys, monkeypatch, steps):
+    """In the cell of the check, and in the same cell with half the steps."""
+    monkeypatch.setattr(effect_check, 'CELL', effect_check.CELL.replace('steps: 4', f'steps: {steps}'))
     assert main(['effect', 'check', str(example), '--json']) == 0
     (found,) = json.loads(capsys.readouterr().out)['effects']
     assert found['passed'] and not found['problems']

@@ -28,7 +28,7 @@ def off(solution: Solution, machine, target: np.ndarray, command: np.ndarray) ->
 @pytest.mark.parametrize(('chain', 'seed'), some(('YXFZ', 3), later=[('FXYZ', 1), ('XFYZ', 2)]))
 def test_what_is_predicted_is_what_happens(kind, chain, seed):
     """The files as text, applied by another implementation to a machine with rotations over levers."""
-    machine, solution = machine_of(chain), made(seed, sigma=2e-7)
+    machine, solution = machine_of(chain), made(seed, sigma=2e-7, knots=5)
     found = compensation(solution, machine, CONTROLS[kind], ORIGIN).checked()
     target = found.after.points
     before = off(solution, machine, target, target)
@@ -116,7 +116,7 @@ def test_the_place_of_the_volume_must_be_known():
 
 
 def test_open_directions_are_refused_with_the_run_that_settles_them_or_left_out():
-    solution = made(3)
+    solution = made(3, knots=5)
     open_ = Unidentifiable(('EYY slope', 'ppp laser u'), 'the readings depend on their combination only')
     solution = Solution(solution.method, solution.positions, solution.names, solution.value, solution.covariance,
                         unidentifiable=(open_,))
@@ -220,7 +220,7 @@ def test_tables_of_axes_that_were_not_measured_stay_in_force():
 @pytest.mark.parametrize('kind', some(
     'linuxcnc', later=['linuxcnc-volume', 'linuxcnc-matrix', 'sinumerik', 'heidenhain']))
 def test_reversal_goes_into_both_directions(kind):
-    machine, solution = machine_of(), made(7, sigma=2e-7)
+    machine, solution = machine_of(), made(7, sigma=2e-7, knots=5)
     lost = 6e-6
     found = compensation(solution, machine, CONTROLS[kind], ORIGIN, reversal={'Y': (lost, 1e-6)}).checked()
     without = compensation(solution, machine, CONTROLS[kind], ORIGIN).checked()

@@ -1,12 +1,15 @@
 """Every effect's two faces against each other: what it does to a simulated log lies in the span of the
 columns by which the diagnosis would know it, with the right size and sign."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 
 from stepdiag_ros.effects import VOCABULARY, effect_class
 from stepdiag_ros.effects.base import Form, StopView
 from stepdiag_ros.effects.servo_settling import ServoSettling
+from test.some import some
 
 
 def drift_tau(view: StopView) -> float:
@@ -72,7 +75,7 @@ def test_beams_side_by_side_have_phases_of_their_own(other_bench):
 
 def test_count_slip(bench):
     view = bench.view
-    acting = bench.with_effect(effect_class('count_slip')(jump=3.8e-7, arrival=22))
+    acting = bench.with_effect(effect_class('count_slip')(jump=3.8e-7, arrival=15))
     change = bench.change(acting)
     slipped = np.flatnonzero(np.abs(change[:, 0]) > 1e-7)
     first = slipped[0]
@@ -151,7 +154,7 @@ def test_psd_rotation(bench):
     np.testing.assert_allclose(found, [0.01], rtol=0.02)
 
 
-@pytest.mark.parametrize(('angle', 'words'), [(-0.22, '-13°, constant'), (0.36, '+21°, constant')])
+@pytest.mark.parametrize(('angle', 'words'), some((0.36, '+21°, constant'), later=[(-0.22, '-13°, constant')]))
 def test_psd_turned_far_shortens_the_spot(bench, angle, words):
     kind = effect_class('psd_rotation')
     forms, change = kind().appearance(bench.view), bench.change(bench.with_effect(kind(angle=angle)))
@@ -243,8 +246,8 @@ def test_a_servo_that_swings_and_creeps_into_the_next_run(bench):
     assert np.abs(rest[stays[rows]]).max() < 0.2 * np.abs(inside[stays]).max()
 
 
-@pytest.mark.parametrize(('motion', 'by', 'power'), [
-    ('EZX', 'Y', 1.0), ('EBZ', 'X', 1.0), ('ECX', 'Z', 1.0), ('EAY', 'X', 2.0)])
+@pytest.mark.parametrize(('motion', 'by', 'power'), some(
+    ('EBZ', 'X', 1.0), ('EAY', 'X', 2.0), later=[('EZX', 'Y', 1.0), ('ECX', 'Z', 1.0)]))
 def test_non_rigid_coupling(bench, motion, by, power):
     kind = 'product' if power == 1.0 else 'bent'
     given = {'motion': motion, 'by': by, 'amp': 1e-5, 'power': power}
@@ -260,11 +263,17 @@ def test_squareness_drift(bench):
     np.testing.assert_allclose(found, given * beginning(bench.view, tau), rtol=0.03)
 
 
+@pytest.fixture(scope='module')
+def forms_of(bench):
+    """``forms_of(name)``: by which the diagnosis would know an effect in the bench's log."""
+    return cache(lambda name: effect_class(name)().appearance(bench.view))
+
+
 @pytest.mark.parametrize('name', VOCABULARY)
-def test_forms_are_whole(bench, name):
+def test_forms_are_whole(bench, forms_of, name):
     """Shapes, names and sizes fit together, and nothing is infinite."""
     view = bench.view
-    for form in effect_class(name)().appearance(view):
+    for form in forms_of(name):
         k = len(form.columns)
         assert k == len(form.names) == len(set(form.names)) == len(form.scale)
         assert form.columns.shape == (k, *view.reading.shape)
@@ -279,21 +288,21 @@ def test_forms_are_whole(bench, name):
 
 @pytest.mark.parametrize('name', [n for n in VOCABULARY
                                   if n not in ('count_slip', 'non_rigid_coupling', 'vibration', 'clock_skew')])
-def test_forms_are_few(bench, name):
-    forms = effect_class(name)().appearance(bench.view)
+def test_forms_are_few(forms_of, name):
+    forms = forms_of(name)
     # What changes at once has one form for each stop, and these share one weight.
     assert 0 < len([form for form in forms if not form.family]) <= 80
     assert len({form.label for form in forms}) == len(forms)
 
 
-@pytest.mark.parametrize(('name', 'values', 'words'), [
+@pytest.mark.parametrize(('name', 'values', 'words'), some(
     ('squareness_drift', {'amp': [2e-6, 4e-6, -6e-6]}, ('exponential',)),
-    ('structural_thermal_drift', {'amp': [2e-6, 4e-6, -6e-6]}, ('exponential',)),
     ('scale_thermal_expansion', {'alpha': 1e-5, 'dT': [1.0, -0.5, 0.8]}, ('exponential',)),
-    ('beam_pointing_drift', {'amp': [1e-5, -2e-5]}, ('exponential',)),
     ('mirror_curvature', {'radius': 5000.0, 'astigmatism': 0.4}, ('quadratic',)),
     ('non_rigid_coupling', {'motion': 'EAY', 'by': 'X', 'amp': 1e-5}, ('EAY by X, product',)),
-    ('backlash', {'B': [1e-6, 2e-6, 5e-7]}, ('constant reversal, carried over',))])
+    ('backlash', {'B': [1e-6, 2e-6, 5e-7]}, ('constant reversal, carried over',)),
+    later=[('structural_thermal_drift', {'amp': [2e-6, 4e-6, -6e-6]}, ('exponential',)),
+           ('beam_pointing_drift', {'amp': [1e-5, -2e-5]}, ('exponential',))]))
 def test_on_a_moving_table_with_three_beams(other_bench, name, values, words):
     if words == ('exponential',):
         tau = drift_tau(other_bench.view)

@@ -34,8 +34,13 @@ def quiet():
     return log_of(repeats=8)
 
 
-def test_without_drift_closures_are_as_uncertain_as_they_say(quiet):
-    found = evaluate(quiet).closure
+@pytest.fixture(scope='module')
+def whole(quiet):
+    return evaluate_in_full(quiet)
+
+
+def test_without_drift_closures_are_as_uncertain_as_they_say(whole):
+    found = whole.solution.closure
     assert len(found) == 7 * 8
     lengths = np.array([one.length_m / one.length_sigma_m for one in found])
     spots = np.array([one.spot_m / one.spot_sigma_m for one in found]).ravel()
@@ -45,9 +50,8 @@ def test_without_drift_closures_are_as_uncertain_as_they_say(quiet):
     assert [one.time_ns for one in found] == sorted(one.time_ns for one in found)
 
 
-def test_by_hand(quiet):
+def test_by_hand(quiet, whole):
     """A cycle with a reset at its turn, and the same as one run with the zero of the forward one."""
-    whole = evaluate_in_full(quiet)
     table, noise = whole.metres.table, whole.fit.noise
     cycle = np.flatnonzero((table.setup == table.setup_names.index('npp')) & (table.repeat == 1))
     forward, backward = (cycle[table.direction[cycle] == way] for way in (1, -1))
@@ -69,8 +73,7 @@ def test_by_hand(quiet):
     assert direct.closes is False and 'reset' not in said([direct])
 
 
-def test_a_cycle_that_is_not_whole_has_no_closure(quiet):
-    whole = evaluate_in_full(quiet)
+def test_a_cycle_that_is_not_whole_has_no_closure(quiet, whole):
     table = whole.metres.table
     rows = ~((table.setup == 0) & (table.repeat == 0) & (table.direction < 0) & (table.index == 0))
     short, noise = table.select(rows), replace(whole.fit.noise, sensor=whole.fit.noise.sensor[rows])
@@ -91,22 +94,21 @@ def test_drift_is_the_closure():
     assert np.corrcoef(ways, [one.length_m for one in found])[0, 1] > 0.9
 
 
-def test_json_and_page(quiet, tmp_path, capsys):
+def test_json_and_page(quiet, whole, tmp_path, capsys):
     write_log(quiet, tmp_path / 'bag')
     main(['evaluate', str(tmp_path / 'bag'), '--json'])
     answer = json.loads(capsys.readouterr().out)['closure']
     assert len(answer) == 56 and answer[0]['runs'] == ['ppp/0/+', 'ppp/0/-'] and answer[0]['reset_between'] is True
     assert {'length_m', 'length_sigma_m', 'spot_m', 'time_ns', 'temperature_C'} <= set(answer[0])
     assert answer[0]['temperature_C']['air'][0] == pytest.approx(20.3, abs=0.1)
-    html = closure_section(evaluate(quiet).closure, 3)
+    html = closure_section(whole.solution.closure, 3)
     assert 'does each cycle return to its zero' in html and 'A reset of the interferometer lies between' in html
     assert html.count('<tr>') == 57 and '→' in html
     assert closure_section((), 3) == ''
 
 
-def test_cycles_without_a_reading_where_they_begin_are_said(quiet):
+def test_cycles_without_a_reading_where_they_begin_are_said(quiet, whole):
     """As of a regulated beam that does not settle within the dwell."""
-    whole = evaluate_in_full(quiet)
     table, noise = whole.metres.table, whole.fit.noise
     blind = (table.setup == table.setup_names.index('npp')) & (table.index == 0)
     length = np.where(blind[:, None], np.nan, table.displacement)

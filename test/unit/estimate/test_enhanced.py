@@ -72,6 +72,7 @@ def drawn_log(description, truth, misalignments, rng, position=3e-7, angle=2e-7)
     return replace(table, displacement_scatter=scatter[:, :-2], spot_scatter=scatter[:, -2:])
 
 
+@pytest.mark.long
 def test_coverage_of_the_intervals(plan_of, draw_errors, misaligned):
     """Over 60 logs the share within k = 2 must be that of a normal, χ² that of its degrees of freedom."""
     description = plan_of(2, 2)

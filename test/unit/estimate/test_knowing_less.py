@@ -63,15 +63,19 @@ def full():
     return log_of(cell())
 
 
+@pytest.fixture(scope='module')
+def whole(full):
+    return evaluate(full)
+
+
 @pytest.mark.parametrize('seed', some(0, later=range(6)))
-def test_every_uncertainty_grows_or_stays(full, seed):
+def test_every_uncertainty_grows_or_stays(full, whole, seed):
     """Inputs go one after the other, in drawn order.
 
     What readings there are also says how noisy they are: that estimate differs from subset to subset by some
     per cent, and so may U.
     """
-    log, gone = full, []
-    before = evaluate(log)
+    log, gone, before = full, [], whole
     for name in np.random.default_rng(seed).permutation(list(INPUTS))[:6]:
         log = INPUTS[name](log)
         gone.append(str(name))
@@ -119,17 +123,22 @@ def figures(log):
     return {'volumetric': largest_deviation(solution, machine)[1], **{k: test.sigma_m[k] for k in ('Ed', 'Bd')}}
 
 
+@pytest.fixture(scope='module')
+def known(full):
+    return figures(full)
+
+
 @pytest.mark.parametrize('name', some('spots', 'repeats', 'air_temperature', 'lin_x', later=['air', 'material']))
-def test_the_volume_and_the_diagonals_are_no_better_known(full, name):
-    known, less = figures(full), figures(INPUTS[name](full))
+def test_the_volume_and_the_diagonals_are_no_better_known(full, known, name):
+    less = figures(INPUTS[name](full))
     for what, sigma in known.items():
         assert less[what] > 0.94 * sigma, what
 
 
 @pytest.mark.parametrize('name', sorted(KNOWLEDGE))
-def test_what_is_known_about_a_log_only_helps(full, name):
-    known, less = evaluate(full), evaluate(KNOWLEDGE[name](full))
-    assert np.all(less.sigma >= (1.0 - 5e-3) * known.sigma)
+def test_what_is_known_about_a_log_only_helps(full, whole, name):
+    less = evaluate(KNOWLEDGE[name](full))
+    assert np.all(less.sigma >= (1.0 - 5e-3) * whole.sigma)
 
 
 def test_no_method_is_certain_without_repeats(full):

@@ -1,8 +1,10 @@
 """A small noisy cell, and its diagnosed logs."""
 
+from functools import cached_property
+
 import pytest
 
-from stepdiag_ros.effects import all_effects
+from stepdiag_ros.effects import all_effects, effect_class
 from stepdiag_ros.effects.base import Effect
 from stepdiag_ros.gap import Diagnosis, diagnose
 from stepdiag_ros.gap.preprocess.observe import Observation, observe
@@ -39,10 +41,17 @@ class Case:
 
     def __init__(self):
         self.cell: Cell = parse_cell(TEXT)
-        self._logs: dict[str, CalibrationLog] = {}
+
+    @cached_property
+    def _plain(self) -> CalibrationLog:
+        return simulate_log(self.cell)
+
+    @cached_property
+    def _plainly_observed(self) -> Observation:
+        return observe(self._plain)
 
     def log(self, *effects: Effect) -> CalibrationLog:
-        return simulate_log(self.cell, effects=list(effects))
+        return simulate_log(self.cell, effects=list(effects)) if effects else self._plain
 
     def untidy(self, law: str, *effects: Effect, seed: int = 11, dwell: float = 0.6) -> CalibrationLog:
         """A log whose noise follows the cell file's ``noise_law``; ``dwell`` [s]."""
@@ -50,7 +59,7 @@ class Case:
         return simulate_log(parse_cell(f'{text}noise_law: {law}\n'), effects=list(effects))
 
     def observe(self, *effects: Effect) -> Observation:
-        return observe(self.log(*effects))
+        return observe(self.log(*effects)) if effects else self._plainly_observed
 
     def diagnose(self, *effects: Effect) -> Diagnosis:
         return diagnose(self.log(*effects), [kind() for kind in all_effects().values()])
@@ -59,3 +68,15 @@ class Case:
 @pytest.fixture(scope='session')
 def case() -> Case:
     return Case()
+
+
+@pytest.fixture(scope='session')
+def unaffected(case: Case) -> Diagnosis:
+    """What the diagnosis makes of the log in which nothing acts."""
+    return case.diagnose()
+
+
+@pytest.fixture(scope='session')
+def lost_motion(case: Case) -> Diagnosis:
+    """What it makes of a log in which X and Z have lost motion."""
+    return case.diagnose(effect_class('backlash')(B=[4e-6, 0.0, 3e-6]))

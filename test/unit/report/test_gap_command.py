@@ -18,6 +18,8 @@ from stepdiag_ros.virtual.offline import START_NS, simulate_log
 
 from ..conftest import DEMO, small_cell
 
+pytestmark = pytest.mark.usefixtures('diagnosed_once')
+
 BACKLASH = {'backlash': {'B': [4e-6, 3e-6, 5e-6]}}
 
 

@@ -130,9 +130,9 @@ def test_null_log_is_called_sound(diagnosed):
     assert 'what to do' not in page.text and 'one in four' not in page.text
 
 
-def test_a_name_that_may_be_part_of_something_else_is_said_so(diagnosed):
+def test_a_name_that_may_be_part_of_something_else_is_said_so(backlash):
     """Which of the two it is the log does not tell; the other cause is none that the name could be exchanged for."""
-    one = replace(diagnosed('backlash', BACKLASH), verdict='partly_explained', unmodelled='spot: off',
+    one = replace(backlash, verdict='partly_explained', unmodelled='spot: off',
                   sets=((('unknown',), 0.52), (('backlash', 'unknown'), 0.48)))
     one = replace(one, effects=tuple(replace(f, probability=0.48) for f in one.effects))
     said = headline(one)

@@ -46,7 +46,7 @@ class Bow(Effect):
 
 
 @pytest.mark.parametrize(('kind', 'words'), some(
-    (Leak, 'follows the spot'), (Bow, 'changes its shape'), later=[(Twist, 'turned by the direction of Z')]))
+    (Leak, 'follows the spot'), later=[(Bow, 'changes its shape'), (Twist, 'turned by the direction of Z')]))
 def test_physics_of_no_name_is_not_named(case, kind, words):
     found = case.diagnose(kind())
     assert not found.effects, [(e.name, e.probability) for e in found.effects]

@@ -22,12 +22,10 @@ from stepdiag_ros.model.path import stops
 @pytest.fixture(scope='module')
 def small_offset(case):
     """A small offset of the detector's zero, fitted, and two sets of effects that could make it."""
-    found = case.diagnose(effect_class('psd_zero_offset')(x=2e-5, y=-2e-5))
-    view = found.joint.observation.view
-    first = {name: (effect_class(name)(), effect_class(name)().appearance(view)[0])
+    observation = case.observe(effect_class('psd_zero_offset')(x=2e-5, y=-2e-5))
+    first = {name: (effect_class(name)(), effect_class(name)().appearance(observation.view)[0])
              for name in ('psd_zero_offset', 'psd_gain')}
-    joint = fit_jointly(found.nominal, [first['psd_zero_offset']], found.joint.noise)
-    return joint, first
+    return fit_jointly(observation, [first['psd_zero_offset']], noise_of(observation)), first
 
 
 def _only(*members):
@@ -83,30 +81,40 @@ def _explained_by(case, effect, models):
     return joint, sets
 
 
+@pytest.fixture(scope='module')
+def creep_or_beam(case):
+    """A mount that creeps, fitted, and the beam that could turn instead."""
+    return _explained_by(case, effect_class('mirror_mount_creep')(amp=[2e-5, -1e-5], tau=40.0), [
+        ('mirror_mount_creep', 'each mounting nearly the same amount, many time constants'),
+        ('beam_pointing_drift', 'smooth')])
+
+
+@pytest.fixture(scope='module')
+def gain_or_light(case):
+    """A gain, fitted, and the background that could be instead."""
+    return _explained_by(case, effect_class('psd_gain')(x=-0.2, y=-0.2), [
+        ('psd_gain', 'alike in x and y'), ('ambient_light', 'linear')])
+
+
 @pytest.mark.parametrize('more', [
     {'again_after': 600.0},  # how little a mount that stands still moves is predicted; the beam goes on
     {'watch': 120.0}])  # what relaxes is seen, while nothing moves, at the sensors' noise, not at that of arrivals
-def test_waiting_tells_creep_from_a_turning_beam(case, more):
-    joint, sets = _explained_by(case, effect_class('mirror_mount_creep')(amp=[2e-5, -1e-5], tau=40.0), [
-        ('mirror_mount_creep', 'each mounting nearly the same amount, many time constants'),
-        ('beam_pointing_drift', 'smooth')])
+def test_waiting_tells_creep_from_a_turning_beam(creep_or_beam, more):
+    joint, sets = creep_or_beam
     run = Run(replace(joint.observation.log.description.setups['ppp'], name='ppp.2'))
     assert _worth(joint, sets, replace(run, **more)) > _worth(joint, sets, run) + 1.0
 
 
-def test_what_only_time_can_tell_is_measured_after_a_wait(case):
-    joint, sets = _explained_by(case, effect_class('mirror_mount_creep')(amp=[2e-5, -1e-5], tau=40.0), [
-        ('mirror_mount_creep', 'each mounting nearly the same amount, many time constants'),
-        ('beam_pointing_drift', 'smooth')])
+def test_what_only_time_can_tell_is_measured_after_a_wait(creep_or_beam):
+    joint, sets = creep_or_beam
     found = recommend(joint, [[(1.0, members)] for members in sets])
     span = np.ptp(joint.observation.table.time_s)
     assert span <= found.run.wait < span + 60.0 and found.run.watch >= PATIENT_S
     assert found.to_json_dict()['wait_s'] == found.run.wait and found.text.startswith('Leave the cell as it is for')
 
 
-def test_less_light_tells_background_from_a_gain(case):
-    joint, sets = _explained_by(case, effect_class('psd_gain')(x=-0.2, y=-0.2), [
-        ('psd_gain', 'alike in x and y'), ('ambient_light', 'linear')])
+def test_less_light_tells_background_from_a_gain(gain_or_light):
+    joint, sets = gain_or_light
     run = Run(replace(joint.observation.log.description.setups['ppp'], name='ppp.2'), mirror_turn_rad=(4e-4, -4e-4))
     assert _worth(joint, sets, replace(run, light=GREY)) > 10.0 * _worth(joint, sets, run) > 0.0
 
@@ -146,10 +154,9 @@ def test_evidence_is_that_of_the_whole_covariance():
     assert 0.0 < expected_evidence([(1.0, a)], [(0.5, a), (0.5, b)]) <= np.log(2.0) + 1e-9
 
 
-def test_forms_that_come_with_less_light_do_not_shift_the_others(case):
+def test_forms_that_come_with_less_light_do_not_shift_the_others(gain_or_light):
     """The sum signal takes part in a form only where it moves: with a grey filter it does."""
-    joint, sets = _explained_by(case, effect_class('psd_gain')(x=-0.2, y=-0.2), [
-        ('psd_gain', 'alike in x and y'), ('ambient_light', 'linear')])
+    joint, sets = gain_or_light
     view, effect = joint.observation.view, sets[1][0][0]
     cycle = next(form for form in effect.appearance(view) if 'period_s' in form.shape)
     run = Run(replace(joint.observation.log.description.setups['ppp'], name='ppp.2'), light=GREY)

@@ -54,7 +54,11 @@ def test_a_setup_that_the_log_does_not_hold_is_measured(found, cell):
     able = run_without_hands(found, EFFECTS, cell.setup_names, longest_s=SOON_S)
     assert able.code == 'pnp' and able.run.error < 0.05 and not able.run.run.known
     assert 5.0 < able.seconds < SOON_S
-    # It does what it promised.
+
+
+@pytest.mark.long
+def test_it_settles_what_it_promised_to(cell):
+    """That a running cell does so while it measures, test/node/test_settling.py sees."""
     settled = diagnose(simulate(cell, ['ppp', 'lin_x', 'pnp']))
     assert not left_open(settled)
     assert [effect.name for effect in settled.effects] == ['psd_zero_offset']

@@ -9,6 +9,7 @@ from stepdiag_ros.effects import effect_class
 from stepdiag_ros.estimate.evaluate import solution_of
 from stepdiag_ros.estimate.gauge import to_reference_lines
 from stepdiag_ros.estimate.standing import with_standing
+from stepdiag_ros.gap import diagnose
 from stepdiag_ros.gap.alternatives.unmodelled import NAME as UNKNOWN
 from stepdiag_ros.gap.inference.averaged import WITHIN, averaged_solution, compositions
 from stepdiag_ros.gap.inference.candidates import Candidate, Screen
@@ -22,13 +23,13 @@ from stepdiag_ros.model.machine import CURVES
 from stepdiag_ros.virtual.cell import parse_cell
 
 
-@pytest.fixture(scope='module')
-def found(case):
-    return case.diagnose(effect_class('backlash')(B=[4e-6, 0.0, 3e-6]))
+@pytest.fixture
+def found(lost_motion):
+    return lost_motion
 
 
-def test_without_an_effect_the_errors_are_those_of_the_fit(case):
-    null = case.diagnose()
+def test_without_an_effect_the_errors_are_those_of_the_fit(unaffected):
+    null = unaffected
     fit, table = null.joint.fit, null.joint.observation.table
     plain = with_standing(solution_of(fit, table), fit, table)
     assert np.array_equal(null.solution.value, plain.value)
@@ -76,7 +77,8 @@ def test_beside_a_motion_that_bends_others_may_bend_unseen(case):
 
 def test_what_drifted_before_the_log_began_is_uncertain(case):
     """As large a change of all lengths as the air makes in the log is in the errors, and no reading shows it."""
-    found = case.diagnose(effect_class('air_refraction_drift')(dT=4.0, dP=0.0, tau=300.0))
+    drift = effect_class('air_refraction_drift')(dT=4.0, dP=0.0, tau=300.0)
+    found = diagnose(case.log(drift), [drift])
     (active,) = found.joint.active
     assert active.effect.name == 'air_refraction_drift'
     index = np.abs(active.coefficients).max()

@@ -28,10 +28,9 @@ def test_a_coefficient_that_nothing_settles_is_held_to_the_size_of_the_others(ca
     assert np.allclose(result.coefficients[:-1][settled], free.coefficients[:-1][settled], rtol=0.02)
 
 
-def test_a_profile_is_held_to_every_size_that_the_log_leaves_it(case):
+def test_a_profile_is_held_to_every_size_that_the_log_leaves_it(lost_motion):
     """One coefficient that is seen leaves its profile's size open, and how far another may go that is not seen."""
-    found = case.diagnose(effect_class('backlash')(B=[4e-6, 0.0, 3e-6]))
-    space, (active,) = found.joint.parity, found.joint.active
+    space, (active,) = lost_motion.joint.parity, lost_motion.joint.active
     unseen = replace(active.form, held=None, columns=np.concatenate([active.form.columns, 0.0 * active.form.columns]),
                      names=active.form.names * 2, scale=np.tile(active.form.scale, 2), inside=None, by_reading=None)
     profile = replace(unseen, process=True)

@@ -52,7 +52,6 @@ class SlipsInADwell(Effect):
         moment.length = moment.length + 2.0 * JUMP * after[:, None]
 
 
-@pytest.mark.long
 def test_a_slip_in_a_dwell_keeps_its_name_and_size(case):
     found = case.diagnose(SlipsInADwell())
     assert [e.name for e in found.effects] == ['count_slip']
@@ -70,6 +69,7 @@ class SlipsInAnEarlyDwell(Effect):
         moment.length = moment.length + 13.0 * JUMP * after[:, None]
 
 
+@pytest.mark.long
 def test_a_slip_that_was_seen_in_a_dwell_is_no_tail(case):
     found = diagnose(case.untidy('{position: {dof: 3}}', SlipsInAnEarlyDwell()),
                      [kind() for kind in all_effects().values()])

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from stepdiag_ros.effects import effect_class
 from stepdiag_ros.gap.inference.joint import fit_jointly
 from stepdiag_ros.gap.inference.select_effects import noise_of
 from stepdiag_ros.gap.summary.bands import bands
@@ -51,10 +50,9 @@ def test_one_frequency_stands_out_in_its_band(null, setting, half_waves, channel
 
 
 @pytest.mark.long
-def test_lost_motion_is_opposite_on_the_way_back_and_gone_with_its_effect(case):
-    diagnosis = case.diagnose(effect_class('backlash')(B=[4e-6, 0.0, 3e-6]))
-    loud = [b for b in diagnosis.bands if b.stands_out]
+def test_lost_motion_is_opposite_on_the_way_back_and_gone_with_its_effect(lost_motion):
+    loud = [b for b in lost_motion.bands if b.stands_out]
     most = max(loud, key=lambda b: b.before)
     assert (most.channel, most.setting) == ('displacement', 'reversal')
     assert all(b.after < 2.5 for b in loud)
-    assert any(row['stands_out'] for row in diagnosis.to_json_dict()['bands'])
+    assert any(row['stands_out'] for row in lost_motion.to_json_dict()['bands'])

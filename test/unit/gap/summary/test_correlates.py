@@ -38,7 +38,7 @@ def test_it_is_said(leaking):
         assert 'It correlates with the signal quality of the laser (length, ' in said
 
 
-def test_noise_goes_with_nothing(case):
-    found = case.diagnose()
+def test_noise_goes_with_nothing(unaffected):
+    found = unaffected
     assert correlates(found.joint) == () and found.to_json_dict()['correlates'] == []
     assert 'It correlates with' not in summary(found, 'log')

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from stepdiag_ros.bag.import_csv import import_csv
-from stepdiag_ros.effects import all_effects, effect_class
+from stepdiag_ros.effects import all_effects
 from stepdiag_ros.gap import diagnose
 from stepdiag_ros.gap.summary.cross_validation import (
     CrossValidation,
@@ -15,16 +15,16 @@ from stepdiag_ros.gap.summary.cross_validation import (
 from stepdiag_ros.model.description import Description
 
 
-def test_every_repeat_is_predicted_once(case):
-    joint = case.diagnose().joint
+def test_every_repeat_is_predicted_once(unaffected):
+    joint = unaffected.joint
     found = cross_validated(joint)
     assert found.count == int(joint.fit.present.sum())
     assert 'each repeat' in found.held_out
     assert found.before == found.after == pytest.approx(1.0, abs=4.0 * np.sqrt(2.0 / found.count))
 
 
-def test_an_effect_found_closes_the_gap(case):
-    found = case.diagnose(effect_class('backlash')(B=[4e-6, 0.0, 3e-6])).cross_validation
+def test_an_effect_found_closes_the_gap(lost_motion):
+    found = lost_motion.cross_validation
     assert found.before > 1.2
     assert found.after < 1.0 + 0.1 * (found.before - 1.0) + 4.0 * np.sqrt(2.0 / found.count)
     assert found.after_m < found.before_m
@@ -34,14 +34,13 @@ def test_an_effect_found_closes_the_gap(case):
     assert found.to_json_dict()['after_95_m'] == [low, high]
 
 
-def test_each_setup_is_predicted_from_the_others(case):
-    quiet, moved = case.diagnose(), case.diagnose(effect_class('backlash')(B=[4e-6, 0.0, 3e-6]))
-    found = cross_validated_by_setup(quiet.joint)
-    assert found.count == int(quiet.joint.fit.present.sum()) and 'each setup' in found.held_out
+def test_each_setup_is_predicted_from_the_others(unaffected, lost_motion):
+    found = cross_validated_by_setup(unaffected.joint)
+    assert found.count == int(unaffected.joint.fit.present.sum()) and 'each setup' in found.held_out
     assert found.before == found.after == pytest.approx(1.0, abs=5.0 * np.sqrt(2.0 / found.count))
-    found = moved.over_setups
+    found = lost_motion.over_setups
     assert found.before > 1.2 and found.after < 1.0 + 0.1 * (found.before - 1.0) + 5.0 * np.sqrt(2.0 / found.count)
-    assert moved.to_json_dict()['over_setups'] == found.to_json_dict()
+    assert lost_motion.to_json_dict()['over_setups'] == found.to_json_dict()
 
 
 def test_the_last_cycles_of_an_only_run_are_predicted_from_those_before(tmp_path):
@@ -77,9 +76,9 @@ def test_a_forecast_as_wide_as_the_gap_closes_nothing():
     assert wide.left == pytest.approx((6.9**2 - 4.0) / (49.0 - 4.0))
 
 
-def test_the_gap_is_the_error_of_held_out_readings(case):
+def test_the_gap_is_the_error_of_held_out_readings(lost_motion):
     """Against a second way: the misfit of lengths of one repeat, predicted by hand from the other."""
-    joint = case.diagnose(effect_class('backlash')(B=[4e-6, 0.0, 3e-6])).joint
+    joint = lost_motion.joint
     found, fit, table = cross_validated(joint), joint.fit, joint.observation.table
     assert found.channel == 'displacement' and found.after_m < found.before_m
     # A prediction from one other repeat has that one's noise too.

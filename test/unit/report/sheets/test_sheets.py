@@ -39,7 +39,7 @@ def full(tmp_path_factory):
     """Five cycles, five targets and more, backlash of X 2 µm."""
     setups = yaml.safe_load(DEMO.read_text(encoding='utf-8'))['setups']
     setups['lin_x']['stops'] = 9
-    return bag_of(tmp_path_factory.mktemp('sheets') / 'full', plan={'repeats': 5}, effects={'backlash': {
+    return bag_of(tmp_path_factory.mktemp('sheets') / 'full', plan={'steps': 2, 'repeats': 5}, effects={'backlash': {
         'B': [2e-6, 0.0, 0.0]}}, setups={n: setups[n] for n in (*DIAGONALS, 'lin_x')})
 
 
@@ -206,7 +206,9 @@ def test_published_reversal_of_measured_stages_on_the_sheet(shared, tmp_path, ca
     assert figures(sheet)['B'][0] == pytest.approx(reversal_um, abs=0.05)
 
 
-def test_without_the_option_there_are_no_sheets(full, tmp_path, capsys):
-    assert main(['report', str(full), '--out', str(tmp_path)]) == 0
-    assert capsys.readouterr().out.strip() == str(tmp_path / 'index.html')
-    assert not list(tmp_path.glob('sheets.*'))
+def test_without_the_option_there_are_no_sheets(tmp_path, capsys):
+    setups = yaml.safe_load(DEMO.read_text(encoding='utf-8'))['setups']
+    bag, out = bag_of(tmp_path / 'line', setups={'lin_x': setups['lin_x']}), tmp_path / 'out'
+    assert main(['report', str(bag), '--out', str(out)]) == 0
+    assert capsys.readouterr().out.strip() == str(out / 'index.html')
+    assert not list(out.glob('sheets.*'))
