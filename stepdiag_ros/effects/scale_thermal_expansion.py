@@ -19,6 +19,8 @@ HELD = {'': 0.0, ', held in the middle': 0.5, ', held at the end': 1.0}
 """Where a scale may be held, as a share of its travel."""
 GLASS = 8e-6
 """Expansion of a glass scale [1/K], by which a growth is reported as a temperature."""
+SHIFTS = 0.02
+"""Share of a growth, squared, that a shift of the axes must explain to be adopted."""
 NOTICEABLE = 0.03
 """Standard deviation of a scale's temperature over the log [K] that is more than its sensor's noise."""
 
@@ -31,8 +33,10 @@ class ScaleThermalExpansion(Effect):
     title = "An axis's scale warms up and grows while the log is taken."
     parameters = (Parameter('alpha', '1/K', 0.0, 2e-5, 3, 'expansion coefficient of the scales of X, Y, Z'),
                   Parameter('dT', 'K', -3.0, 3.0, 3, 'rise of their temperature in the end'),
-                  Parameter('tau', 's', 100.0, 5000.0, meaning='time constant'))
-    course_of, course_keeps = ('dT',), ('alpha',)
+                  Parameter('tau', 's', 100.0, 5000.0, meaning='time constant'),
+                  Parameter('shift', 'm', -2e-5, 2e-5, 3, 'of each axis as a whole in the end, where its scale is held '
+                            'elsewhere than at zero', detail=True))
+    course_of, course_keeps = ('dT', 'shift'), ('alpha',)
     sources = ('ISO 230-3', 'ISO 230-2:2014, annex on thermal correction of scales')
     remedy = ('Warm the axes up, measure the scales\' temperature and correct for it, let the scales rest '
               'between runs.')
@@ -47,13 +51,16 @@ class ScaleThermalExpansion(Effect):
 
     def environment(self, seconds: np.ndarray) -> dict[str, np.ndarray]:
         return {f'scale_temperature/{axis}': risen
-                for axis, risen in zip('xyz', self._risen(seconds).T, strict=True)}
+                for axis, risen in zip('xyz', self._by_now(seconds)[0].T, strict=True)}
 
-    def _risen(self, seconds: np.ndarray) -> np.ndarray:
-        return self.now(seconds, saturating(seconds, self.tau)[:, None] * self.dT)
+    def _by_now(self, seconds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Rise of the scales' temperature [K] and shift of the axes [m], (n, 3) each."""
+        in_the_end = np.concatenate([self.dT, self.shift])
+        return np.split(self.now(seconds, saturating(seconds, self.tau)[:, None] * in_the_end), 2, axis=1)
 
     def before_pose(self, moment: Moment) -> None:
-        moment.position = moment.position + self.alpha * self._risen(moment.seconds) * moment.commanded
+        risen, shift = self._by_now(moment.seconds)
+        moment.position = moment.position + self.alpha * risen * moment.commanded + shift
 
     def appearance(self, view: StopView) -> list[Form]:
         axes = ('X', 'Y', 'Z')
@@ -114,6 +121,11 @@ class ScaleThermalExpansion(Effect):
 
     def guess(self, fitted: Fitted) -> Mapping[str, object]:
         view = fitted.view
-        growth = view.commanded.T[:, :, None] * view.by_shift
-        sizes, tau = fitted.exponential(growth, view.time - view.time.min())
-        return {'alpha': [GLASS] * 3, 'dT': (sizes / GLASS).tolist(), 'tau': tau}
+        growth, since = view.commanded.T[:, :, None] * view.by_shift, view.time - view.time.min()
+        (sizes, tau), (both, slower) = (fitted.exponential(signature, since)
+                                        for signature in (growth, np.concatenate([growth, view.by_shift])))
+        missed = fitted.solve(saturating(since, tau)[:, None] * growth)[1]
+        still = fitted.solve(saturating(since, slower)[:, None] * np.concatenate([growth, view.by_shift]))[1]
+        warm = {'alpha': [GLASS] * 3, 'dT': (sizes / GLASS).tolist(), 'tau': tau}
+        return warm if still > missed - SHIFTS else {
+            **warm, 'dT': (both[:3] / GLASS).tolist(), 'tau': slower, 'shift': both[3:].tolist()}

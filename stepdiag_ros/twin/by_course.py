@@ -18,9 +18,10 @@ TIMES = 96
 """Spans of time into which a log is cut evenly: runs that last longer than one have times of their own inside."""
 EARLY = (1 / 64, 1 / 16, 1 / 4)
 """Shares of a setup's first run at which it has times besides: what begins with a mounting is fast at first."""
-FREE = 10.0
-"""How far an amount may walk in a log, or jump as a run begins, in its plausible range: more than any does, so that
-only what says nothing is held."""
+FREE = 1.0
+"""How far an amount walks in a log, or jumps as a run begins, in its plausible range, where next to nothing is seen of
+it: what the readings do show outweighs that by far, and what they hardly do must not become millimetres for a
+thousandth of a standard deviation."""
 TURNS = 3
 """Times that derivatives are taken anew: what a detector's turn does is not linear in it."""
 STEP = 1e-4

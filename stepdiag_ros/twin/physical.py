@@ -99,11 +99,13 @@ def _fitted(diagnosis: Diagnosis, active: list[Active], twin: Twin, near: Physic
     power = max(float(nothing @ nothing - noise @ noise), 1e-300)
     details = {p.name for p in effect.parameters if p.detail and not np.any(formula[p.name])}
     best, fitted = {name: value for name, value in formula.items() if name not in details}, effect(**formula)
-    if effect.course_of and left - noise @ noise > SHOWS**2:
+    # Sizes that no such effect has are what a time constant needs to imitate another course.
+    strange = not all(_plausible(p, formula[p.name]) for p in effect.parameters)
+    if effect.course_of and (strange or left - noise @ noise > SHOWS**2):
         kept = {name: _first(diagnosis, active)[name] for name in effect.course_keeps}
         following = by_course(diagnosis.joint.observation, effect(**kept), twin, own - basis @ (basis.T @ own), basis)
         missing = missed(following)
-        if missing @ missing < left:
+        if missing @ missing < left + strange * SHOWS**2:
             best, fitted, left = kept | {'course': following.course.to_mapping()}, following, float(missing @ missing)
     done = (nothing @ nothing - left) / power
     if done < LEAST_DONE:
