@@ -46,7 +46,7 @@ def parse_course(given: object, amounts: int) -> Course:
     if seconds.ndim != 1 or not 1 <= len(seconds) <= MOST:
         raise ValueError(f'course.seconds is a list of 1 to {MOST} times')
     if not np.isfinite(seconds).all() or (np.diff(seconds) <= 0.0).any():
-        raise ValueError('course.seconds does not rise from time to time')
+        raise ValueError('course.seconds does not rise from time to time; put the rows in order, each time once')
     if values.shape != (len(seconds), amounts) or not np.isfinite(values).all():
         raise ValueError(f'course.values wants {len(seconds)} rows, one for each of course.seconds, of {amounts} '
                          f'number{"s" * (amounts > 1)}')
