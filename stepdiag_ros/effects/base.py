@@ -262,7 +262,7 @@ class Effect:
         if course is not None and not self.course_of:
             raise ValueError(f'{self.name}: has no course')
         self.course: Course | None = course if course is None or isinstance(course, Course) else parse_course(
-            course, sum(known[name].size for name in self.course_of))
+            course, len(self.amounts()))
         unknown = sorted(set(values) - set(known))
         if unknown:
             raise ValueError(f'{self.name}: unknown parameter {", ".join(unknown)}; '
@@ -271,6 +271,12 @@ class Effect:
             middle = np.full(parameter.size, (parameter.low + parameter.high) / 2.0)
             value = np.broadcast_to(np.asarray(values.get(name, middle), float), (parameter.size,))
             setattr(self, name, value.copy() if parameter.size > 1 else float(value[0]))
+
+    @classmethod
+    def amounts(cls) -> list[Parameter]:
+        """The parameter of each amount of a course, one as often as it has numbers."""
+        known = {p.name: p for p in cls.parameters}
+        return [known[name] for name in cls.course_of for _ in range(known[name].size)]
 
     @classmethod
     def draw(cls, rng: np.random.Generator) -> Mapping[str, object]:

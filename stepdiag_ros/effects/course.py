@@ -10,8 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-MOST = 10_000
-"""Times that a course may have."""
+from stepdiag_ros.guard import limits
 
 
 @dataclass(frozen=True, repr=False)
@@ -26,7 +25,7 @@ class Course:
         return np.stack([np.interp(seconds, self.seconds, column) for column in self.values.T], axis=1)
 
     def plus(self, amounts: np.ndarray) -> 'Course':
-        """The course with ``amounts`` (k,) more at all times, or (m, k)."""
+        """The course with ``amounts`` (k,) more at all times."""
         return Course(self.seconds, self.values + amounts)
 
     def to_mapping(self) -> dict[str, list]:
@@ -43,8 +42,8 @@ def parse_course(given: object, amounts: int) -> Course:
         seconds, values = np.asarray(given['seconds'], float), np.asarray(given['values'], float)
     except (TypeError, ValueError):
         raise ValueError('course.seconds is a list of times, course.values a list of as many rows of numbers') from None
-    if seconds.ndim != 1 or not 1 <= len(seconds) <= MOST:
-        raise ValueError(f'course.seconds is a list of 1 to {MOST} times')
+    if seconds.ndim != 1 or not 1 <= len(seconds) <= limits.COURSE_TIMES:
+        raise ValueError(f'course.seconds is a list of 1 to {limits.COURSE_TIMES} times')
     if not np.isfinite(seconds).all() or (np.diff(seconds) <= 0.0).any():
         raise ValueError('course.seconds does not rise from time to time; put the rows in order, each time once')
     if values.shape != (len(seconds), amounts) or not np.isfinite(values).all():

@@ -92,14 +92,13 @@ class MirrorCurvature(Effect):
         columns = np.stack([self._column(view, *term) for term in self._terms(view)])
         if fitted.forms[0].names == ('curvature',):
             columns = columns[:1]
-        elif all('cubic' not in form.label for form in fitted.forms):
+        elif not any('uuu' in form.names for form in fitted.forms):
             columns = columns[:3]
         mean, *others = fitted.solve(columns)[0].tolist()
         if not mean:
             return {}
-        shares = [other / mean for other in others]
-        bent = {'radius': 1.0 / mean, 'astigmatism': shares[0] if shares else 0.0}
-        return bent | ({'astigmatism_45': shares[1]} if shares else {}) | ({'cubic': shares[2:]} if shares[2:] else {})
+        astigmatism, slanted, *cubic = [other / mean for other in others] + [0.0] * (6 - len(others))
+        return {'radius': 1.0 / mean, 'astigmatism': astigmatism, 'astigmatism_45': slanted, 'cubic': cubic}
 
     @staticmethod
     def _terms(view: StopView) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:

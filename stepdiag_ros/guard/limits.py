@@ -50,6 +50,8 @@ BY_UNIT = {'m': LENGTH_M, 'rad': ANGLE_RAD, 's': 86_400.0, '°C': 200.0, '°C/h'
 """Of what a cell file states in a unit, either sign, where its key says nothing narrower."""
 EFFECT_TIMES = 1000.0
 """Of an effect's parameter: so many times beyond the range in which such effects are usually drawn, to either side."""
+COURSE_TIMES = 10_000
+"""Of an effect's course."""
 AIR_DRIFT = {'temperature': 100.0, 'pressure': 1.0e4, 'humidity': 1.0}
 """An hour, either way [K, Pa, 1]."""
 IN_POSITION_M = 1.0e-12

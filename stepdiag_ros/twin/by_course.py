@@ -9,7 +9,7 @@ what says nothing there, a course that the machine's errors do as well, stays as
 import numpy as np
 from scipy.linalg import lstsq
 
-from stepdiag_ros.effects.base import Effect, Parameter
+from stepdiag_ros.effects.base import Effect
 from stepdiag_ros.effects.course import Course
 from stepdiag_ros.gap.preprocess.observe import Observation
 from stepdiag_ros.twin.twin import Twin
@@ -34,7 +34,8 @@ def by_course(observation: Observation, effect: Effect, twin: Twin, did: np.ndar
     """``effect`` with the course with which it does what its forms ``did`` (N,) in parity space, but along ``basis``
     (N, r), which says nothing of it."""
     times, begins = _times(observation, twin)
-    sizes, hats = _ranges(effect), _hats(times, twin.seconds)
+    sizes = np.array([max(abs(p.low), abs(p.high)) for p in effect.amounts()])    # 1 is the plausible range
+    hats = _hats(times, twin.seconds)
     course = Course(times, np.zeros((len(times), len(sizes))))
     prior = np.kron(_unevenness(times, begins, effect.course_begins), np.eye(len(sizes)))
     for _ in range(TURNS):
@@ -49,14 +50,6 @@ def by_course(observation: Observation, effect: Effect, twin: Twin, did: np.ndar
         if steady:
             break
     return effect.following(course)
-
-
-def _ranges(effect: Effect) -> np.ndarray:
-    """The plausible range (k,) of each amount of a course."""
-    def of(p: Parameter) -> np.ndarray:
-        return np.full(p.size, max(abs(p.low), abs(p.high)))
-    known = {p.name: p for p in effect.parameters}
-    return np.concatenate([of(known[name]) for name in effect.course_of])
 
 
 def _times(observation: Observation, twin: Twin) -> tuple[np.ndarray, np.ndarray]:

@@ -91,8 +91,9 @@ def _fitted(diagnosis: Diagnosis, active: list[Active], twin: Twin, near: Physic
     def by_values(values: Values) -> np.ndarray:
         return missed(effect(**values))
 
+    first = _first(diagnosis, active)
     starts = [near.formula] if near is not None and near.formula else sorted(
-        _starts(diagnosis, active, effect, target, by_values), key=lambda start: np.sum(by_values(start)**2))[:BEST]
+        _starts(first, effect.parameters, target, by_values), key=lambda start: np.sum(by_values(start)**2))[:BEST]
     formula, left = min((_refined(effect.parameters, start, by_values) for start in starts), key=lambda pair: pair[1])
     # Noise is left in any case; what counts is how much more than the forms leave.
     noise, nothing = (v - basis @ (basis.T @ v) for v in (rest, target))
@@ -102,7 +103,7 @@ def _fitted(diagnosis: Diagnosis, active: list[Active], twin: Twin, near: Physic
     # Sizes that no such effect has are what a time constant needs to imitate another course.
     strange = not all(_plausible(p, formula[p.name]) for p in effect.parameters)
     if effect.course_of and (strange or left - noise @ noise > SHOWS**2):
-        kept = {name: _first(diagnosis, active)[name] for name in effect.course_keeps}
+        kept = {name: first[name] for name in effect.course_keeps}
         following = by_course(diagnosis.joint.observation, effect(**kept), twin, own - basis @ (basis.T @ own), basis)
         missing = missed(following)
         if missing @ missing < left + strange * SHOWS**2:
@@ -130,15 +131,14 @@ def _fitted(diagnosis: Diagnosis, active: list[Active], twin: Twin, near: Physic
                     added.mean(axis=1) + before, fitted, formula)
 
 
-def _starts(diagnosis: Diagnosis, active: list[Active], effect: type[Effect], target: np.ndarray,
+def _starts(first: Values, parameters: tuple[Parameter, ...], target: np.ndarray,
             missed: Callable[[Values], np.ndarray]) -> Iterator[Values]:
     """Where fits begin: the guess, and beside it each time of the effect between its bounds, with the sizes that do the
     most there."""
-    first = _first(diagnosis, active)
     yield first
-    for p in effect.parameters:
+    for p in parameters:
         if _is_time(p) and p.size == 1:
-            yield from (_scaled(effect.parameters, {**first, p.name: float(value)}, target, missed)
+            yield from (_scaled(parameters, {**first, p.name: float(value)}, target, missed)
                         for value in np.geomspace(p.low, p.high, TRIED))
 
 

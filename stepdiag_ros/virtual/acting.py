@@ -2,7 +2,6 @@
 
 import os
 from collections.abc import Iterable
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -74,9 +73,8 @@ def _create(cell: Cell, name: str, values: dict) -> Effect:
     for parameter in effect.parameters:
         _check_size(where, parameter, getattr(effect, parameter.name))
     if effect.course is not None:
-        amounts = [p for name in effect.course_of for p in effect.parameters if p.name == name for _ in range(p.size)]
-        for parameter, column in zip(amounts, effect.course.values.T, strict=True):
-            _check_size(f'{where}: course', replace(parameter, size=1), column)
+        for parameter, column in zip(effect.amounts(), effect.course.values.T, strict=True):
+            _check_size(f'{where}: course', parameter, column)
     return effect
 
 

@@ -14,7 +14,7 @@ from stepdiag_ros.gap.diagnosis import Diagnosis
 from stepdiag_ros.gap.inference.joint import unexplained
 from stepdiag_ros.twin.adopt import CLOSED, adopt
 from stepdiag_ros.twin.against import without_known
-from stepdiag_ros.twin.by_course import STEP, _columns, _hats, _ranges, _times
+from stepdiag_ros.twin.by_course import STEP, _columns, _hats, _times
 from stepdiag_ros.twin.twin import Twin
 from stepdiag_ros.virtual.cell import parse_cell
 from stepdiag_ros.virtual.offline import simulate_log
@@ -59,7 +59,7 @@ def test_readings_are_linear_in_the_amounts(turned):
     times, begins = _times(turned.joint.observation, twin)
     assert begins.sum() == len(np.unique(turned.joint.observation.view.run)) and (np.diff(times) > 0.0).all()
     effect = effect_class('beam_pointing_drift')()
-    sizes = _ranges(effect)
+    sizes = np.array([p.high for p in effect.amounts()])
     still = Course(times, np.zeros((len(times), len(sizes))))
     columns = _columns(twin, effect, still, sizes, _hats(times, twin.seconds))
     walk = np.random.default_rng(3).normal(size=still.values.shape) * STEP

@@ -2,7 +2,7 @@
 
 import pytest
 
-from stepdiag_ros.effects import effect_class
+from stepdiag_ros.effects import all_effects, effect_class
 from stepdiag_ros.gap.inference.joint import fit_jointly
 from stepdiag_ros.gap.inference.select_effects import noise_of, settle
 from stepdiag_ros.virtual.cell import parse_cell
@@ -36,7 +36,7 @@ def test_nothing_is_found_where_a_beam_that_shortens_does_as_well(large):
 
 def test_what_is_one_arrival_is_not_looked_for_where_errors_have_tails(case):
     """A slip that lasts as long as the axis that moved stays is an error of its arrival, and a tail where there are."""
-    effects = {name: effect_class(name)() for name in ('count_slip', 'backlash')}
+    effects = {name: kind() for name, kind in all_effects().items()}
     view = case.observe().view
     run = view.run_ids.index('ppp/0/+')
     single = {form.shape['index'] for form in effects['count_slip'].appearance(view)

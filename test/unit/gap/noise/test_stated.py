@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from stepdiag_ros.effects import effect_class
+from stepdiag_ros.effects import all_effects, effect_class
 from stepdiag_ros.gap import diagnose
 from stepdiag_ros.gap.noise.stated import _steps
 from stepdiag_ros.model.description import Noise
@@ -17,7 +17,7 @@ def test_a_log_ten_times_noisier_than_its_description_is_a_finding(case, times, 
     noise = log.description.noise
     said = replace(log, description=replace(log.description, noise=Noise(
         noise.displacement, noise.spot, noise.position_repeatability / times, noise.angle_repeatability)))
-    found = diagnose(said, [effect_class('psd_gain')()])
+    found = diagnose(said, [kind() for kind in all_effects().values()])
     assert found.verdict == verdict and not found.effects
     assert ('noisier than its description' in found.unmodelled) == (verdict == 'unexplained')
 
@@ -34,6 +34,6 @@ def test_beside_a_name_too(case):
     noise = log.description.noise
     said = replace(log, description=replace(log.description, noise=Noise(
         noise.displacement, noise.spot, noise.position_repeatability / 10.0, noise.angle_repeatability)))
-    found = diagnose(said, [effect_class('psd_gain')()])
+    found = diagnose(said, [kind() for kind in all_effects().values()])
     assert found.verdict == 'partly_explained' and [f.name for f in found.effects] == ['psd_gain']
     assert 'noisier than its description' in found.unmodelled

@@ -43,8 +43,7 @@ def test_shares_are_those_that_a_fit_leaves_where_the_model_bends():
 
 
 def test_cells_that_hold_only_noise_are_left_out(case):
-    offset = effect_class('psd_zero_offset')(x=5e-5, y=0.0)
-    found = diagnose(case.log(offset), [offset])
+    found = case.diagnose(effect_class('psd_zero_offset')(x=2e-4, y=0.0))
     assert found.shares and all(s.channel.startswith('spot') for s in found.shares)
 
 
@@ -86,8 +85,7 @@ def test_what_was_taken_for_noise_lies_where_it_was_added(unaffected):
 
 def test_a_shake_lies_in_the_length_and_in_the_dwells(case):
     """Along Z: alike in all four diagonals, nothing of it in a line along X."""
-    shake = effect_class('vibration')(amp=[0.0, 0.0, 2e-8], frequency=9.3)
-    found = diagnose(case.log(shake), [shake])
+    found = case.diagnose(effect_class('vibration')(amp=[0.0, 0.0, 2e-8], frequency=9.3))
     assert [e.name for e in found.effects] == ['vibration'] and 'look the same' in found.effects[0].remedy
     assert {s.channel for s in found.shares} == {'displacement'}
     diagonals = [s.share for s in found.shares if not s.setup.startswith('lin')]
