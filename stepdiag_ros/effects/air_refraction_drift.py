@@ -35,7 +35,7 @@ class AirRefractionDrift(Effect):
     parameters = (Parameter('dT', 'K', -5.0, 5.0, meaning='rise of the air temperature in the end'),
                   Parameter('dP', 'Pa', -1000.0, 1000.0, meaning='rise of the air pressure in the end'),
                   Parameter('tau', 's', 100.0, 5000.0, meaning='time constant'))
-    course_of = ('dT', 'dP')
+    course_of = ('dT',)
     sources = ('Bönsch & Potulski 1998, Metrologia 35, 133', 'ISO 230-1:2012, laser interferometers',
                'Dahlem et al. 2018, environment')
     remedy = ('Let the instrument compensate with sensors of temperature, pressure and humidity beside the '
@@ -50,8 +50,8 @@ class AirRefractionDrift(Effect):
                 'tau': float(np.exp(rng.uniform(np.log(200.0), np.log(4000.0))))}
 
     def environment(self, seconds: np.ndarray) -> dict[str, np.ndarray]:
-        kelvin, pascal = self.now(seconds, saturating(seconds, self.tau)[:, None] * (self.dT, self.dP)).T
-        return {'air_temperature': kelvin, 'air_pressure': pascal}
+        pace = saturating(seconds, self.tau)
+        return {'air_temperature': self.now(seconds, pace[:, None] * self.dT)[:, 0], 'air_pressure': pace * self.dP}
 
     def before_light(self, moment: Moment) -> None:
         change = self.environment(moment.seconds)

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 @dataclass(frozen=True)
 class Parameter:
     """A physical parameter: name, unit, plausible range, size (1: a scalar), what it is; a ``detail`` is adopted only
-    where the guess (:meth:`Effect.guess`) finds some of it."""
+    where the effect without it leaves more than noise."""
 
     name: str
     unit: str

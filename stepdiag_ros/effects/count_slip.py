@@ -4,14 +4,12 @@ The counter of an interferometer loses or wins fringes when the beam is interrup
 fast or the signal too weak.  From one stop of one run on, the displacement is wrong by one amount.
 """
 
-from collections.abc import Mapping
-
 import numpy as np
 
-from stepdiag_ros.effects.adoption import Fitted
 from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
 from stepdiag_ros.effects.made import Made
 from stepdiag_ros.effects.patterns import Drawn
+from stepdiag_ros.guard import limits
 from stepdiag_ros.model.machine import AXES
 
 QUARTER = 3.825e-7
@@ -54,8 +52,10 @@ class CountSlip(Effect):
     short = 'Laser lost count'
     repeatable = True
     title = 'The laser lost count once: from there to the next reset all lengths are wrong by one amount.'
-    parameters = (Parameter('jump', 'm', -2e-5, 2e-5, meaning='what is added from the slip on'),
-                  Parameter('arrival', '1', 1.0, 200.0, meaning='number of the move in which it happens'))
+    parameters = (Parameter('jump', 'm', -2e-5, 2e-5, limits.BEAMS,
+                            'what is added from the slip on, of each beam; one number: of all'),
+                  Parameter('arrival', '1', 1.0, 1e4, meaning='number of the move in which it happens'))
+    course_of = ('jump',)
     sources = ('ISO 230-1:2012, laser interferometers: interruption of the beam',)
     remedy = ('Repeat the run; align for more signal, move more slowly, keep the beam free of chips and '
               'coolant.')
@@ -76,7 +76,8 @@ class CountSlip(Effect):
 
     def after_light(self, moment: Moment) -> None:
         slipped = moment.arrival >= round(self.arrival)
-        moment.length = moment.length + self.jump * slipped[:, None]
+        lost = self.now(moment.seconds, slipped[:, None] * self.jump)
+        moment.length = moment.length + lost[:, :moment.length.shape[1]]
 
     def appearance(self, view: StopView) -> list[Form]:
         """One form for every stop at which it may have happened; beams together and each on its own."""
@@ -97,10 +98,3 @@ class CountSlip(Effect):
                         f'{view.run_ids[run]} from stop {stop} on{beam}', column,
                         ('jump',), np.full(1, 1e-6), shape={'run': int(run), 'index': stop}, of_one_arrival=last))
         return forms
-
-    def guess(self, fitted: Fitted) -> Mapping[str, object]:
-        # The simulator counts moves: one at power-up, one for each mounting, one for each stop.
-        view, shape = fitted.nominal, fitted.forms[0].shape
-        stop = int(np.flatnonzero((view.run == shape['run']) & (view.index == shape['index']))[0])
-        mountings = 1 + int(np.sum(np.diff(view.setup[:stop + 1]) != 0))
-        return {'jump': float(fitted.coefficients[0][0]), 'arrival': float(stop + mountings + 1)}

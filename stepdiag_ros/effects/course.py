@@ -30,7 +30,7 @@ class Course:
 
     def to_mapping(self) -> dict[str, list]:
         """As cell files have it."""
-        return {'seconds': [round(float(s), 3) for s in self.seconds],
+        return {'seconds': [round(float(s), 6) for s in self.seconds],
                 'values': [[float(f'{v:.6g}') for v in row] for row in self.values]}
 
 

@@ -17,8 +17,6 @@ from stepdiag_ros.effects.patterns import Drawn, drawn_size
 REFERENCE = 1e-3
 """Distance from the centre [m] at which coefficients are sizes in metres."""
 SCALE = 3e-6
-ALIKE = 0.05
-"""Share of a bend, squared, up to which it is taken to be alike in x and y."""
 
 
 class PsdNonlinearity(Effect):
@@ -98,9 +96,5 @@ class PsdNonlinearity(Effect):
         columns = view.zeros(2)
         columns[0, :, view.beams], columns[0, :, view.beams + 1] = x * (x * x + y * y), y * (x * x + y * y)
         columns[1, :, view.beams], columns[1, :, view.beams + 1] = -x * y * y, -y * x * x
-        (k3, crossed), missed = fitted.solve(columns)
-        if missed > ALIKE:
-            apart = fitted.solve(np.stack([self._both(view, x**3, None), self._both(view, x * y * y, None),
-                                           self._both(view, None, y**3), self._both(view, None, y * x * x)]))[0]
-            return {'k3': 0.0, 'cross': 0.0, 'apart': apart.tolist()}
+        k3, crossed = fitted.solve(columns)[0]
         return {'k3': float(k3), 'cross': float(crossed / k3) if k3 else 0.0}

@@ -19,8 +19,6 @@ HELD = {'': 0.0, ', held in the middle': 0.5, ', held at the end': 1.0}
 """Where a scale may be held, as a share of its travel."""
 GLASS = 8e-6
 """Expansion of a glass scale [1/K], by which a growth is reported as a temperature."""
-SHIFTS = 0.02
-"""Share of a growth, squared, that a shift of the axes must explain to be adopted."""
 NOTICEABLE = 0.03
 """Standard deviation of a scale's temperature over the log [K] that is more than its sensor's noise."""
 
@@ -122,10 +120,5 @@ class ScaleThermalExpansion(Effect):
     def guess(self, fitted: Fitted) -> Mapping[str, object]:
         view = fitted.view
         growth, since = view.commanded.T[:, :, None] * view.by_shift, view.time - view.time.min()
-        (sizes, tau), (both, slower) = (fitted.exponential(signature, since)
-                                        for signature in (growth, np.concatenate([growth, view.by_shift])))
-        missed = fitted.solve(saturating(since, tau)[:, None] * growth)[1]
-        still = fitted.solve(saturating(since, slower)[:, None] * np.concatenate([growth, view.by_shift]))[1]
-        warm = {'alpha': [GLASS] * 3, 'dT': (sizes / GLASS).tolist(), 'tau': tau}
-        return warm if still > missed - SHIFTS else {
-            **warm, 'dT': (both[:3] / GLASS).tolist(), 'tau': slower, 'shift': both[3:].tolist()}
+        sizes, tau = fitted.exponential(growth, since)
+        return {'alpha': [GLASS] * 3, 'dT': (sizes / GLASS).tolist(), 'tau': tau}

@@ -19,6 +19,7 @@ import numpy as np
 from stepdiag_ros.effects.base import Effect
 from stepdiag_ros.estimate.metres import untold
 from stepdiag_ros.estimate.on_centre import on_centre
+from stepdiag_ros.estimate.reduce import StopTable
 from stepdiag_ros.estimate.samples import clean
 from stepdiag_ros.gap.alternatives.unmodelled import NAME as UNKNOWN
 from stepdiag_ros.gap.constants import (
@@ -84,8 +85,9 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
     found = [f for f in found if f.name not in untimed]
     if untimed:
         names = {**{n: p for n, p in names.items() if n not in untimed}, UNKNOWN: max(names[n] for n in untimed)}
+    stayed = _stayed(disturbances.slips, joint) if COUNTS in effects and COUNTS not in best.key else []
     beside = [*([_late(late)] if late else []),
-              *([] if COUNTS in best.key else _slipped(effects, disturbances.slips, joint)),
+              *([_slipped(effects[COUNTS], stayed, observation.table)] if stayed else []),
               *([_shaking(effects, disturbances.dwell_spectrum.displacement)] if shakes else [])]
     outside = {f.name: f.probability for f in beside}
     found = sorted([*found, *beside], key=lambda f: -f.probability)
@@ -121,7 +123,8 @@ def diagnose(log: CalibrationLog, effects: Iterable[Effect]) -> Diagnosis:
         log.warnings + observation.table.warnings + ((beyond_range,) if beyond_range else ()) + left_out + tuple(unlit)
         + tuple(slip_words(observation.table, slip) for slip in disturbances.slips)
         + stated(joint, far, disturbances.quanta) + ((no_metres,) if no_metres else ()), sets, screen, words, run,
-        separations(sets, doubtful), hint, len(effects) + 1, no_metres)
+        separations(sets, doubtful), hint, len(effects) + 1, no_metres,
+        disturbances.slips if COUNTS in best.key else tuple(slip for _, slip in stayed))
 
 
 def _pattern(candidate: Candidate, effects: Mapping[str, Effect]) -> str:
@@ -208,21 +211,22 @@ def _late(late: Mapping[str, Late]) -> Found:
                  1.0, 'Let all computers take their time from one source (PTP or NTP).')
 
 
-def _slipped(effects: Mapping[str, Effect], slips: tuple[SlipAtRest, ...], joint: Joint) -> list[Found]:
-    """Counts lost in dwells that the stops miss from there on, whatever law the errors of arrivals follow."""
-    if not slips or COUNTS not in effects:
+def _stayed(slips: tuple[SlipAtRest, ...], joint: Joint) -> list[tuple[float, SlipAtRest]]:
+    """Counts lost in dwells that the stops miss from there on, whatever law the errors of arrivals follow, each with
+    its log evidence."""
+    if not slips:
         return []
-    table = joint.observation.table
     evidence = staying(slips, joint.parity.projection, left(joint))
-    stayed = [(one, slip) for one, slip in zip(evidence, slips, strict=True) if one > ALARM]
-    if not stayed:
-        return []
+    return [(one, slip) for one, slip in zip(evidence, slips, strict=True) if one > ALARM]
+
+
+def _slipped(effect: Effect, stayed: list[tuple[float, SlipAtRest]], table: StopTable) -> Found:
     labels = ['jump' if k == 0 else f'jump ({k + 1})' for k in range(len(stayed))]
-    return [Found(COUNTS, effects[COUNTS].title, _probability(max(one for one, _ in stayed)),
-                  {label: slip.jump for label, (_, slip) in zip(labels, stayed, strict=True)},
-                  {label: slip.sigma for label, (_, slip) in zip(labels, stayed, strict=True)}, 'm',
-                  'seen in the dwell of ' + ' and '.join(place_of(table, slip) for _, slip in stayed), 1.0,
-                  effects[COUNTS].remedy)]
+    return Found(COUNTS, effect.title, _probability(max(one for one, _ in stayed)),
+                 {label: slip.jump for label, (_, slip) in zip(labels, stayed, strict=True)},
+                 {label: slip.sigma for label, (_, slip) in zip(labels, stayed, strict=True)}, 'm',
+                 'seen in the dwell of ' + ' and '.join(place_of(table, slip) for _, slip in stayed), 1.0,
+                 effect.remedy)
 
 
 def _probability(log_bayes: float) -> float:

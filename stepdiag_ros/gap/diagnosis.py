@@ -15,6 +15,7 @@ from stepdiag_ros.gap.inference.candidates import Screen
 from stepdiag_ros.gap.inference.joint import Joint
 from stepdiag_ros.gap.inference.search import EffectSet
 from stepdiag_ros.gap.noise.incoherent_lines import Vibration
+from stepdiag_ros.gap.noise.slips_at_rest import SlipAtRest
 from stepdiag_ros.gap.noise.stated import law_of
 from stepdiag_ros.gap.preprocess.observe import Observation
 from stepdiag_ros.gap.preprocess.timing import Timing
@@ -61,7 +62,8 @@ class Diagnosis:
     ``verdict`` as in the contract; ``effects`` what the diagnosis would add to the simulator; ``ranking``
     probabilities of all effects, ``unknown`` and ``nothing``; ``sets`` the sets thought of with their probabilities,
     of ``causes`` possible ones; ``separation`` the log evidence by which what may stand for the likeliest falls
-    behind; ``untold``: that the lengths are no metres, in words, '' where somebody took the index of air into account.
+    behind; ``untold``: that the lengths are no metres, in words, '' where somebody took the index of air into account;
+    ``slips`` of the counter while the axes stood, which ``effects`` have.
     """
 
     log: CalibrationLog
@@ -86,6 +88,7 @@ class Diagnosis:
     hint: Hint | None = None
     causes: int = 20
     untold: str = ''
+    slips: tuple[SlipAtRest, ...] = ()
 
     def to_json_dict(self) -> dict:
         """``gap.json`` of the contract, and more beside it."""

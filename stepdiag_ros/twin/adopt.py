@@ -7,18 +7,19 @@ times of the plan, and each effect with the parameters of its physical face
 it is there.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 import yaml
 
+from stepdiag_ros.effects.base import Effect
 from stepdiag_ros.errors import StepdiagError
 from stepdiag_ros.estimate.enhanced import Fit
 from stepdiag_ros.estimate.gauge import slope_weights
 from stepdiag_ros.estimate.parameters import STATION
-from stepdiag_ros.gap.diagnosis import Diagnosis
+from stepdiag_ros.gap.diagnosis import Diagnosis, Found
 from stepdiag_ros.gap.inference.averaged import averaged_fit
 from stepdiag_ros.gap.inference.joint import inverse
 from stepdiag_ros.gap.preprocess.observe import sane_fit
@@ -90,7 +91,7 @@ def adopt(diagnosis: Diagnosis, base: Mapping[str, Any] | None = None) -> Adopte
     if diagnosis.solution.unidentifiable:
         notes.append('directions that the log leaves open are held near zero: '
                      + ', '.join(sorted({n for u in diagnosis.solution.unidentifiable for n in u.names})[:8]))
-    made = sum((twin.adds(effect).mean(axis=1) for effect in adopted), np.zeros_like(left))
+    made = twin.adds(*adopted).mean(axis=1)
     return Adopted(cell, tuple(notes), made, left)
 
 
@@ -102,21 +103,34 @@ def _in_turn(diagnosis: Diagnosis, cell: Mapping[str, Any],
     which a part was taken for a misalignment, moves these far, and machine and effects are found in turn until no less
     is left.
     """
-    taken = sum(a.contribution for a in diagnosis.joint.active if not a.effect.name)
-    fit, best, said = diagnosis.joint.fit, None, {}
+    active = diagnosis.joint.active
+    unnamed = sum(a.contribution for a in active if not a.effect.name)
+    fit, best, said, first = diagnosis.joint.fit, None, {}, None
     for _ in range(ROUNDS):
         twin = Twin(diagnosis, _bare(cell, fit, base))
-        said = {found.name: physical(diagnosis, found, twin, said.get(found.name)) for found in diagnosis.effects}
-        acting = [one.effect for one in said.values() if one.effect is not None]
+        first = twin if first is None else first
+        for number, found in enumerate(diagnosis.effects):
+            before, behind = (_acting(said, diagnosis.effects[part]) for part in (slice(number), slice(number + 1, None)))
+            among = twin.beside(before, behind)
+            others = {effect.name for effect in (*before, *behind)}
+            by_forms = sum(a.contribution[:, None] + a.inside for a in active if a.effect.name in others)
+            said[found.name] = physical(diagnosis, found, among, first.bare + by_forms - among.bare,
+                                        said.get(found.name))
+        acting = _acting(said, diagnosis.effects)
+        taken = unnamed + twin.adds(*acting).mean(axis=1) + sum(one.besides for one in said.values())
         # Where tilts that hardly show move by milliradians, the machine as the forms had it does better.
-        machines = (_machine_without(diagnosis, taken + sum(one.contribution for one in said.values())),
-                    diagnosis.joint.fit)
+        machines = (_machine_without(diagnosis, taken), diagnosis.joint.fit)
         left, chi2, fit = min(((*Twin(diagnosis, _bare(cell, machine, base)).left(acting), machine)
                                for machine in machines), key=lambda turn: turn[1])
-        before, best = best, min((fit, said, left, chi2), best or (fit, said, left, chi2), key=lambda turn: turn[3])
-        if chi2 < 1.0 or (before is not None and chi2 > STEADY * before[3]):
+        earlier, best = best, min((fit, dict(said), left, chi2), best or (fit, dict(said), left, chi2),
+                                  key=lambda turn: turn[3])
+        if chi2 < 1.0 or (earlier is not None and chi2 > STEADY * earlier[3]):
             break
     return best
+
+
+def _acting(said: Mapping[str, Physical], effects: Sequence[Found]) -> list[Effect]:
+    return [one.effect for one in (said.get(found.name) for found in effects) if one is not None and one.effect is not None]
 
 
 def _bare(cell: Mapping[str, Any], fit: Fit, base: Mapping[str, Any] | None) -> Cell:
@@ -147,7 +161,7 @@ def _machine_without(diagnosis: Diagnosis, taken: np.ndarray | float) -> Fit:
     joint, table = diagnosis.joint, diagnosis.joint.observation.table
     freed = replace(table, displacement=table.displacement - np.asarray(taken)[..., :-2],
                     spot=table.spot - np.asarray(taken)[..., -2:]) if np.ndim(taken) else table
-    free = sane_fit(joint.observation.log, freed, joint.fit.theta)
+    free = sane_fit(joint.observation.log, freed, joint.fit.theta, joint.noise)
     stated, _, _ = averaged_fit(joint, diagnosis.screen, diagnosis.raw[0])
     errors = slice(0, min(free.parameters.setup_first.values()))
     held = np.zeros_like(joint.normal)

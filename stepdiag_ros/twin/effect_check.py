@@ -169,7 +169,7 @@ def _ratio(kind: type[Effect], values: dict[str, object], forms: list[Form], lef
     many and in the unit of one parameter."""
     for k in np.argsort(lefts, kind='stable'):
         form = forms[k]
-        sizes = [p for p in kind.parameters if p.unit == form.units and p.size == len(form.names)]
+        sizes = [p for p in kind.parameters if p.unit == form.units and np.size(values[p.name]) == len(form.names)]
         if form.process or len(sizes) != 1 or lefts[k] > 0.5:
             continue
         columns = space.project(replace(form, scale=np.ones(len(form.names))))

@@ -12,11 +12,13 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.optimize import least_squares
 
+from stepdiag_ros.effects import all_effects
 from stepdiag_ros.effects.base import Effect, Parameter
-from stepdiag_ros.gap.diagnosis import STAMPS, Diagnosis, Found
+from stepdiag_ros.gap.diagnosis import COUNTS, STAMPS, Diagnosis, Found
 from stepdiag_ros.gap.inference.joint import Active, unexplained
 from stepdiag_ros.twin.by_course import by_course
 from stepdiag_ros.twin.guess import Values, guess
+from stepdiag_ros.twin.lost_counts import lost_counts
 from stepdiag_ros.twin.story import basis_of, started, unknown_starts
 from stepdiag_ros.twin.twin import Twin
 
@@ -27,7 +29,7 @@ LEAST_DONE = 0.1
 SIZE_UNITS = ('m', 'rad', 'K')
 """Units of parameters in which what an effect does is linear."""
 SHOWS = 5.0
-"""Standard deviations that a formula must leave for a course to be looked for."""
+"""Standard deviations that a formula must leave for its details or a course to be looked for."""
 BEYOND = 1e3
 """Times by which an effect that leaves no reading at all misses more than none does."""
 TRIED = 5
@@ -40,19 +42,22 @@ TRIALS = 60
 
 @dataclass(frozen=True)
 class Physical:
-    """Physical parameters of an effect (empty: not adopted), a note (empty: nothing is lost), what the simulator will
-    make of it at the log's stops (n, c) [m], the effect with these parameters where it acts there, and those of its
-    formula, where another fit may begin."""
+    """Physical parameters of an effect (empty: not adopted), a note (empty: nothing is lost), what the log has of it at
+    the stops ``besides`` (n, c) [m] what the simulator makes, the effect with these parameters where it acts there, and
+    those of its formula, where another fit may begin."""
 
     values: Values
     note: str
-    contribution: np.ndarray
+    besides: np.ndarray
     effect: Effect | None = None
     formula: Values = field(default_factory=dict)
 
 
-def physical(diagnosis: Diagnosis, found: Found, twin: Twin, near: Physical | None = None) -> Physical:
-    """One effect in physical terms; ``near``: the same as it was found with a machine that hardly differs."""
+def physical(diagnosis: Diagnosis, found: Found, twin: Twin, moved: np.ndarray,
+             near: Physical | None = None) -> Physical:
+    """One effect in physical terms; ``moved`` (n, b, c) [m]: by how much less the twin makes of the log than the
+    diagnosis' machine and its forms of other effects do; ``near``: the same as it was found in a twin that hardly
+    differs."""
     nothing = np.zeros(diagnosis.nominal.view.reading.shape)
     if found.name == STAMPS:
         values = {sensor: found.parameters.get(f'{sensor}_s', 0.0) for sensor in ('interferometer', 'psd')}
@@ -64,17 +69,23 @@ def physical(diagnosis: Diagnosis, found: Found, twin: Twin, near: Physical | No
                          'amp2': [0.0] * 3, 'frequency2': 10.0},
                         'the laser sees the shaking along its beam only; taken as alike along X, Y, Z', nothing)
     active = [a for a in diagnosis.joint.active if a.effect.name == found.name]
+    if found.name == COUNTS:
+        values, effect = lost_counts(diagnosis, all_effects()[COUNTS], active, twin)
+        return Physical(values, '', nothing, effect)
     if not active:
         return Physical({}, 'it was not fitted to the stops, so there is nothing to adopt', nothing)
     whole = sum(a.contribution for a in active)
     if active[0].effect.not_adopted:
         return Physical({}, active[0].effect.not_adopted, whole)
-    return _fitted(diagnosis, active, twin, near)
+    return _fitted(diagnosis, active, twin, moved, near)
 
 
-def _fitted(diagnosis: Diagnosis, active: list[Active], twin: Twin, near: Physical | None) -> Physical:
+def _fitted(diagnosis: Diagnosis, active: list[Active], twin: Twin, moved: np.ndarray,
+            near: Physical | None) -> Physical:
     space, effect = diagnosis.joint.parity, type(active[0].effect)
     own = sum(space.project(a.form) @ (a.coefficients / a.form.scale) for a in active)
+    # What others do to it, and a machine that has moved far, are no sums.
+    own = own + twin.projected(moved[None])[:, 0]
     rest = unexplained(space, diagnosis.joint.active)
     story = unknown_starts(diagnosis.joint.observation.view)
     basis = basis_of(story, space)
@@ -98,13 +109,17 @@ def _fitted(diagnosis: Diagnosis, active: list[Active], twin: Twin, near: Physic
     # Noise is left in any case; what counts is how much more than the forms leave.
     noise, nothing = (v - basis @ (basis.T @ v) for v in (rest, target))
     power = max(float(nothing @ nothing - noise @ noise), 1e-300)
+    if left - noise @ noise > SHOWS**2 and any(p.detail for p in effect.parameters):
+        detailed, left_then = _refined(effect.parameters, formula, by_values, details=True)
+        formula, left = (detailed, left_then) if left_then < left - SHOWS**2 else (formula, left)
     details = {p.name for p in effect.parameters if p.detail and not np.any(formula[p.name])}
     best, fitted = {name: value for name, value in formula.items() if name not in details}, effect(**formula)
     # Sizes that no such effect has are what a time constant needs to imitate another course.
     strange = not all(_plausible(p, formula[p.name]) for p in effect.parameters)
     if effect.course_of and (strange or left - noise @ noise > SHOWS**2):
         kept = {name: first[name] for name in effect.course_keeps}
-        following = by_course(diagnosis.joint.observation, effect(**kept), twin, own - basis @ (basis.T @ own), basis)
+        following = by_course(diagnosis.joint.observation, effect(**kept), twin, own - basis @ (basis.T @ own), basis,
+                              sum(a.contribution for a in active))
         missing = missed(following)
         if missing @ missing < left + strange * SHOWS**2:
             best, fitted, left = kept | {'course': following.course.to_mapping()}, following, float(missing @ missing)
@@ -127,8 +142,7 @@ def _fitted(diagnosis: Diagnosis, active: list[Active], twin: Twin, near: Physic
     notes += [f'{p.name} of {", ".join(f"{v:.3g}" for v in np.atleast_1d(best[p.name]))} {p.unit} is beyond what is '
               f'plausible ({p.low:g} … {p.high:g})'
               for p in effect.parameters if p.name in best and not _plausible(p, best[p.name])]
-    return Physical({'file': effect.file, **best} if effect.file else best, '; '.join(notes),
-                    added.mean(axis=1) + before, fitted, formula)
+    return Physical({'file': effect.file, **best} if effect.file else best, '; '.join(notes), before, fitted, formula)
 
 
 def _starts(first: Values, parameters: tuple[Parameter, ...], target: np.ndarray,
@@ -162,12 +176,12 @@ def _scaled(parameters: tuple[Parameter, ...], start: Values, target: np.ndarray
     return {**start, **{name: (factor * np.asarray(start[name], float)).tolist() for name in sizes}}
 
 
-def _refined(parameters: tuple[Parameter, ...], start: Values,
-             missed: Callable[[Values], np.ndarray]) -> tuple[Values, float]:
+def _refined(parameters: tuple[Parameter, ...], start: Values, missed: Callable[[Values], np.ndarray],
+             details: bool = False) -> tuple[Values, float]:
     """Parameters near ``start`` that miss the least, and the square that is missed; names and numbers of choices stay
-    as they are, and details that the start has not."""
+    as they are, and without ``details`` those that the start has not."""
     free = [p for p in parameters if p.high > p.low and not isinstance(start[p.name], str)
-            and not (p.detail and not np.any(start[p.name]))]
+            and (details or not p.detail or np.any(start[p.name]))]
     sizes = [p.size for p in free]
     scale = np.concatenate([np.full(p.size, p.high - p.low) for p in free])
     low = np.concatenate([np.full(p.size, 0.2 * p.low if _is_time(p) else 0.0 if p.low == 0.0 else -np.inf)

@@ -1,6 +1,7 @@
 """A cell that moves as a diagnosed log did, to be held against it."""
 
 from collections.abc import Sequence
+from copy import copy
 from functools import cached_property
 
 import numpy as np
@@ -18,10 +19,12 @@ NODES, WEIGHTS = np.polynomial.legendre.leggauss(3)
 
 
 class Twin:
-    """A cell without effects that moves as a diagnosed log did."""
+    """A cell without effects of its own that moves as a diagnosed log did."""
 
     def __init__(self, diagnosis: Diagnosis, cell: Cell):
         self._diagnosis = diagnosis
+        self._before: list[Effect] = []
+        self._behind: list[Effect] = []
         steps, table = diagnosis.log.steps, diagnosis.joint.observation.table
         self._replay = Replay(cell, steps, began(cell, diagnosis.log))
         middle = diagnosis.joint.observation.view.bin_time
@@ -31,18 +34,32 @@ class Twin:
         time = np.clip(middle[:, :, None] + 0.5 * width[:, None, None] * NODES, 0.0, stood[:, None, None])
         self._shape = time.shape
         self._time = (table.dwell_ns[:, None, None] + np.rint(1e9 * time).astype(np.int64)).ravel()
-        self.seconds = (self._time - self._replay.began_ns) * 1e-9
+        self.seconds = self.since_began(self._time)
         run = np.array([steps.run_ids.index(name) for name in table.run_ids])[table.run]
         self._run = np.repeat(run, time[0].size)
 
+    def since_began(self, time_ns: np.ndarray) -> np.ndarray:
+        """Seconds (n,) from the log's beginning to times (n,) [ns]."""
+        return (time_ns - self._replay.began_ns) * 1e-9
+
+    def beside(self, before: Sequence[Effect], behind: Sequence[Effect]) -> 'Twin':
+        """The same cell in which some effects act, ``before`` another one and ``behind`` it."""
+        other = copy(self)
+        other.__dict__.pop('bare', None)
+        other._before, other._behind = list(before), list(behind)
+        return other
+
     @cached_property
     def bare(self) -> np.ndarray:
-        """Readings (n, b, c) [m] without any effect, lengths counted from their runs' resets."""
-        return self._seen(self._replay.world([]))
+        """Readings (n, b, c) [m] with the effects beside which it is alone, lengths counted from their runs' resets."""
+        return self._seen(self._with([]))
 
-    def adds(self, effect: Effect) -> np.ndarray:
-        """What an effect adds to the readings (n, b, c) [m] in the bins of the dwells."""
-        return self._seen(self._replay.world([effect])) - self.bare
+    def adds(self, *effects: Effect) -> np.ndarray:
+        """What effects add to the readings (n, b, c) [m] in the bins of the dwells."""
+        return self._seen(self._with(effects)) - self.bare
+
+    def _with(self, effects: Sequence[Effect]) -> World:
+        return self._replay.world([*self._before, *effects, *self._behind])
 
     def left(self, effects: Sequence[Effect]) -> tuple[np.ndarray, float]:
         """The log's stops less the cell's with ``effects`` (n, c) [m], and their reduced χ² in the log's noise.
@@ -68,7 +85,7 @@ class Twin:
     def by_amounts(self, effect: Effect, course: Course, sizes: np.ndarray) -> np.ndarray:
         """Derivatives (k, t, c) [m per unit] of the readings at ``seconds`` (t,), not counted from a reset, by each of
         an effect's amounts there, about those of ``course``; by differences of ``sizes`` (k,)."""
-        about, *moved = (self._read(self._replay.world([effect.following(c)]), counted=False)
+        about, *moved = (self._read(self._with([effect.following(c)]), counted=False)
                          for c in (course, *(course.plus(step) for step in np.diag(sizes))))
         return np.array([(one - about) / size for one, size in zip(moved, sizes, strict=True)])
 
@@ -88,3 +105,11 @@ class Twin:
         mean = readings.mean(axis=2)
         form = Form('', mean, ('',) * len(mean), np.ones(len(mean)), inside=readings - mean[:, :, None])
         return self._diagnosis.joint.parity.project(form)
+
+    def whitened(self, stops: np.ndarray) -> np.ndarray:
+        """Changes (k, n, c) of the stops in the noise of the readings (n·c, k), what lengths have in common in each run
+        taken off."""
+        stops, run = stops.copy(), self._diagnosis.joint.observation.view.run
+        for number in np.unique(run):
+            stops[:, run == number, :-2] -= stops[:, run == number, :-2].mean(axis=1, keepdims=True)
+        return self._diagnosis.joint.whitened(stops.reshape(len(stops), -1).T)

@@ -53,6 +53,25 @@ def test_what_follows_no_formula_is_a_course(turned, tmp_path, monkeypatch):
     assert left(adopt(turned)) > CLOSED
 
 
+def test_what_the_machine_hides_of_a_course_goes_as_the_forms_went(monkeypatch):
+    """How much scales and air changed together no log tells: the machine's errors are stated beside one answer, and the
+    course must be of the same."""
+    warmer = {'course': {'seconds': [0.0, 40.0, 90.0, 200.0, 600.0], 'values': [[0.0], [3.0], [9.0], [10.0], [14.0]]}}
+    cell = small_cell({'air_refraction_drift': warmer}, 0.3)
+    few = replace(cell.description, plan=replace(cell.description.plan, steps=4))
+    found = diagnose(simulate_log(replace(cell, description=few)), [effect_class('air_refraction_drift')()])
+
+    def farthest() -> float:
+        """Of the ends of the axes' positioning errors, from those stated, in their uncertainties."""
+        curves = adopt(found).cell['geometry']['curves']
+        stated = {name: found.solution.curve(name) for name in ('EXX', 'EYY', 'EZZ')}
+        return max(abs(curves[name]['value'][-1] - value[-1]) / sigma[-1] for name, (_, value, sigma) in stated.items())
+
+    assert farthest() < 1.0
+    monkeypatch.setattr('stepdiag_ros.twin.by_course.HIDDEN', 0.0)
+    assert farthest() > 1.0
+
+
 def test_readings_are_linear_in_the_amounts(turned):
     """Columns by derivatives, at once for all times of a course, against the difference of two simulated worlds."""
     twin = Twin(turned, small_cell({}, 0.5))
@@ -61,7 +80,7 @@ def test_readings_are_linear_in_the_amounts(turned):
     effect = effect_class('beam_pointing_drift')()
     sizes = np.array([p.high for p in effect.amounts()])
     still = Course(times, np.zeros((len(times), len(sizes))))
-    columns = _columns(twin, effect, still, sizes, _hats(times, twin.seconds))
+    columns = _columns(twin, effect, still, sizes, _hats(times, twin.seconds), twin.projected)
     walk = np.random.default_rng(3).normal(size=still.values.shape) * STEP
     made = twin.projected(twin.adds(effect.following(Course(times, walk * sizes)))[None])[:, 0]
     np.testing.assert_allclose(columns @ walk.ravel(), made, atol=1e-3 * np.abs(made).max())
@@ -120,7 +139,7 @@ def test_a_course_of_what_the_formula_says_is_the_formula(name):
     """Every effect that takes a course does with it what it does with its formula."""
     kind = effect_class(name)
     values = {p.name: [0.3 * p.high] * p.size if p.size > 1 else 0.3 * p.high for p in kind.parameters}
-    values |= {p.name: 50.0 for p in kind.parameters if p.name == 'tau'} | {n: 0.0 for n in ('spread', 'swing')
+    values |= {p.name: 50.0 for p in kind.parameters if p.name == 'tau'} | {n: 0.0 for n in ('spread', 'swing', 'dP')
                                                                            if n in values}
     seconds = np.arange(0.0, 2000.0, 0.5)
     since = -np.expm1(-seconds / 50.0) if 'tau' in values else np.ones(len(seconds))

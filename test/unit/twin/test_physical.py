@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import yaml
 
-from stepdiag_ros.effects import effects_in_file
+from stepdiag_ros.effects import effect_class, effects_in_file
 from stepdiag_ros.gap.diagnose import diagnose
-from stepdiag_ros.twin.adopt import adopt
+from stepdiag_ros.twin.adopt import CLOSED, adopt
 from stepdiag_ros.twin.against import without_known
 from stepdiag_ros.virtual.acting import ALLOWED
 from stepdiag_ros.virtual.cell import parse_cell
@@ -39,13 +39,33 @@ def _note(notes, start):
     return next(note for note in notes if note.startswith(start))
 
 
+def _left(notes):
+    return float(_note(notes, 'run along').split('leaves ')[1].split(' ')[0])
+
+
 def test_a_servo_that_was_fitted_with_several_times_has_one(diagnosed):
     found = diagnosed('servo_settling', {'amp': 6e-6, 'tau': 0.13}, None, 0.5)
     written, notes = adopt(found)[:2]
     assert written['effects']['servo_settling']['amp'] == pytest.approx(6e-6, rel=0.03)
     assert written['effects']['servo_settling']['tau'] == pytest.approx(0.13, rel=0.03)
     assert not any(note.startswith('servo_settling') for note in notes)
-    assert float(_note(notes, 'run along').split('leaves ')[1].split(' ')[0]) == pytest.approx(1.0, abs=0.1)
+    assert _left(notes) == pytest.approx(1.0, abs=0.1)
+
+
+def test_a_detail_that_the_guess_leaves_out_is_found_where_it_shows(diagnosed, monkeypatch):
+    """Scales that are held elsewhere than at zero, of which the guess says nothing."""
+    kind = effect_class('scale_thermal_expansion')
+    found = diagnosed(kind.name, {'alpha': 1e-5, 'dT': [2.0, -1.0, 2.0], 'tau': 200.0, 'shift': [8e-6, 0.0, -6e-6]})
+    monkeypatch.setattr(kind, 'course_of', ())
+    monkeypatch.setattr(kind, 'guess', lambda self, fitted: {'alpha': [1e-5] * 3, 'dT': [2.0, -1.0, 2.0], 'tau': 200.0,
+                                                             'shift': [0.0] * 3})
+    written, notes = adopt(found)[:2]
+    assert np.ptp(written['effects'][kind.name]['shift']) > 7e-6
+    assert _left(notes) <= CLOSED
+    # The check can fail.
+    monkeypatch.setattr('stepdiag_ros.twin.physical.SHOWS', np.inf)
+    written, notes = adopt(found)[:2]
+    assert 'shift' not in written['effects'][kind.name] and _left(notes) > CLOSED
 
 
 @pytest.mark.long
