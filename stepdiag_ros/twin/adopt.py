@@ -24,7 +24,7 @@ from stepdiag_ros.gap.inference.averaged import averaged_fit
 from stepdiag_ros.gap.inference.joint import inverse
 from stepdiag_ros.gap.preprocess.observe import sane_fit
 from stepdiag_ros.model.machine import CURVES
-from stepdiag_ros.twin.physical import Physical, physical
+from stepdiag_ros.twin.physical import Physical, physical, together
 from stepdiag_ros.twin.twin import Twin
 from stepdiag_ros.virtual.cell import Cell, parse_cell
 
@@ -108,9 +108,11 @@ def _in_turn(diagnosis: Diagnosis, cell: Mapping[str, Any],
     fit, best, said, first = diagnosis.joint.fit, None, {}, None
     for _ in range(ROUNDS):
         twin = Twin(diagnosis, _bare(cell, fit, base))
-        first = twin if first is None else first
+        if first is None:
+            first, said = twin, together(diagnosis, twin)
         for number, found in enumerate(diagnosis.effects):
-            before, behind = (_acting(said, diagnosis.effects[part]) for part in (slice(number), slice(number + 1, None)))
+            before, behind = (_acting(said, diagnosis.effects[part])
+                              for part in (slice(number), slice(number + 1, None)))
             among = twin.beside(before, behind)
             others = {effect.name for effect in (*before, *behind)}
             by_forms = sum(a.contribution[:, None] + a.inside for a in active if a.effect.name in others)
@@ -130,7 +132,8 @@ def _in_turn(diagnosis: Diagnosis, cell: Mapping[str, Any],
 
 
 def _acting(said: Mapping[str, Physical], effects: Sequence[Found]) -> list[Effect]:
-    return [one.effect for one in (said.get(found.name) for found in effects) if one is not None and one.effect is not None]
+    acting = (said[found.name].effect for found in effects if found.name in said)
+    return [effect for effect in acting if effect is not None]
 
 
 def _bare(cell: Mapping[str, Any], fit: Fit, base: Mapping[str, Any] | None) -> Cell:

@@ -1,7 +1,7 @@
 """Counts that the laser lost, for a simulator: once between two stops by the number of the move, all else in time.
 
-A slip in a dwell leaves that dwell to the diagnosis as if it had lasted without it, and so it has to be held against the
-log; the samples are as they were, and for them the cell has the time between the two at which it happened.
+A slip in a dwell leaves that dwell to the diagnosis as if it had lasted without it, and so it has to be held against
+the log; the samples are as they were, and for them the cell has the time between the two at which it happened.
 """
 
 from collections.abc import Sequence

@@ -6,8 +6,9 @@ stops.  So every effect is taken over alike, one of the user's own too.  The phy
 what is lost is reported.
 """
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -80,50 +81,117 @@ def physical(diagnosis: Diagnosis, found: Found, twin: Twin, moved: np.ndarray,
     return _fitted(diagnosis, active, twin, moved, near)
 
 
+@dataclass(frozen=True)
+class _Wanted:
+    """What effects must do as a ``twin`` shows it: ``own`` (N,) in parity space as the forms did, ``rest`` besides as
+    they left it; ``basis`` (N, r): what says nothing of them."""
+
+    twin: Twin
+    own: np.ndarray
+    rest: np.ndarray
+    basis: np.ndarray
+
+    @classmethod
+    def of(cls, diagnosis: Diagnosis, active: Sequence[Active], twin: Twin,
+           moved: np.ndarray | None = None) -> '_Wanted':
+        space = diagnosis.joint.parity
+        own = sum(space.project(a.form) @ (a.coefficients / a.form.scale) for a in active)
+        # What others do to it, and a machine that has moved far, are no sums.
+        own = own if moved is None else own + twin.projected(moved[None])[:, 0]
+        return cls(twin, own, unexplained(space, diagnosis.joint.active),
+                   basis_of(unknown_starts(diagnosis.joint.observation.view), space))
+
+    def told(self, white: np.ndarray) -> np.ndarray:
+        """White changes (N,) without what says nothing."""
+        return white - self.basis @ (self.basis.T @ white)
+
+    @cached_property
+    def target(self) -> np.ndarray:
+        return self.told(self.rest + self.own)
+
+    @cached_property
+    def noise(self) -> float:
+        """Square that is left in any case; what counts is how much more than the forms leave."""
+        noise = self.told(self.rest)
+        return float(noise @ noise)
+
+    @property
+    def power(self) -> float:
+        """Square that the forms explain."""
+        return max(float(self.target @ self.target) - self.noise, 1e-300)
+
+    def missed(self, *fitted: Effect) -> np.ndarray:
+        """What effects leave of it (N,)."""
+        with np.errstate(all='ignore'):    # what is tried may be far beyond what light and air are
+            made = self.twin.projected(self.twin.adds(*fitted)[None])[:, 0]
+        return self.target - self.told(made) if np.isfinite(made).all() else BEYOND * self.target
+
+
+def together(diagnosis: Diagnosis, twin: Twin) -> dict[str, Physical]:
+    """Formulas of all effects that have one and were fitted to the stops, found at once; none where a formula is not
+    what happened.
+
+    Each for itself beside the others' forms, two that act on each other settle where neither can leave: a mirror that
+    is bent too much behind a detector that is turned too far.
+    """
+    parts = {found.name: [a for a in diagnosis.joint.active if a.effect.name == found.name]
+             for found in diagnosis.effects if found.name != COUNTS}
+    parts = {name: active for name, active in parts.items() if active and not active[0].effect.not_adopted}
+    if len(parts) < 2:
+        return {}
+    kinds = {name: type(active[0].effect) for name, active in parts.items()}
+    wanted = _Wanted.of(diagnosis, [a for active in parts.values() for a in active], twin)
+
+    def split(values: Values) -> dict[str, Values]:
+        return {name: {p.name: values[f'{name}.{p.name}'] for p in kind.parameters} for name, kind in kinds.items()}
+
+    alone = {name: _formula(_Wanted.of(diagnosis, active, twin), diagnosis, active)[0]
+             for name, active in parts.items()}
+    found, left = _refined(
+        tuple(replace(p, name=f'{name}.{p.name}') for name, kind in kinds.items() for p in kind.parameters),
+        {f'{name}.{key}': value for name, values in alone.items() for key, value in values.items()},
+        lambda values: wanted.missed(*(kinds[name](**own) for name, own in split(values).items())))
+    if left - wanted.noise > LOSS * wanted.power:
+        return {}
+    nothing = np.zeros(diagnosis.nominal.view.reading.shape)
+    return {name: Physical({}, '', nothing, kinds[name](**formula), formula) for name, formula in split(found).items()}
+
+
+def _formula(wanted: _Wanted, diagnosis: Diagnosis, active: Sequence[Active],
+             near: Values | None = None) -> tuple[Values, float]:
+    """Parameters with which an effect does the most, and the square that it misses."""
+    effect = type(active[0].effect)
+
+    def missed(values: Values) -> np.ndarray:
+        return wanted.missed(effect(**values))
+
+    starts = [near] if near else sorted(_starts(_first(diagnosis, active), effect.parameters, wanted.target, missed),
+                                        key=lambda start: np.sum(missed(start)**2))[:BEST]
+    formula, left = min((_refined(effect.parameters, start, missed) for start in starts), key=lambda pair: pair[1])
+    if left - wanted.noise > SHOWS**2 and any(p.detail for p in effect.parameters):
+        detailed, left_then = _refined(effect.parameters, formula, missed, details=True)
+        formula, left = (detailed, left_then) if left_then < left - SHOWS**2 else (formula, left)
+    return formula, left
+
+
 def _fitted(diagnosis: Diagnosis, active: list[Active], twin: Twin, moved: np.ndarray,
             near: Physical | None) -> Physical:
     space, effect = diagnosis.joint.parity, type(active[0].effect)
-    own = sum(space.project(a.form) @ (a.coefficients / a.form.scale) for a in active)
-    # What others do to it, and a machine that has moved far, are no sums.
-    own = own + twin.projected(moved[None])[:, 0]
-    rest = unexplained(space, diagnosis.joint.active)
-    story = unknown_starts(diagnosis.joint.observation.view)
-    basis = basis_of(story, space)
-    target = rest + own
-    target = target - basis @ (basis.T @ target)
-
-    def missed(fitted: Effect) -> np.ndarray:
-        with np.errstate(all='ignore'):    # what is tried may be far beyond what light and air are
-            made = twin.projected(twin.adds(fitted)[None])[:, 0]
-        if not np.isfinite(made).all():
-            return BEYOND * target
-        return target - (made - basis @ (basis.T @ made))
-
-    def by_values(values: Values) -> np.ndarray:
-        return missed(effect(**values))
-
-    first = _first(diagnosis, active)
-    starts = [near.formula] if near is not None and near.formula else sorted(
-        _starts(first, effect.parameters, target, by_values), key=lambda start: np.sum(by_values(start)**2))[:BEST]
-    formula, left = min((_refined(effect.parameters, start, by_values) for start in starts), key=lambda pair: pair[1])
-    # Noise is left in any case; what counts is how much more than the forms leave.
-    noise, nothing = (v - basis @ (basis.T @ v) for v in (rest, target))
-    power = max(float(nothing @ nothing - noise @ noise), 1e-300)
-    if left - noise @ noise > SHOWS**2 and any(p.detail for p in effect.parameters):
-        detailed, left_then = _refined(effect.parameters, formula, by_values, details=True)
-        formula, left = (detailed, left_then) if left_then < left - SHOWS**2 else (formula, left)
+    wanted = _Wanted.of(diagnosis, active, twin, moved)
+    formula, left = _formula(wanted, diagnosis, active, near.formula if near is not None else None)
     details = {p.name for p in effect.parameters if p.detail and not np.any(formula[p.name])}
     best, fitted = {name: value for name, value in formula.items() if name not in details}, effect(**formula)
     # Sizes that no such effect has are what a time constant needs to imitate another course.
     strange = not all(_plausible(p, formula[p.name]) for p in effect.parameters)
-    if effect.course_of and (strange or left - noise @ noise > SHOWS**2):
+    if effect.course_of and (strange or left - wanted.noise > SHOWS**2):
+        first = _first(diagnosis, active)
         kept = {name: first[name] for name in effect.course_keeps}
-        following = by_course(diagnosis.joint.observation, effect(**kept), twin, own - basis @ (basis.T @ own), basis,
+        following = by_course(diagnosis.joint.observation, effect(**kept), twin, wanted.told(wanted.own), wanted.basis,
                               sum(a.contribution for a in active))
-        missing = missed(following)
+        missing = wanted.missed(following)
         if missing @ missing < left + strange * SHOWS**2:
             best, fitted, left = kept | {'course': following.course.to_mapping()}, following, float(missing @ missing)
-    done = (nothing @ nothing - left) / power
+    done = 1.0 - (left - wanted.noise) / wanted.power
     if done < LEAST_DONE:
         return Physical({}, f'its physical face can do {100 * max(done, 0.0):.0f} % of what was fitted; not adopted',
                         sum(a.contribution for a in active))
@@ -134,9 +202,9 @@ def _fitted(diagnosis: Diagnosis, active: list[Active], twin: Twin, moved: np.nd
     added = twin.adds(fitted)
     # Where it is the story that differs, the machine must not be made to imitate it.
     apart = sum(a.contribution for a in active) - added.mean(axis=1)
-    before = started(story, space, apart)
-    seen = basis.T @ (rest + own - twin.projected(added[None])[:, 0])
-    if seen @ seen > LOSS * float(nothing @ nothing):
+    before = started(unknown_starts(diagnosis.joint.observation.view), space, apart)
+    seen = wanted.basis.T @ (wanted.rest + wanted.own - twin.projected(added[None])[:, 0])
+    if seen @ seen > LOSS * float(wanted.target @ wanted.target):
         notes.append('how the axes came to the first stop of a setup is the log\'s own story: until each has moved '
                      'the simulator differs')
     notes += [f'{p.name} of {", ".join(f"{v:.3g}" for v in np.atleast_1d(best[p.name]))} {p.unit} is beyond what is '
@@ -156,7 +224,7 @@ def _starts(first: Values, parameters: tuple[Parameter, ...], target: np.ndarray
                         for value in np.geomspace(p.low, p.high, TRIED))
 
 
-def _first(diagnosis: Diagnosis, active: list[Active]) -> Values:
+def _first(diagnosis: Diagnosis, active: Sequence[Active]) -> Values:
     """The guess, and the middle of their bounds for parameters of which it says nothing."""
     middle = {p.name: [0.5 * (p.low + p.high)] * p.size if p.size > 1 else 0.5 * (p.low + p.high)
               for p in active[0].effect.parameters}

@@ -55,12 +55,12 @@ def test_a_servo_that_was_fitted_with_several_times_has_one(diagnosed):
 def test_a_detail_that_the_guess_leaves_out_is_found_where_it_shows(diagnosed, monkeypatch):
     """Scales that are held elsewhere than at zero, of which the guess says nothing."""
     kind = effect_class('scale_thermal_expansion')
-    found = diagnosed(kind.name, {'alpha': 1e-5, 'dT': [2.0, -1.0, 2.0], 'tau': 200.0, 'shift': [8e-6, 0.0, -6e-6]})
+    found = diagnosed(kind.name, {'alpha': 1e-5, 'dT': [2.0, -1.0, 2.0], 'tau': 200.0, 'shift': [2e-5, 0.0, -1.5e-5]})
     monkeypatch.setattr(kind, 'course_of', ())
     monkeypatch.setattr(kind, 'guess', lambda self, fitted: {'alpha': [1e-5] * 3, 'dT': [2.0, -1.0, 2.0], 'tau': 200.0,
                                                              'shift': [0.0] * 3})
     written, notes = adopt(found)[:2]
-    assert np.ptp(written['effects'][kind.name]['shift']) > 7e-6
+    assert np.ptp(written['effects'][kind.name]['shift']) > 1.5e-5
     assert _left(notes) <= CLOSED
     # The check can fail.
     monkeypatch.setattr('stepdiag_ros.twin.physical.SHOWS', np.inf)
