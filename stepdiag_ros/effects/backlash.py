@@ -11,19 +11,32 @@ import numpy as np
 from stepdiag_ros.effects.adoption import Fitted
 from stepdiag_ros.effects.base import Effect, Form, Moment, Parameter, StopView
 
+AXES = ('X', 'Y', 'Z')
+WAVES = 6
+"""Cosines along an axis that a reversal error may follow."""
+
 
 class Backlash(Effect):
     name = 'backlash'
     short = 'Backlash (lost motion on reversal)'
     title = 'An axis stops at a different place depending on the direction it came from.'
-    parameters = (Parameter('B', 'm', 0.0, 3e-5, 3, 'reversal error of X, Y, Z'),)
+    parameters = (Parameter('B', 'm', 0.0, 3e-5, 3, 'reversal error of X, Y, Z'),
+                  Parameter('along', 'm', -3e-5, 3e-5, 3 * WAVES, 'by how much more along X, then Y, then Z: sizes of '
+                            f'{WAVES} cosines, of half a wave over its travel the first', detail=True),
+                  Parameter('load', 'm', -3e-5, 3e-5, 6, 'by how much more of X along Y and along Z, of Y along X and '
+                            'along Z, of Z along X and along Y, from end to end', detail=True))
     sources = ('ISO 230-2, reversal error B',)
     remedy = 'Check the ball screw, its bearings and the scale mount; set the reversal compensation.'
     signature = 'Steps by the same amount whenever an axis turns round.'
     neighbours = 'count_slip steps once; servo_settling creeps inside the dwell; structural_thermal_drift is smooth.'
 
     def before_pose(self, moment: Moment) -> None:
-        moment.position = moment.position - 0.5 * self.B * moment.approach
+        share = moment.commanded / np.array(moment.description.machine.volume)
+        waves = np.cos(np.pi * np.arange(1, WAVES + 1) * share[:, :, None])
+        loaded = np.zeros((3, 3))
+        loaded[~np.eye(3, dtype=bool)] = self.load
+        lost = self.B + np.einsum('naw,aw->na', waves, self.along.reshape(3, WAVES)) + (share - 0.5) @ loaded.T
+        moment.position = moment.position - 0.5 * lost * moment.approach
 
     def appearance(self, view: StopView) -> list[Form]:
         forms = []
@@ -63,11 +76,6 @@ class Backlash(Effect):
     def guess(self, fitted: Fitted) -> Mapping[str, object]:
         values = fitted.values
         return {'B': [max(values.get(axis, 0.0), 0.0) for axis in 'XYZ']}
-
-
-AXES = ('X', 'Y', 'Z')
-WAVES = 6
-"""Cosines along an axis that a reversal error may follow."""
 
 
 def _starts(view: StopView) -> dict[str, np.ndarray]:

@@ -27,7 +27,9 @@ class NonRigidCoupling(Effect):
     parameters = (Parameter('motion', '1', 0.0, 17.0, meaning='which error motion: EXX … ECZ, or its number'),
                   Parameter('by', '1', 0.0, 2.0, meaning='on which other axis it depends: X, Y, Z, or its number'),
                   Parameter('amp', 'm or rad', -5e-5, 5e-5, meaning='size with both axes at their ends'),
-                  Parameter('power', '1', 1.0, 2.0, meaning='of the other axis\'s position'))
+                  Parameter('power', '1', 1.0, 2.0, meaning='of the other axis\'s position'),
+                  Parameter('bend', '1', -1.0, 1.0, 2, 'share of it that grows with the square of the own axis\'s '
+                            'position besides, and of the other\'s', detail=True))
     sources = ('Schwenke et al. 2008, CIRP Annals 57, 660, non-rigid behaviour', 'ISO 230-1:2012, 3.1')
     remedy = ('Compensate in the volume with a grid instead of axis by axis; look for overhanging slides '
               'and weak guideways.')
@@ -64,7 +66,8 @@ class NonRigidCoupling(Effect):
         motion, by = round(self.motion), round(self.by)
         share = moment.commanded / np.array(machine.volume)
         # Rounding may leave a start corner a hair below zero.
-        size = self.amp * share[:, self.axis] * np.maximum(share[:, by], 0.0) ** self.power
+        own, other = share[:, self.axis], np.maximum(share[:, by], 0.0)
+        size = self.amp * own * (other ** self.power + other * (self.bend[0] * own + self.bend[1] * other))
         shifts, turns = np.zeros((2, 3, len(size), 3))
         (turns if motion % 6 > 2 else shifts)[self.axis, :, motion % 3] = size
         moment.shift = moment.shift + carried(machine.chain, moment.commanded, shifts, turns, machine.tool)

@@ -25,6 +25,8 @@ GROUPS = {**TOGETHER, **{f'{axis} alone': (axis,) for axis in 'XYZ'}}
 """Axes that creep in, and the sizes that they have; one axis is often tuned worse than the others."""
 TYPICAL_M = 3e-7
 """Size of what is left at the dwell's begin; inside the dwells a hundredth of that is seen."""
+SLOWER = 4.0
+"""Times as long as the servo's own that a cell may let its axes creep on with."""
 SWINGS = (1.5, 3.0, 5.0, 8.0)
 """Frequencies [Hz] tried of a servo that swings in …"""
 SWING_TAU, CREEP_TAU = 0.1, 0.3
@@ -36,8 +38,10 @@ class ServoSettling(Effect):
     short = 'Axis still creeps at the stop'
     needs_dwells = True
     title = 'An axis still creeps towards its position when the measurement at a stop begins.'
-    parameters = (Parameter('amp', 'm', 0.0, 2e-5, meaning='lag when the dwell begins'),
-                  Parameter('tau', 's', 0.03, 1.0, meaning='time constant'))
+    parameters = (Parameter('amp', 'm', 0.0, 2e-5, 3, 'lag of X, Y, Z when the dwell begins; one number: of all'),
+                  Parameter('tau', 's', 0.03, 1.0, meaning='time constant'),
+                  Parameter('slow', 'm', -2e-5, 2e-5, 3, f'besides, what dies away {SLOWER:g} times as slowly',
+                            detail=True))
     sources = ('Altintas et al. 2011, CIRP Annals 60, 779 (feed drives)', 'ISO 230-2, dwell at the target')
     remedy = 'Wait longer before the dwell, narrow the in-position window, tune the servo.'
     signature = 'Exponential creep inside each dwell, along the axis that moved, towards where it went.'
@@ -50,14 +54,13 @@ class ServoSettling(Effect):
                 'tau': float(np.exp(rng.uniform(np.log(0.04), np.log(0.8))))}
 
     def before_pose(self, moment: Moment) -> None:
-        creeping = moment.since_arrival >= 0.0
-        left = np.where(creeping, np.exp(-np.maximum(moment.since_arrival, 0.0) / self.tau), 0.0)
         # Before arrival the lag rises to its full size, so that nothing jumps when the dwell begins.
-        near = np.exp(np.minimum(moment.since_arrival, 0.0) / min(self.tau, 0.05))
-        left = np.where(creeping, left, near)
+        since = np.where(moment.since_arrival >= 0.0, -moment.since_arrival / self.tau,
+                         np.minimum(moment.since_arrival, 0.0) / min(self.tau, 0.05))[:, None]
+        left = self.amp * np.exp(since) + self.slow * np.exp(since / SLOWER)
         # After a move of several axes, to a setup's start, there is time before the reset.
         moving = moment.moved[:, None] == np.arange(3)
-        moment.position = moment.position - self.amp * left[:, None] * moving * moment.approach
+        moment.position = moment.position - left * moving * moment.approach
 
     def appearance(self, view: StopView) -> list[Form]:
         forms = []
@@ -116,5 +119,5 @@ class ServoSettling(Effect):
 
     def guess(self, fitted: Fitted) -> Mapping[str, object]:
         values, shape = fitted.values, fitted.forms[0].shape
-        sizes = [values[a] for a in ('all', *'XYZ') if a in values]
-        return {'amp': float(np.mean(sizes)), 'tau': shape['tau_s']} if sizes and 'tau_s' in shape else {}
+        sizes = [values.get(a, values.get('all', 0.0)) for a in 'XYZ']
+        return {'amp': sizes, 'tau': shape['tau_s']} if 'tau_s' in shape else {}

@@ -24,7 +24,8 @@ from stepdiag_ros.gap.inference.averaged import averaged_fit
 from stepdiag_ros.gap.inference.joint import inverse
 from stepdiag_ros.gap.preprocess.observe import sane_fit
 from stepdiag_ros.model.machine import CURVES
-from stepdiag_ros.twin.physical import Physical, physical, together
+from stepdiag_ros.twin.formula import together
+from stepdiag_ros.twin.physical import Physical, physical
 from stepdiag_ros.twin.twin import Twin
 from stepdiag_ros.virtual.cell import Cell, parse_cell
 
@@ -105,11 +106,14 @@ def _in_turn(diagnosis: Diagnosis, cell: Mapping[str, Any],
     """
     active = diagnosis.joint.active
     unnamed = sum(a.contribution for a in active if not a.effect.name)
+    stated = averaged_fit(diagnosis.joint, diagnosis.screen, diagnosis.raw[0])[0]
     fit, best, said, first = diagnosis.joint.fit, None, {}, None
     for _ in range(ROUNDS):
         twin = Twin(diagnosis, _bare(cell, fit, base))
         if first is None:
-            first, said = twin, together(diagnosis, twin)
+            first = twin
+            said = {name: Physical({}, '', np.zeros(twin.bare[:, 0].shape), effect, formula)
+                    for name, (formula, effect) in together(diagnosis, twin).items()}
         for number, found in enumerate(diagnosis.effects):
             before, behind = (_acting(said, diagnosis.effects[part])
                               for part in (slice(number), slice(number + 1, None)))
@@ -121,7 +125,7 @@ def _in_turn(diagnosis: Diagnosis, cell: Mapping[str, Any],
         acting = _acting(said, diagnosis.effects)
         taken = unnamed + twin.adds(*acting).mean(axis=1) + sum(one.besides for one in said.values())
         # Where tilts that hardly show move by milliradians, the machine as the forms had it does better.
-        machines = (_machine_without(diagnosis, taken), diagnosis.joint.fit)
+        machines = (_machine_without(diagnosis, taken, stated), diagnosis.joint.fit)
         left, chi2, fit = min(((*Twin(diagnosis, _bare(cell, machine, base)).left(acting), machine)
                                for machine in machines), key=lambda turn: turn[1])
         earlier, best = best, min((fit, dict(said), left, chi2), best or (fit, dict(said), left, chi2),
@@ -152,9 +156,9 @@ def _noise(diagnosis: Diagnosis) -> dict[str, float]:
                      'angle_repeatability': float(noise.angle)}
 
 
-def _machine_without(diagnosis: Diagnosis, taken: np.ndarray | float) -> Fit:
+def _machine_without(diagnosis: Diagnosis, taken: np.ndarray | float, stated: Fit) -> Fit:
     """The machine fitted to the log less what the adopted effects will add, its 21 errors held to what the diagnosis
-    states of them within their uncertainty.
+    has ``stated`` of them within their uncertainty.
 
     What a form and its physical counterpart differ by, in what a machine can imitate, must not be counted twice; nor
     may the machine be bent to make up for a counterpart that does less than the form: along directions that the log
@@ -165,7 +169,6 @@ def _machine_without(diagnosis: Diagnosis, taken: np.ndarray | float) -> Fit:
     freed = replace(table, displacement=table.displacement - np.asarray(taken)[..., :-2],
                     spot=table.spot - np.asarray(taken)[..., -2:]) if np.ndim(taken) else table
     free = sane_fit(joint.observation.log, freed, joint.fit.theta, joint.noise)
-    stated, _, _ = averaged_fit(joint, diagnosis.screen, diagnosis.raw[0])
     errors = slice(0, min(free.parameters.setup_first.values()))
     held = np.zeros_like(joint.normal)
     held[errors, errors] = inverse(stated.covariance[errors, errors])

@@ -36,13 +36,14 @@ AT_ONCE = 2e7
 
 
 def by_course(observation: Observation, effect: Effect, twin: Twin, did: np.ndarray, basis: np.ndarray,
-              at_stops: np.ndarray) -> Effect:
+              at_stops: np.ndarray, near: Course | None = None) -> Effect:
     """``effect`` with the course with which it does what its forms ``did`` (N,) in parity space, but along ``basis``
-    (N, r), which says nothing of it; and ``at_stops`` (n, c) [m], where the machine may hide it."""
+    (N, r), which says nothing of it; and ``at_stops`` (n, c) [m], where the machine may hide it; ``near``: the course
+    along the same moves in a twin that hardly differs."""
     times, begins = _times(observation, twin)
     sizes = np.array([max(abs(p.low), abs(p.high)) for p in effect.amounts()])    # 1 is the plausible range
     hats = _hats(times, twin.seconds)
-    course = Course(times, np.zeros((len(times), len(sizes))))
+    course = near or Course(times, np.zeros((len(times), len(sizes))))
     prior = np.kron(_unevenness(times, begins, effect.course_begins), np.eye(len(sizes)))
 
     def seen(readings: np.ndarray) -> np.ndarray:

@@ -255,6 +255,12 @@ def test_non_rigid_coupling(bench, motion, by, power):
     np.testing.assert_allclose(found[-1 if power == 2.0 else 0], 1e-5, rtol=0.01)
 
 
+def test_a_coupling_that_bends_along_both_axes(bench):
+    given = {'motion': 'EAY', 'by': 'X', 'amp': 1e-5, 'bend': [0.5, -0.3]}
+    found = compare(bench, 'non_rigid_coupling', given, 'EAY by X, bent', limit=0.01)
+    np.testing.assert_allclose(found, [1e-5, 0.5e-5, -0.3e-5], atol=2e-7)
+
+
 def test_squareness_drift(bench):
     tau = drift_tau(bench.view)
     given = np.array([1e-6, 2e-6, -3e-6])
