@@ -81,8 +81,8 @@ class Wanted:
 
 
 def together(diagnosis: Diagnosis, twin: Twin) -> dict[str, tuple[Values, Effect]]:
-    """Formulas of all effects that have one and were fitted to the stops, found at once, and the effects with them; none
-    where a formula is not what happened.
+    """Formulas of all effects that have one and were fitted to the stops, found at once, and the effects with them;
+    none where a formula is not what happened.
 
     Each for itself beside the others' forms, two that act on each other settle where neither can leave: a mirror that
     is bent too much behind a detector that is turned too far.

@@ -204,6 +204,14 @@ def test_backlash(bench):
     np.testing.assert_allclose(found[:3], [1e-6, 2e-6, 5e-7], rtol=0.01)
 
 
+def test_a_reversal_that_varies_along_its_axis_and_with_anothers_place(bench):
+    along, load = np.zeros((3, 6)), np.array([0.0, 3e-7, -2e-7, 0.0, 0.0, 0.0])
+    along[0, 1], along[2, 0] = 2e-7, -3e-7
+    given = {'B': [1e-6, 2e-6, 5e-7], 'along': along.ravel(), 'load': load}
+    # Waves at few stops may stand for each other: what counts is that the form does what the effect does.
+    compare(bench, 'backlash', given, 'reversal of each place and under load, carried over', limit=0.01)
+
+
 def test_servo_settling(bench):
     tau, amp = 0.17, 1e-6
     acting = bench.with_effect(effect_class('servo_settling')(amp=amp, tau=tau))

@@ -66,15 +66,16 @@ def test_scale_sensors_show_the_warming(bench):
 
 
 def test_settling_begins_when_the_control_says_in_position(bench):
-    effect = effect_class('servo_settling')(amp=1e-6, tau=0.1)
+    # A lag, and a smaller one that dies away four times as slowly.
+    effect = effect_class('servo_settling')(amp=1e-6, tau=0.1, slow=[4e-7, 0.0, 0.0])
     log = simulate_log(bench.cell, setups=('lin_x',), effects=[effect])
     plain = simulate_log(bench.cell, setups=('lin_x',))
     start = log.steps.time_ns[log.steps.phase == DWELL][1]
     rows = np.searchsorted(log.displacement.time_ns, start) + np.arange(20)
     lag = (log.displacement.values - plain.displacement.values)[rows, 0]
     time = (log.displacement.time_ns[rows] - start) * 1e-9
-    lag = lag - lag[-1] - 1e-6 * np.exp(-time[-1] / 0.1)
-    np.testing.assert_allclose(lag, -1e-6 * np.exp(-time / 0.1), atol=2e-8)
+    expected = -1e-6 * np.exp(-time / 0.1) - 4e-7 * np.exp(-time / 0.4)
+    np.testing.assert_allclose(lag - lag[-1], expected - expected[-1], atol=2e-8)
 
 
 def test_the_mount_gives_way_by_other_amounts_only_if_asked(bench):
