@@ -156,7 +156,7 @@ def _noise(diagnosis: Diagnosis) -> dict[str, float]:
                      'angle_repeatability': float(noise.angle)}
 
 
-def _machine_without(diagnosis: Diagnosis, taken: np.ndarray | float, stated: Fit) -> Fit:
+def _machine_without(diagnosis: Diagnosis, taken: np.ndarray, stated: Fit) -> Fit:
     """The machine fitted to the log less what the adopted effects will add, its 21 errors held to what the diagnosis
     has ``stated`` of them within their uncertainty.
 
@@ -166,8 +166,7 @@ def _machine_without(diagnosis: Diagnosis, taken: np.ndarray | float, stated: Fi
     and the stated errors e of covariance S the adopted unknowns are (H + S⁻¹)⁻¹ (H θ + S⁻¹ e).
     """
     joint, table = diagnosis.joint, diagnosis.joint.observation.table
-    freed = replace(table, displacement=table.displacement - np.asarray(taken)[..., :-2],
-                    spot=table.spot - np.asarray(taken)[..., -2:]) if np.ndim(taken) else table
+    freed = replace(table, displacement=table.displacement - taken[:, :-2], spot=table.spot - taken[:, -2:])
     free = sane_fit(joint.observation.log, freed, joint.fit.theta, joint.noise)
     errors = slice(0, min(free.parameters.setup_first.values()))
     held = np.zeros_like(joint.normal)

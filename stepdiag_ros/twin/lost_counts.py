@@ -91,7 +91,10 @@ def _course(seconds: np.ndarray, jumps: Sequence[np.ndarray]) -> Course:
     order = np.argsort(seconds)
     times, values, lost = [], [], np.zeros(limits.BEAMS)
     for k in order:
-        times += [seconds[k], seconds[k] + AT_ONCE_S]
-        values += [lost, lost + jumps[k]]
+        # What several beams lose at once is one step.
+        if not times or seconds[k] - times[-1] > AT_ONCE_S:
+            times += [seconds[k], seconds[k] + AT_ONCE_S]
+            values += [lost, lost]
         lost = lost + jumps[k]
+        values[-1] = lost
     return Course(np.array(times), np.array(values))

@@ -12,6 +12,7 @@ from stepdiag_ros.estimate.reduce import reduce_log
 from stepdiag_ros.gap.diagnose import diagnose
 from stepdiag_ros.twin.adopt import CLOSED, adopt
 from stepdiag_ros.twin.against import without_known
+from stepdiag_ros.twin.lost_counts import _course
 from stepdiag_ros.virtual.offline import simulate_log
 from stepdiag_ros.virtual.replay import began
 
@@ -71,3 +72,10 @@ def test_a_slip_of_one_beam_is_of_that_beam():
 
 def test_one_number_is_of_all_beams():
     np.testing.assert_array_equal(effect_class('count_slip')(jump=JUMP).jump, [JUMP] * 3)
+
+
+def test_beams_that_lose_count_at_once_are_one_step():
+    course = _course(np.array([9.0, 4.0, 4.0]), [np.array([0.0, 0.0, 1e-6]), np.array([2e-6, 0.0, 0.0]),
+                                                 np.array([0.0, 3e-6, 0.0])])
+    assert len(course.seconds) == 4 and (np.diff(course.seconds) > 0.0).all()
+    np.testing.assert_allclose(course.values, [[0, 0, 0], [2e-6, 3e-6, 0], [2e-6, 3e-6, 0], [2e-6, 3e-6, 1e-6]])
