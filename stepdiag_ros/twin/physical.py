@@ -56,7 +56,8 @@ def physical(diagnosis: Diagnosis, found: Found, twin: Twin, moved: np.ndarray,
     active = [a for a in diagnosis.joint.active if a.effect.name == found.name]
     if found.name == COUNTS:
         values, effect = lost_counts(diagnosis, all_effects()[COUNTS], active, twin)
-        return Physical(values, '', nothing, effect)
+        return Physical(values, 'when it was lost is taken over, so that along other moves it is lost elsewhere'
+                        if effect.course is not None else '', nothing, effect)
     if not active:
         return Physical({}, 'it was not fitted to the stops, so there is nothing to adopt', nothing)
     whole = sum(a.contribution for a in active)

@@ -52,6 +52,7 @@ def test_a_slip_at_rest_and_one_in_motion_are_a_course(tmp_path):
     stood = (table.done_ns[moving - 1] - start) * 1e-9, (table.dwell_ns[moving] - start) * 1e-9
     assert stood[0] < written['seconds'][2] < stood[1]
     assert left(adopted) <= CLOSED
+    assert any(note.startswith('count_slip: when it was lost is taken over') for note in adopted.notes)
     path = tmp_path / 'adopted.yaml'
     path.write_text(yaml.safe_dump(adopted.cell))
     known, _ = without_known(log, path)
