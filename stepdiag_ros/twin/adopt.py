@@ -80,7 +80,6 @@ def adopt(diagnosis: Diagnosis, base: Mapping[str, Any] | None = None) -> Adopte
     cell['effects'] = effects | {name: one.values for name, one in said.items() if one.values}
     cell['geometry'] = _geometry(fit)
     cell['misalignments'] = {'given': _misalignments(fit, base)}
-    adopted = [one.effect for one in said.values() if one.effect is not None]
     twin = Twin(diagnosis, _bare(cell, fit, base))
     times = float(np.sqrt(chi2))
     notes.append(f'run along the moves of the log this simulator leaves {times:.2f} times its noise at the '
@@ -92,7 +91,7 @@ def adopt(diagnosis: Diagnosis, base: Mapping[str, Any] | None = None) -> Adopte
     if diagnosis.solution.unidentifiable:
         notes.append('directions that the log leaves open are held near zero: '
                      + ', '.join(sorted({n for u in diagnosis.solution.unidentifiable for n in u.names})[:8]))
-    made = twin.adds(*adopted).mean(axis=1)
+    made = twin.adds(*_acting(said, diagnosis.effects)).mean(axis=1)
     return Adopted(cell, tuple(notes), made, left)
 
 

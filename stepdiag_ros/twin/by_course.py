@@ -49,9 +49,9 @@ def by_course(observation: Observation, effect: Effect, twin: Twin, did: np.ndar
     def seen(readings: np.ndarray) -> np.ndarray:
         """Readings (k, n, b, c) as far as they count (N + n·c, k)."""
         shown = twin.projected(readings)
-        return np.concatenate([shown - basis @ (basis.T @ shown), HIDDEN * twin.whitened(readings.mean(axis=2))])
+        return np.concatenate([shown - basis @ (basis.T @ shown), HIDDEN * twin.at_stops(readings.mean(axis=2))])
 
-    did = np.concatenate([did, HIDDEN * twin.whitened(at_stops[None])[:, 0]])
+    did = np.concatenate([did, HIDDEN * twin.at_stops(at_stops[None])[:, 0]])
     for _ in range(TURNS):
         columns = _columns(twin, effect, course, sizes, hats, seen)
         wanted = did - seen(twin.adds(effect.following(course))[None])[:, 0] + columns @ (course.values / sizes).ravel()

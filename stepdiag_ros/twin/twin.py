@@ -106,10 +106,6 @@ class Twin:
         form = Form('', mean, ('',) * len(mean), np.ones(len(mean)), inside=readings - mean[:, :, None])
         return self._diagnosis.joint.parity.project(form)
 
-    def whitened(self, stops: np.ndarray) -> np.ndarray:
-        """Changes (k, n, c) of the stops in the noise of the readings (n·c, k), what lengths have in common in each run
-        taken off."""
-        stops, run = stops.copy(), self._diagnosis.joint.observation.view.run
-        for number in np.unique(run):
-            stops[:, run == number, :-2] -= stops[:, run == number, :-2].mean(axis=1, keepdims=True)
-        return self._diagnosis.joint.whitened(stops.reshape(len(stops), -1).T)
+    def at_stops(self, stops: np.ndarray) -> np.ndarray:
+        """Changes (k, n, c) of the stops in the noise of the readings (n·c, k), the machine's share with them."""
+        return self._diagnosis.joint.freed(stops.reshape(len(stops), -1).T)

@@ -2,7 +2,7 @@
 
 import pickle
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import lru_cache
 from pathlib import Path
 
@@ -18,6 +18,12 @@ from stepdiag_ros.virtual.cell import Cell, parse_cell
 from stepdiag_ros.virtual.offline import simulate_log
 
 DEMO = Path(__file__).resolve().parents[2] / 'cells' / 'demo.yaml'
+
+
+def times_left(notes: Sequence[str]) -> float:
+    """How many times its noise an adopted simulator leaves of its log, by what it says."""
+    said = next(note for note in notes if note.startswith('run along'))
+    return float(said.split('leaves ')[1].split(' ')[0])
 
 
 def small_cell(effects: dict, dwell: float = 0.1) -> Cell:

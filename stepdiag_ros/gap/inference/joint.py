@@ -101,6 +101,10 @@ class Joint:
         """White version (rows, …) of the readings or Jacobian rows (n·c, …), the resets not taken out."""
         return np.concatenate([w.solve(values[w.rows]) for w in self.parity.projection.white])
 
+    def freed(self, values: np.ndarray) -> np.ndarray:
+        """The same without what the resets of the runs can do."""
+        return np.concatenate([w.forward(values[w.rows]) for w in self.parity.projection.white])
+
     def along(self, white: np.ndarray, run: int | None = None) -> np.ndarray:
         """Products ``Jᵀ`` (size, k) of the white Jacobian with a change (rows, k) of the readings, or of one run's."""
         space = self.parity.projection

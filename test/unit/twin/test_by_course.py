@@ -19,7 +19,7 @@ from stepdiag_ros.twin.twin import Twin
 from stepdiag_ros.virtual.cell import parse_cell
 from stepdiag_ros.virtual.offline import simulate_log
 
-from ..conftest import small_cell
+from ..conftest import small_cell, times_left
 
 # A hall: warm at noon, a door that is opened, then still.
 HALL = {'course': {'seconds': [0.0, 60.0, 150.0, 170.0, 400.0, 1000.0],
@@ -33,14 +33,9 @@ def turned() -> Diagnosis:
     return diagnose(simulate_log(replace(cell, description=few)), [effect_class('beam_pointing_drift')()])
 
 
-def left(adopted) -> float:
-    note = next(note for note in adopted.notes if note.startswith('run along'))
-    return float(note.split('leaves ')[1].split(' ')[0])
-
-
 def test_what_follows_no_formula_is_a_course(turned, tmp_path, monkeypatch):
     adopted = adopt(turned)
-    assert left(adopted) <= CLOSED
+    assert times_left(adopted.notes) <= CLOSED
     assert set(adopted.cell['effects']['beam_pointing_drift']) == {'course'}
     assert any('its course in time is taken over as a table' in note for note in adopted.notes)
     # Held against that cell the log has nothing wrong.
@@ -50,7 +45,7 @@ def test_what_follows_no_formula_is_a_course(turned, tmp_path, monkeypatch):
     assert diagnose(log, [effect_class('beam_pointing_drift')()]).verdict == 'no_gap'
     # The check can fail: the formula alone does not do it.
     monkeypatch.setattr(effect_class('beam_pointing_drift'), 'course_of', ())
-    assert left(adopt(turned)) > CLOSED
+    assert times_left(adopt(turned).notes) > CLOSED
 
 
 def test_what_the_machine_hides_of_a_course_goes_as_the_forms_went(monkeypatch):
@@ -94,7 +89,7 @@ def test_each_beam_is_reset_in_each_run():
     found = diagnose(simulate_log(replace(cell, description=replace(cell.description, setups=setups))),
                      [effect_class('backlash')()])
     adopted = adopt(found)
-    assert found.joint.fit.model.beams == 3 and left(adopted) <= CLOSED
+    assert found.joint.fit.model.beams == 3 and times_left(adopted.notes) <= CLOSED
 
 
 def test_what_is_beyond_a_dwell_is_the_next_move(diagnosed):

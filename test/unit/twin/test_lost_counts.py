@@ -16,14 +16,9 @@ from stepdiag_ros.twin.lost_counts import _course
 from stepdiag_ros.virtual.offline import simulate_log
 from stepdiag_ros.virtual.replay import began
 
-from ..conftest import small_cell
+from ..conftest import small_cell, times_left
 
 JUMP = 16.0 * QUARTER
-
-
-def left(adopted) -> float:
-    note = next(note for note in adopted.notes if note.startswith('run along'))
-    return float(note.split('leaves ')[1].split(' ')[0])
 
 
 def kinds():
@@ -51,7 +46,7 @@ def test_a_slip_at_rest_and_one_in_motion_are_a_course(tmp_path):
     assert written['seconds'][0] == pytest.approx(times[0], abs=period)
     stood = (table.done_ns[moving - 1] - start) * 1e-9, (table.dwell_ns[moving] - start) * 1e-9
     assert stood[0] < written['seconds'][2] < stood[1]
-    assert left(adopted) <= CLOSED
+    assert times_left(adopted.notes) <= CLOSED
     assert any(note.startswith('count_slip: when it was lost is taken over') for note in adopted.notes)
     path = tmp_path / 'adopted.yaml'
     path.write_text(yaml.safe_dump(adopted.cell))
@@ -68,7 +63,7 @@ def test_a_slip_of_one_beam_is_of_that_beam():
     written = adopted.cell['effects']['count_slip']
     assert written['arrival'] == 30.0
     np.testing.assert_allclose(written['jump'], [0.0, JUMP, 0.0], atol=3e-7)
-    assert left(adopted) <= CLOSED
+    assert times_left(adopted.notes) <= CLOSED
 
 
 def test_one_number_is_of_all_beams():

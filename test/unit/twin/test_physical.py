@@ -12,7 +12,7 @@ from stepdiag_ros.virtual.acting import ALLOWED
 from stepdiag_ros.virtual.cell import parse_cell
 from stepdiag_ros.virtual.offline import simulate_log
 
-from ..conftest import DEMO
+from ..conftest import DEMO, times_left
 
 OWN = '''
 import numpy as np
@@ -39,17 +39,13 @@ def _note(notes, start):
     return next(note for note in notes if note.startswith(start))
 
 
-def _left(notes):
-    return float(_note(notes, 'run along').split('leaves ')[1].split(' ')[0])
-
-
 def test_a_servo_that_was_fitted_with_several_times_has_one(diagnosed):
     found = diagnosed('servo_settling', {'amp': 6e-6, 'tau': 0.13}, None, 0.5)
     written, notes = adopt(found)[:2]
-    np.testing.assert_allclose(written['effects']['servo_settling']['amp'], 6e-6, rtol=0.05)
+    assert written['effects']['servo_settling']['amp'] == pytest.approx([6e-6] * 3, rel=0.03)
     assert written['effects']['servo_settling']['tau'] == pytest.approx(0.13, rel=0.03)
     assert not any(note.startswith('servo_settling') for note in notes)
-    assert _left(notes) == pytest.approx(1.0, abs=0.1)
+    assert times_left(notes) == pytest.approx(1.0, abs=0.1)
 
 
 def test_a_detail_that_the_guess_leaves_out_is_found_where_it_shows(diagnosed, monkeypatch):
@@ -61,11 +57,11 @@ def test_a_detail_that_the_guess_leaves_out_is_found_where_it_shows(diagnosed, m
                                                              'shift': [0.0] * 3})
     written, notes = adopt(found)[:2]
     assert np.ptp(written['effects'][kind.name]['shift']) > 1.5e-5
-    assert _left(notes) <= CLOSED
+    assert times_left(notes) <= CLOSED
     # The check can fail.
     monkeypatch.setattr('stepdiag_ros.twin.formula.SHOWS', np.inf)
     written, notes = adopt(found)[:2]
-    assert 'shift' not in written['effects'][kind.name] and _left(notes) > CLOSED
+    assert 'shift' not in written['effects'][kind.name] and times_left(notes) > CLOSED
 
 
 @pytest.mark.long

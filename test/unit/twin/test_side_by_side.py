@@ -11,7 +11,7 @@ from stepdiag_ros.twin.adopt import CLOSED, adopt
 from stepdiag_ros.twin.twin import Twin
 from stepdiag_ros.virtual.offline import simulate_log
 
-from ..conftest import small_cell
+from ..conftest import small_cell, times_left
 
 TWO = {'psd_rotation': {'angle': 0.2}, 'mirror_curvature': {'radius': 2000.0, 'astigmatism': 0.5}}
 
@@ -23,23 +23,18 @@ def both() -> Diagnosis:
     return diagnose(simulate_log(replace(cell, description=few)), [effect_class(name)() for name in TWO])
 
 
-def left(adopted) -> float:
-    note = next(note for note in adopted.notes if note.startswith('run along'))
-    return float(note.split('leaves ')[1].split(' ')[0])
-
-
 def test_two_that_act_on_each_other_are_found_at_once(both, monkeypatch):
     assert {one.name for one in both.effects} == set(TWO)
     adopted = adopt(both)
-    assert left(adopted) <= CLOSED
+    assert times_left(adopted.notes) <= CLOSED
     assert adopted.cell['effects']['psd_rotation']['angle'] == pytest.approx(0.2, abs=0.01)
     # The check can fail: one after the other they settle where neither can leave.
     monkeypatch.setattr('stepdiag_ros.twin.adopt.together', lambda diagnosis, twin: {})
-    assert left(adopt(both)) > CLOSED
+    assert times_left(adopt(both).notes) > CLOSED
 
 
 @pytest.mark.long
 def test_each_is_found_beside_the_other(both, monkeypatch):
     """Each for itself they do more than both together."""
     monkeypatch.setattr(Twin, 'beside', lambda self, before, behind: self)
-    assert left(adopt(both)) > CLOSED
+    assert times_left(adopt(both).notes) > CLOSED
